@@ -129,6 +129,20 @@ def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Pat
     assert float(rows[1]["dgp"]) == float(first[f"dgp@{azimuth}"])
 
 
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_sweep_scores_every_room_that_can_be_read(three_rooms: Path, tmp_path: Path) -> None:
+    words = ["campaign", "bench", str(three_rooms), "--models", "mean,nearest", "--seeds", "2"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 3, result.output
+    assert "missing failed: " in result.stderr and "no pairs.csv" in result.stderr
+    assert "broken failed: broken score mean 0: " in result.stderr
+    with (tmp_path / "campaign" / "sweep.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["room"], row["name"]) for row in rows] == [("good", "mean"), ("good", "nearest")]
+    assert "| good | nearest |" in result.stdout
+
+
 @pytest.mark.contract
 def test_the_command_exits_with_3_when_a_room_was_passed_over(tmp_path: Path) -> None:
     path = campaign_file(tmp_path, '[[room]]\nsession = "missing"\n')

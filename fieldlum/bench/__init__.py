@@ -131,7 +131,8 @@ def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> s
     return "\n".join(lines) + "\n"
 
 
-def _write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write rows with all their columns."""
     names = list(dict.fromkeys(key for row in rows for key in row))
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=names)
@@ -143,13 +144,22 @@ def store(
     out: Path, name: str, rows: Sequence[Mapping[str, object]], draw: Callable[[Path], None]
 ) -> None:
     """Write NAME.csv, and NAME.png by `draw`."""
-    _write_csv(out / f"{name}.csv", rows)
+    write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
         draw(path)
 
 
 # ----------------------------------------------------------------------------------------------
 # run
+
+
+def patient(scheduler: Scheduler, budget_min: float) -> Scheduler:
+    """Return a scheduler that does not take a long training for a hanging unit.
+
+    A dense training takes far longer than the median piece.
+    """
+    limit_s = scheduler.unit_limit_s or _SHORTEST_LIMIT_S + _BUDGETS * 60.0 * budget_min
+    return replace(scheduler, unit_limit_s=limit_s)
 
 
 def run(
@@ -188,9 +198,7 @@ def run(
         units, scheduler = [local_unit_of(piece, loaded, progress) for piece in pieces], LOCAL
     else:
         units = [unit_of(piece, files) for piece in pieces]
-        # a dense training takes far longer than the median piece, and is not hanging
-        limit_s = scheduler.unit_limit_s or _SHORTEST_LIMIT_S + _BUDGETS * 60.0 * budget_min
-        scheduler = replace(scheduler, unit_limit_s=limit_s)
+        scheduler = patient(scheduler, budget_min)
     answers: dict[str, Any] = {}
     run_each(units, scheduler, lambda o: answers.update({o.unit.name: o.result()}), progress)
 
@@ -205,7 +213,7 @@ def run(
     table = [*over_seeds(rows), *of("rendering")]
     rows += of("rendering")
     store(out, "scores", table, lambda path: charts.speed_accuracy(path, table, machine()))
-    _write_csv(out / "scores_by_seed.csv", rows)
+    write_csv(out / "scores_by_seed.csv", rows)
     parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     curve = list(chain(*of("random", "greedy")))
     if curve:

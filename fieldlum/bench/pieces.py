@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -164,14 +164,12 @@ def pieces_of(
     render_hours: int,
 ) -> list[Piece]:
     """Return all pieces, in the order of the tables. Models without randomness run once."""
-    found: list[Piece] = []
-    quick: list[str] = []
-    for model in models:
-        spec = loaded.spec(model)
-        once = spec.folder is not None or MODELS[spec.name].baseline
-        found += [Piece("score", model, seed, budget_s) for seed in range(1 if once else seeds)]
-        if spec.name == "transport" and spec.folder is None:
-            quick.append(model)
+    found = score_pieces(models, seeds, budget_s, loaded.folder)
+    quick = [
+        model
+        for model in models
+        if (spec := loaded.spec(model)).name == "transport" and spec.folder is None
+    ]
     room = loaded.data.setup.room
     if room is not None and room.kind == "box" and render_hours:
         found.append(Piece("rendering", hours=render_hours))
@@ -183,6 +181,21 @@ def pieces_of(
     if with_stress and models:
         first = next((m for m in models if loaded.spec(m).name == "transport"), models[0])
         found.append(Piece("stress", first))
+    return found
+
+
+def score_pieces(
+    models: Sequence[str], seeds: int, budget_s: float, folder: Path = Path()
+) -> list[Piece]:
+    """Return the scores of models with seeds; a model without randomness has one.
+
+    folder: that folders of trained models are relative to.
+    """
+    found: list[Piece] = []
+    for model in models:
+        (spec,) = parse_specs([model], folder)
+        once = spec.folder is not None or MODELS[spec.name].baseline
+        found += [Piece("score", model, seed, budget_s) for seed in range(1 if once else seeds)]
     return found
 
 
@@ -265,7 +278,7 @@ def perform(folder: Path, argument: tuple[Piece, BenchFiles]) -> Any:
     return work(piece, _loaded(replace(files, folder=folder)))
 
 
-@cache
+@lru_cache(maxsize=1)
 def _loaded(files: BenchFiles) -> BenchData:
-    """Return the pairs, read once in each process."""
+    """Return the pairs, read once in each process for the pieces of one room."""
     return load(files)

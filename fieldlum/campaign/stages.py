@@ -67,10 +67,10 @@ def run_stage(
     work = {"plan": _plan, "status": _status, "merge": _merge, "predict": _predict}[stage]
     how = _Stage(campaign, scheduler, force, progress)
     for room in campaign.rooms:
-        yield _guarded(room.session, partial(work, how, room))
+        yield guarded(room.session, partial(work, how, room))
 
 
-def _guarded(name: str, work: Callable[[], str]) -> RoomResult:
+def guarded(name: str, work: Callable[[], str]) -> RoomResult:
     """Return the result of one room's work; whatever it raises concerns this room alone."""
     try:
         return RoomResult(name, "done", work())
@@ -146,7 +146,7 @@ def _train(
         files = ("session.toml", "pairs.csv")
         units.append(WorkUnit(room.session, train_room, folder, job, files=files))
     for outcome in run_units(units, scheduler, progress=progress):
-        yield _guarded(outcome.unit.name, outcome.result)
+        yield guarded(outcome.unit.name, outcome.result)
 
 
 def train_room(folder: Path, job: _TrainJob) -> str:

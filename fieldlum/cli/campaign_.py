@@ -96,6 +96,59 @@ _add_stage(
 )
 
 
+@command.command("bench")
+@campaign_argument
+@click.option(
+    "--models",
+    default="transport",
+    show_default=True,
+    help="Models as in fieldlum bench, separated by commas.",
+)
+@click.option("--seeds", default=1, show_default=True, type=click.IntRange(1))
+@click.option(
+    "--budget",
+    default=5.0,
+    show_default=True,
+    type=click.FloatRange(min=0, min_open=True),
+    help="Minutes of training for each model and seed.",
+)
+@scheduler_option
+@out_option("Folder of sweep.csv and sweep.md", default="campaign/ next to CAMPAIGN.toml")
+def bench_command(
+    campaign_file: Path,
+    models: str,
+    seeds: int,
+    budget: float,
+    scheduler_text: str,
+    out: Path | None,
+) -> None:
+    """Compare models and seeds on held-out days of every room.
+
+    \b
+    Example:
+      fieldlum campaign bench rooms/CAMPAIGN.toml --models transport,nearest --seeds 3
+    """
+    from fieldlum.campaign import read_campaign
+    from fieldlum.campaign.sweep import run_sweep
+
+    names = [name.strip() for name in models.split(",") if name.strip()]
+    with progress("campaign bench") as show:
+        failed, table = run_sweep(
+            read_campaign(campaign_file),
+            names,
+            out or campaign_file.parent / "campaign",
+            seeds=seeds,
+            budget_min=budget,
+            scheduler=scheduler_of(scheduler_text),
+            progress=show,
+        )
+    click.echo(table)
+    for result in failed:
+        say(f"{result.session} failed: {result.text}")
+    if failed:
+        raise SystemExit(InputError.exit_code)
+
+
 @command.command("report")
 @campaign_argument
 @out_option("Folder of the overview", default="campaign/ next to CAMPAIGN.toml")

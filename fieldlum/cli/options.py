@@ -22,14 +22,22 @@ class _LocalPath(click.Path):
         if "://" in str(value):
             self.fail(
                 f"{value} is a URL; expected a path, since a bucket has no locks; only "
-                "predict --maps-to writes to a URL",
+                "pair --pairs-to and predict --maps-to write to a URL",
                 param,
                 ctx,
             )
         return super().convert(value, param, ctx)
 
 
+class _PathOrUrl(click.Path):
+    """A path of a file system, or a URL as text."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return str(value) if "://" in str(value) else super().convert(value, param, ctx)
+
+
 PATH = _LocalPath(path_type=Path)
+PATH_OR_URL = _PathOrUrl(path_type=Path)
 EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
 FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
 CAPTURE_SET = click.Choice(("month", "9-day", "12-day", "4-day", "even", "best"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,12 +16,21 @@ from fieldlum.cli.options import (
     session_argument,
 )
 
+if TYPE_CHECKING:
+    from fieldlum.session import Session
+
 
 @click.command("pair")
 @session_argument
 @scheduler_option
+@click.option(
+    "--pairs-to",
+    metavar="URL",
+    default="",
+    help="Also write the training data to a bucket, such as s3://BUCKET/FOLDER (fieldlum[cloud]).",
+)
 @force_option
-def command(session_folder: Path, scheduler_text: str, force: bool) -> None:
+def command(session_folder: Path, scheduler_text: str, pairs_to: str, force: bool) -> None:
     """Match panoramas with irradiance, sun and sun patches.
 
     \b
@@ -30,6 +40,11 @@ def command(session_folder: Path, scheduler_text: str, force: bool) -> None:
     from fieldlum import irradiance, pair
     from fieldlum.irradiance.day_curves import draw_days
     from fieldlum.session import open_session
+    from fieldlum.session.bucket import BucketStore, check_url
+
+    if pairs_to:
+        check_url(pairs_to, "--pairs-to", "the pairs are in the session without --pairs-to")
+        BucketStore(pairs_to)  # an absent client is reported before the work
 
     scheduler = scheduler_of(scheduler_text)
     session = open_session(session_folder)
@@ -52,3 +67,17 @@ def command(session_folder: Path, scheduler_text: str, force: bool) -> None:
         c for p in pairs if p.ok for c in p.caution.split("; ") if c
     ).most_common(5):
         terminal.say(f"caution {count}: {caution}")
+    if pairs_to:
+        _upload(session, pairs_to)
+
+
+def _upload(session: Session, url: str) -> None:
+    """Write the training data of the session to a bucket."""
+    from fieldlum.models.data import load_pairs
+    from fieldlum.models.pairs_bucket import store_of, write_pairs
+
+    with terminal.progress("reading pictures") as progress:
+        data = load_pairs(session, progress=progress)
+    new = write_pairs(data, url, session.root / ".pairs.zarr.tmp")
+    state = "written" if new else "unchanged, not written again"
+    click.echo(f"{store_of(url).target}: {len(data)} captures, {state}")

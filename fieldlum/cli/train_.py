@@ -10,10 +10,10 @@ import click
 
 from fieldlum.cli.estimates import estimate_text, train_s
 from fieldlum.cli.options import (
+    PATH_OR_URL,
     force_option,
     json_option,
     out_option,
-    pairs_argument,
     scene_option,
     site_option,
 )
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@pairs_argument
+@click.argument("pairs", metavar="SESSION|PAIRS.csv|URL", type=PATH_OR_URL)
 @site_option
 @click.option(
     "--model",
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 @force_option
 @json_option
 def command(
-    pairs: Path,
+    pairs: Path | str,
     site: Path | None,
     model: str,
     patch: Any,
@@ -67,10 +67,10 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session or a pairs.csv. The budget is for the complete command: reading, held-out
-    days, the stored model and the learning curve. Two held-out folds of each quick model, and the
-    scan of the setting, are always run. A model of the same captures and options is not trained
-    again.
+    PAIRS is a session, a pairs.csv, or the URL that `pair --pairs-to` wrote to. The budget is for
+    the complete command: reading, held-out days, the stored model and the learning curve. Two
+    held-out folds of each quick model, and the scan of the setting, are always run. A model of the
+    same captures and options is not trained again.
 
     \b
     Example:
@@ -78,14 +78,22 @@ def command(
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
     """
     from fieldlum.models.data import load_pairs
+    from fieldlum.models.pairs_bucket import read_pairs
     from fieldlum.scene_fit.apply import in_scene
     from fieldlum.train import default_folder, run
 
     started = time.monotonic()
-    folder = out or default_folder(pairs, model)
+    if isinstance(pairs, str):
+        if out is None or site is not None:
+            raise click.UsageError("training data at a URL has its site; write --out, not --site")
+        folder, place, scene = out, out, scene or "none"
+    else:
+        folder, place = out or default_folder(pairs, model), pairs
     with progress("reading pictures") as show:
-        data = load_pairs(pairs, site, progress=show)
-        data, patch = in_scene(data, pairs, scene, patch, progress=show)
+        data = (
+            read_pairs(pairs) if isinstance(pairs, str) else load_pairs(pairs, site, progress=show)
+        )
+        data, patch = in_scene(data, place, scene, patch, progress=show)
     pixels = data.shape[0] * data.shape[1]
     say_if(estimate_text(train_s(model, len(data), pixels, budget)))
     with progress("training") as show:

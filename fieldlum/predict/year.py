@@ -33,12 +33,13 @@ from fieldlum.predict.checks import (
 from fieldlum.predict.glare_summary import judge, poor, summary_of_year
 from fieldlum.predict.hours_unit import HourFigures, hour_units
 from fieldlum.predict.maps import FolderMapStore, MapStore
-from fieldlum.predict.maps_bucket import BucketMapStore, check_url
+from fieldlum.predict.maps_bucket import BucketMapStore
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.predict_json import PredictFile
 
@@ -92,7 +93,7 @@ def run(
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
     if maps_to:
-        check_url(maps_to)
+        check_url(maps_to, "--maps-to", "use --maps")
         inputs["maps_to"] = maps_to
     inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
     if not force and (done := already(folder, inputs)) is not None:

@@ -1,0 +1,99 @@
+"""Zarr stores below the URL of a bucket, or of any other store that fsspec writes to.
+
+A bucket has no rename. The zarr.json of a store's root is deleted first and written last, so that
+an interrupted upload cannot be opened.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from fieldlum.errors import InputError
+
+_ROOT = "zarr.json"  # of the store; without it nothing opens the store (Zarr v3)
+_MADE_FROM = "made_from_sha256"
+
+
+class BucketStore:
+    """One Zarr store below a URL.
+
+    Raises InputError for a URL without a client.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.target = url.rstrip("/")
+        self._fs, self._path = _file_system(self.target)
+
+    def attributes(self) -> dict[str, Any] | None:
+        """Return the attributes of a complete store; None if there is none at the URL."""
+        with self._reached():
+            if not self._fs.exists(f"{self._path}/{_ROOT}"):
+                return None
+            table = json.loads(self._fs.cat_file(f"{self._path}/{_ROOT}"))
+        return table.get("attributes", {})
+
+    def is_made_from(self, digest: str) -> bool:
+        """Return whether a complete store of these inputs is at the URL."""
+        attributes = self.attributes()
+        return attributes is not None and attributes.get(_MADE_FROM) == digest
+
+    def begin(self, draft: Path) -> None:
+        """Delete what is at the URL and upload a folder's files, but not the root's zarr.json."""
+        with self._reached():
+            if self._fs.exists(f"{self._path}/{_ROOT}"):
+                self._fs.rm(f"{self._path}/{_ROOT}")
+            if self._fs.exists(self._path):
+                self._fs.rm(self._path, recursive=True)
+        self.upload(draft)
+
+    def upload(self, draft: Path, below: str = "") -> None:
+        """Upload the files of a folder, or of one folder below it, but not the root's zarr.json."""
+        with self._reached():
+            for path in sorted((draft / below).rglob("*")):
+                name = path.relative_to(draft).as_posix()
+                if path.is_file() and name != _ROOT:
+                    self._fs.pipe_file(f"{self._path}/{name}", path.read_bytes())
+
+    def finish(self, draft: Path, digest: str) -> None:
+        """Upload the root's zarr.json with the digest of the inputs: the store is complete."""
+        table = json.loads((draft / _ROOT).read_text(encoding="utf-8"))
+        table.setdefault("attributes", {})[_MADE_FROM] = digest
+        with self._reached():
+            self._fs.pipe_file(f"{self._path}/{_ROOT}", json.dumps(table, indent=2).encode())
+
+    @contextmanager
+    def _reached(self) -> Iterator[None]:
+        """Turn what a client library raises into one line; each has exceptions of its own."""
+        try:
+            yield
+        except Exception as error:
+            found = f"{type(error).__name__}: {str(error)[:160]}"
+            remedy = "check address, bucket and credentials, then run the command again"
+            raise InputError(self.target, found, "a bucket that answers", remedy) from error
+
+
+def check_url(url: str, option: str, instead: str) -> None:
+    """Raise InputError for a text that is no URL of a bucket, or one with a password in it."""
+    parts = urlsplit(url)
+    if parts.scheme in ("", "file", "local") or "::" in url:
+        raise InputError(option, url, "a URL such as s3://BUCKET/FOLDER", instead)
+    if parts.password or parts.username:
+        remedy = "give it to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws"
+        raise InputError(option, "a URL with a user or password", "a URL without", remedy)
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    try:
+        from fsspec.core import url_to_fs
+
+        return url_to_fs(url)
+    except ImportError:
+        remedy = "install it with: pip install 'fieldlum[cloud]'"
+        raise InputError(url, "no client for this kind of URL", remedy=remedy) from None
+    except ValueError as error:
+        raise InputError(url, str(error)[:120], "a URL such as s3://BUCKET/FOLDER") from None
