@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -74,6 +76,17 @@ def _unknown(words: list[str]) -> str | None:
 def test_every_shown_command_is_accepted(page: Path) -> None:
     refused = {" ".join(words): _unknown(words) for words in _words_of_commands(page)}
     assert not {line: why for line, why in refused.items() if why}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_shown_import_exists(page: Path) -> None:
+    for block in re.findall(r"(?ms)^```python\n(.*?)^```", page.read_text(encoding="utf-8")):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fieldlum"):
+                names = ", ".join(name.name for name in node.names)
+                exec(f"from {node.module} import {names}", {})  # a submodule is imported too
+            elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "fieldlum":
+                assert hasattr(importlib.import_module("fieldlum"), node.attr)
 
 
 def test_a_wrong_option_is_found() -> None:
