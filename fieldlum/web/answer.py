@@ -18,14 +18,14 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO
 
 from fieldlum.errors import InputError
 from fieldlum.records import utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
-from fieldlum.web.tables import AnswerRow, AnswerStep, AnswerTable
+from fieldlum.web import JsonTable
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 QUIET_BEFORE_S = 90.0
@@ -142,10 +142,10 @@ class Worker:
     def _keep(self, captured: int, annual: Path) -> None:
         """Append the classes to the history of answers."""
         year = PredictFile.read(annual)
-        hours: list[dict[str, Any]] = []
+        hours: list[JsonTable] = []
         with suppress(OSError, ValueError, KeyError):
             hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
-        row: AnswerRow = {
+        row = {
             "t_utc": utc_text(datetime.now(UTC)),
             "captures": captured,
             "weather": year.weather.name,
@@ -230,22 +230,19 @@ def _signal(process: subprocess.Popen[bytes], name: str) -> None:
         os.killpg(process.pid, getattr(signal, name))
 
 
-def read_answers(session: Session) -> list[AnswerRow]:
+def read_answers(session: Session) -> list[JsonTable]:
     """Return the answers so far, oldest first; none for a missing or damaged file."""
     try:
         rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return []
-    if not isinstance(rows, list):
-        return []
-    return [cast(AnswerRow, row) for row in rows if isinstance(row, dict)]
+    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 
 
-def answer_table(session: Session, worker: Worker | None) -> AnswerTable:
+def answer_table(session: Session, worker: Worker | None) -> JsonTable:
     """Return the last answer, how each direction moved, and what is being computed."""
     rows = read_answers(session)
-    last = rows[-1] if rows else None
-    history: list[AnswerStep] = [
+    history = [
         {
             "t_utc": row["t_utc"],
             "captures": row["captures"],
@@ -256,7 +253,7 @@ def answer_table(session: Session, worker: Worker | None) -> AnswerTable:
         for row in rows
     ]
     return {
-        "last": last,
+        "last": rows[-1] if rows else None,
         "history": history,
         "computes": worker is not None,
         "step": worker.step if worker else "",

@@ -6,7 +6,7 @@ import asyncio
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -26,6 +26,7 @@ from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows
 from fieldlum.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.site_toml import site_table
+from fieldlum.web import JsonTable
 from fieldlum.web.pictures import scale_of
 from fieldlum.web.server import picture_routes, static_route
 
@@ -60,18 +61,8 @@ class ClickedPicture:
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
 
 
-class ClickedTable(TypedDict):
-    """A clicked room for people: lengths with uncertainties; where the south wall faces."""
-
-    rows: list[dict[str, Any]]
-    faces: str
-    walls: list[str]
-    misfit_px: float
-    notes: list[str]
-
-
-def clicked_table(found: ClickedRoom) -> ClickedTable:
-    """Return the lengths of a room with their uncertainties, as rows for people."""
+def clicked_table(found: ClickedRoom) -> JsonTable:
+    """Return the lengths of a room with their uncertainties, and where the south wall faces."""
     room = found.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
     for place, window in enumerate(room.window):
@@ -134,12 +125,12 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
     async def save(request: Request) -> Response:
         return await _answered(request, _saved)
 
-    def _solved(clicks: list[Click], height_m: float, replace_room: bool) -> dict[str, object]:
+    def _solved(clicks: list[Click], height_m: float, replace_room: bool) -> JsonTable:
         found = room_from_clicks(clicks, picture.grid, height_m)
         lines = outline_pixels(found.room, picture.grid)
         return clicked_table(found) | {"lines": lines, "patches": _patches(found.room, picture)}
 
-    def _saved(clicks: list[Click], height_m: float, replace_room: bool) -> dict[str, object]:
+    def _saved(clicks: list[Click], height_m: float, replace_room: bool) -> JsonTable:
         found = room_from_clicks(clicks, picture.grid, height_m)
         path, taken = save_room(session, found, replace_room=replace_room)
         return {"file": str(path), "taken": taken}

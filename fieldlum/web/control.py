@@ -22,7 +22,7 @@ from starlette.routing import Route
 from fieldlum.errors import InputError
 from fieldlum.plan.extra import add_extra
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
-from fieldlum.web.tables import WatchState
+from fieldlum.web import JsonTable
 
 _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 
@@ -32,7 +32,7 @@ class Control:
     """Changes of one session, one after the other. state: returns the page's current table."""
 
     session: Session
-    state: Callable[[], WatchState]
+    state: Callable[[], JsonTable]
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def do(self, action: str, asked: Mapping[str, object]) -> str:
@@ -71,7 +71,7 @@ class Control:
         until = pause(self.session, timedelta(minutes=float(minutes)))
         return f"No bracket begins before {until:%H:%M} UTC. Slots until then are missed."
 
-    def _running(self) -> WatchState:
+    def _running(self) -> JsonTable:
         """Return the present state; raise InputError unless a capture runs in real time."""
         state = self.state()
         if state["rehearsal"]:

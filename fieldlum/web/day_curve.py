@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.records import Site
+from fieldlum.web import JsonTable
 from fieldlum.web.follow import BIN_S, IrradianceFollower
-from fieldlum.web.tables import DayCurve
 
 
-def day_curve(day: date, site: Site, followed: IrradianceFollower) -> DayCurve:
-    """Return the irradiance of a local day in bins, with the flags of its rows.
+def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
+    """Return the irradiance of a local day in bins [W/m2], with the flags of its rows.
 
     Flags are for impossible values and for errors of the instrument.
     """

@@ -19,20 +19,11 @@ from fieldlum.plan.makeup import made_up_for
 from fieldlum.records import Slot, parse_utc, slot_id, utc_text
 from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.web import JsonTable
 from fieldlum.web.answer import Moment
 from fieldlum.web.day_curve import day_curve
 from fieldlum.web.follow import IrradianceFollower, JournalFollower, JournalState
 from fieldlum.web.pictures import scale_of
-from fieldlum.web.tables import (
-    CalendarTable,
-    DayTable,
-    DevicesShown,
-    DiskShown,
-    EventShown,
-    LatestPicture,
-    SlotRow,
-    WatchState,
-)
 from fieldlum.web.this_computer import battery, is_running
 from fieldlum.web.words import event_words
 
@@ -57,10 +48,10 @@ class Snapshots:
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
         self._plan: tuple[int, list[Slot]] = (-1, [])
-        self._findings: tuple[datetime, list[dict[str, str | int]]] | None = None
+        self._findings: tuple[datetime, list[JsonTable]] | None = None
         self._band: tuple[object, dict[str, float]] = (None, {})
 
-    def state(self) -> WatchState:
+    def state(self) -> JsonTable:
         """Return what changes from minute to minute."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
@@ -110,13 +101,13 @@ class Snapshots:
                 captured,
             )
 
-    def calendar(self) -> CalendarTable:
+    def calendar(self) -> JsonTable:
         """Return the days of the plan with the state of each slot, and what the captures cover."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
             now, _ = self._now(journal)
             states, merged = self._states(slots, journal, now), self._merged()
-            days: dict[str, list[SlotRow]] = {}
+            days: dict[str, list[JsonTable]] = {}
             for slot in slots:
                 row = self._slot_row(slot, states)
                 row["picture"] = slot.id in merged
@@ -126,14 +117,14 @@ class Snapshots:
                 "coverage": self._coverage(slots, states),
             }
 
-    def day(self, day: date) -> DayTable:
+    def day(self, day: date) -> JsonTable:
         """Return the slots of one local day with their verdicts, and its irradiance."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
             now, _ = self._now(journal)
             states, merged = self._states(slots, journal, now), self._merged()
             today = [slot for slot in slots if self._local_day(slot.t_utc) == day]
-            rows: list[SlotRow] = []
+            rows: list[JsonTable] = []
             for slot in today:
                 row = self._slot_row(slot, states)
                 row["picture"] = slot.id in merged
@@ -183,7 +174,7 @@ class Snapshots:
                 states[missed] = "made up"
         return states
 
-    def _slot_row(self, slot: Slot, states: dict[str, str]) -> SlotRow:
+    def _slot_row(self, slot: Slot, states: dict[str, str]) -> JsonTable:
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
@@ -198,13 +189,13 @@ class Snapshots:
     def _merged(self) -> set[str]:
         return {path.stem for path in self._session.panorama_files()}
 
-    def _latest(self) -> LatestPicture | None:
+    def _latest(self) -> JsonTable | None:
         """Return the newest panorama with its verdict."""
         files = self._session.panorama_files()
         if not files:
             return None
         slot, (low, high) = files[-1].stem, _readable_scale(files[-1:])
-        row: LatestPicture = {
+        row: JsonTable = {
             "slot": slot,
             "low": low,
             "high": high,
@@ -237,7 +228,7 @@ class Snapshots:
         until = paused_until(self._session, now)
         return None if until is None else f"{until.astimezone(self._zone):%H:%M}"
 
-    def _devices(self, journal: JournalState) -> DevicesShown:
+    def _devices(self, journal: JournalState) -> JsonTable:
         table = self._session.table().get("devices", {})
         camera = table.get("camera", {})
         offset_s = camera.get("clock_offset_s")
@@ -249,16 +240,16 @@ class Snapshots:
             "away": {name: utc_text(t) for name, t in journal.away.items()},
         }
 
-    def _disk(self, slots: list[Slot]) -> DiskShown:
+    def _disk(self, slots: list[Slot]) -> JsonTable:
         free = shutil.disk_usage(self._session.root).free
         planned = float(self._session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
         days = len({self._local_day(slot.t_utc) for slot in slots})
         per_day = 1e6 * planned * len(slots) / max(days, 1)
         return {"free_bytes": free, "days": free / per_day if per_day else None}
 
-    def _events(self, journal: JournalState) -> list[EventShown]:
+    def _events(self, journal: JournalState) -> list[JsonTable]:
         """Return the latest news, newest first; a run of equal sentences is one row."""
-        rows: list[EventShown] = []
+        rows: list[JsonTable] = []
         for event in reversed(journal.events):
             words = event_words(event)
             if words is None:
@@ -271,7 +262,7 @@ class Snapshots:
             rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
         return rows[:_EVENTS_SHOWN]
 
-    def _doctor(self, now: datetime) -> list[dict[str, str | int]]:
+    def _doctor(self, now: datetime) -> list[JsonTable]:
         """Return doctor's findings that need no device: a capture may be using them."""
         if self._findings is not None and abs(now - self._findings[0]) < _FINDINGS_EVERY:
             return self._findings[1]

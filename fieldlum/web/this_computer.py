@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from fieldlum.capture.utc_clock import boot_id
+from fieldlum.web import JsonTable
 from fieldlum.web.follow import JournalState
-from fieldlum.web.tables import PowerShown
 
 
 def is_running(journal: JournalState) -> bool | None:
@@ -31,7 +31,7 @@ def is_running(journal: JournalState) -> bool | None:
     return True
 
 
-def battery() -> PowerShown | None:
+def battery() -> JsonTable | None:
     """Return charge and source of this computer's power (Linux); None where there is no battery."""
     percent: int | None = None
     mains: bool | None = None
