@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 from tiny_field import FAST, T0, Field, TinyCamera, make_session
 
-from fieldlum.capture.state import fold, owed
 from fieldlum.devices.clock import FastClock
 from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure
@@ -23,6 +22,7 @@ from fieldlum.session import (
     read_journal,
     sha256,
 )
+from fieldlum.session.ledger import fold, owed
 
 
 @dataclass

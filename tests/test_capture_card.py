@@ -19,12 +19,12 @@ from fieldlum.capture import import_card
 from fieldlum.capture.card import of_the_session
 from fieldlum.capture.card_clock import clock_parts, doubt
 from fieldlum.capture.match_card import CardFrame, Group, Offset, in_order
-from fieldlum.capture.state import fold
 from fieldlum.errors import InputError
 from fieldlum.profiles import load_camera_profile, save_profile
 from fieldlum.raw import same_model, write_dng, write_jpeg
 from fieldlum.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
+from fieldlum.session.ledger import fold
 
 NOON = datetime(2027, 3, 14, 20, 30, tzinfo=UTC)  # of Seattle, on the day of its clock change
 LADDER = tuple(Exposure(t, 5.6) for t in (1 / 8, 1 / 60, 1 / 250))

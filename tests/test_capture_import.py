@@ -26,12 +26,12 @@ from fieldlum.capture.match_card import (
     match_groups,
     refine_offset,
 )
-from fieldlum.capture.state import fold
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.raw import write_jpeg
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
+from fieldlum.session.ledger import fold
 
 DAWN = datetime(2027, 3, 20, 14, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(t, 5.6) for t in (2.0, 1 / 2, 1 / 8, 1 / 30, 1 / 125))

@@ -25,7 +25,6 @@ import pytest
 from places import SEATTLE
 
 from fieldlum import capture, merge
-from fieldlum.capture.state import fold
 from fieldlum.images import read_panorama
 from fieldlum.profiles import (
     Bracket,
@@ -39,6 +38,7 @@ from fieldlum.profiles import (
 )
 from fieldlum.records import CameraSetup, PyranometerSetup, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
+from fieldlum.session.ledger import fold
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")
 T0 = datetime(2027, 3, 20, 18, 30, tzinfo=UTC)

@@ -13,7 +13,6 @@ import pytest
 from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
 from fieldlum.capture.runner import Options, run
-from fieldlum.capture.state import fold
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.devices.clock import FastClock
 from fieldlum.errors import DeviceError
@@ -25,6 +24,7 @@ from fieldlum.session import (
     read_journal,
     update_session,
 )
+from fieldlum.session.ledger import fold
 
 
 @pytest.mark.contract

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from tiny_field import FAST, LADDER, Field, make_session
 
-from fieldlum.capture.state import fold
 from fieldlum.capture.verify import doubts
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
@@ -22,6 +21,7 @@ from fieldlum.session import (
     read_journal,
     sha256,
 )
+from fieldlum.session.ledger import fold
 
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 

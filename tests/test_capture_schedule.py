@@ -11,7 +11,6 @@ from tiny_field import FAST, T0, Field, TinyCamera
 
 from fieldlum.capture.preflight import refuse_what_is_not_offered
 from fieldlum.capture.runner import Live, run
-from fieldlum.capture.state import SlotState
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.devices.clock import ClockFault, FastClock
 from fieldlum.errors import DeviceError, NotEnoughDataError
@@ -20,6 +19,7 @@ from fieldlum.session import (
     read_journal,
     write_plan,
 )
+from fieldlum.session.ledger import SlotState
 
 
 @pytest.mark.contract

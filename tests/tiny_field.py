@@ -12,7 +12,6 @@ from typing import Any
 from places import SEATTLE
 
 from fieldlum.capture.runner import Live, Options, run
-from fieldlum.capture.state import fold
 from fieldlum.devices.clock import FastClock
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
@@ -20,6 +19,7 @@ from fieldlum.session import (
     create_session,
     read_journal,
 )
+from fieldlum.session.ledger import fold
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(2.0**-i, 5.6) for i in range(3))

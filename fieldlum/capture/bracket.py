@@ -12,13 +12,14 @@ from pathlib import Path
 from fieldlum.capture.frame_requests import FrameRequest, shots, write_capture
 from fieldlum.capture.reconnect import FIRST_PAUSE_S, LONGEST_PAUSE_S, Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
-from fieldlum.capture.state import Frame, SlotState, frame_fields
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
 from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter, ReportingCamera
 from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
+from fieldlum.session.files.capture_json import Frame, frame_fields
+from fieldlum.session.ledger import SlotState
 from fieldlum.session.tables import DeviceTable
 
 STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured

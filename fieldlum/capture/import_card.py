@@ -32,7 +32,6 @@ from fieldlum.capture.match_card import (
     true_time,
 )
 from fieldlum.capture.reassign_slots import withdraw
-from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text
@@ -40,12 +39,13 @@ from fieldlum.session import (
     Journal,
     Session,
     exposure_text,
-    read_journal,
     replacing_path,
     sha256,
     sole_user,
     update_session,
 )
+from fieldlum.session.files.capture_json import Frame, frame_fields
+from fieldlum.session.ledger import SlotState, read_ledger
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,8 +269,8 @@ def _adopt_all(
     journal = Journal(session)
     new: list[Match] = []
     try:
-        moved = withdraw(session, journal, fold(read_journal(session)), matched)
-        ledger = fold(read_journal(session))
+        moved = withdraw(session, journal, read_ledger(session), matched)
+        ledger = read_ledger(session)
         for done, (match, offset) in enumerate(matched, start=1):
             progress(done, len(matched), match.slot.id)
             if ledger.slots.get(match.slot.id, SlotState()).outcome != "done":

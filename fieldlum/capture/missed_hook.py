@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fieldlum.capture.recorder import Recorder
-from fieldlum.capture.state import SlotState
+from fieldlum.session.ledger import SlotState
 
 _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
 MISSES_IN_A_ROW = 2  # one missed slot can be a slow bracket before it; chosen, not measured

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from fieldlum.capture.recorder import RESERVE_BYTES
-from fieldlum.capture.state import fold, owed
 from fieldlum.capture.utc_clock import boot_id
 from fieldlum.devices.clock import Clock, FastClock, RealClock
-from fieldlum.session import DEFAULT_GRACE_S, Session, read_journal
+from fieldlum.session import DEFAULT_GRACE_S, Session
+from fieldlum.session.ledger import owed, read_ledger
 
 FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance at 5 s; chosen
 
@@ -45,7 +45,7 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     grace_s = session.grace.total_seconds()
     if not fast:
         return RealClock(), Options(grace_s=grace_s, boot=boot_id())
-    ledger = fold(read_journal(session))
+    ledger = read_ledger(session)
     slots = owed(session.slots(), ledger)
     lead = timedelta(seconds=60)
     start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 
-from fieldlum.capture.state import Ledger, SlotState
 from fieldlum.capture.utc_clock import synchronised
 from fieldlum.devices import Camera, not_offered
 from fieldlum.devices.clock import Clock
 from fieldlum.errors import DeviceError, NotEnoughDataError
 from fieldlum.records import Slot
 from fieldlum.session import Session
+from fieldlum.session.ledger import Ledger, SlotState
 
 _CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer; not measured
 _CLOCK_CHECK_S = 5.0

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from fieldlum.capture.match_card import Match, Offset, true_time
-from fieldlum.capture.state import Ledger, SlotState
 from fieldlum.session import Journal, Session, sha256
+from fieldlum.session.ledger import Ledger, SlotState
 
 SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measured
 

@@ -23,7 +23,6 @@ from fieldlum.capture.preflight import (
 )
 from fieldlum.capture.reconnect import Keeper, plain_info
 from fieldlum.capture.recorder import Listen, Recorder, unheard
-from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.utc_clock import SteadyClock, synchronised
 from fieldlum.devices import (
     Camera,
@@ -40,11 +39,12 @@ from fieldlum.session import (
     Session,
     disk_is_full,
     paused_until,
-    read_journal,
     sole_user,
     store_grace,
     update_session,
 )
+from fieldlum.session.files.capture_json import Frame
+from fieldlum.session.ledger import Ledger, SlotState, owed, read_ledger
 from fieldlum.session.tables import DevicesTable, DeviceTable
 from fieldlum.version import __version__
 
@@ -93,7 +93,7 @@ def run(
             runner.work()
         finally:
             runner.close()
-    return fold(read_journal(session))
+    return read_ledger(session)
 
 
 class _Runner:
@@ -112,7 +112,7 @@ class _Runner:
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()
         self.slots = session.slots()
-        before = fold(read_journal(session))
+        before = read_ledger(session)
         self.states = before.slots
         self._resume_time(before)
         refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
@@ -282,7 +282,7 @@ class _Runner:
         except Exception as error:
             known = state
             with suppress(OSError):
-                known = fold(read_journal(self.session)).slots.get(slot.id, state)
+                known = read_ledger(self.session).slots.get(slot.id, state)
             return bracket.abort(slot, known, f"{type(error).__name__}: {error}"[:300])
 
     def _too_late(

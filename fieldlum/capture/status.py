@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fieldlum.capture.state import Ledger, SlotState, fold
 from fieldlum.capture.status_table import (
     CaptureStatus,
     LogStatus,
@@ -14,14 +13,15 @@ from fieldlum.capture.status_table import (
 )
 from fieldlum.errors import InputError
 from fieldlum.records import Slot, utc_text
-from fieldlum.session import Session, day_files, read_journal
+from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.ledger import Ledger, SlotState, read_ledger
 
 
 def status(session: Session) -> SessionStatus:
     """Return for each stage what is done and what is still to do."""
-    slots, ledger = session.slots(), fold(read_journal(session))
+    slots, ledger = session.slots(), read_ledger(session)
     captured = {slot.id for slot in slots if _of(ledger, slot).frames}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)

@@ -8,7 +8,8 @@ from typing import Literal
 
 from fieldlum.errors import InputError
 from fieldlum.records import Slot
-from fieldlum.session import Session, outcomes
+from fieldlum.session import Session
+from fieldlum.session.ledger import owed, read_ledger
 
 Verdict = Literal["ok", "warn", "fail"]
 
@@ -31,10 +32,8 @@ class Finding:
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
     """Return the slots that can still be captured."""
-    settled, grace = outcomes(session), session.grace
-    return [
-        slot for slot in session.slots() if slot.id not in settled and slot.t_utc + grace >= now_utc
-    ]
+    grace, open_slots = session.grace, owed(session.slots(), read_ledger(session))
+    return [slot for slot in open_slots if slot.t_utc + grace >= now_utc]
 
 
 def iso_date(text: str) -> date | None:

@@ -13,7 +13,8 @@ from fieldlum import sun
 from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
-from fieldlum.session import Session, outcomes, replacing, sha256, update_session, write_plan
+from fieldlum.session import Session, replacing, sha256, update_session, write_plan
+from fieldlum.session.ledger import read_ledger
 from fieldlum.session.tables import PlanTable
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
@@ -48,7 +49,7 @@ class MakeUpPlan:
 
 def captured_ids(session: Session) -> set[str]:
     """Return the ids of the slots that were captured."""
-    return {slot for slot, outcome in outcomes(session).items() if outcome == "done"}
+    return {slot for slot, state in read_ledger(session).slots.items() if state.outcome == "done"}
 
 
 def missed_slots(

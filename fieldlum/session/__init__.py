@@ -22,7 +22,7 @@ from fieldlum.session.folder import (
     store_grace,
     update_session,
 )
-from fieldlum.session.journal import Journal, outcomes, read_journal
+from fieldlum.session.journal import Journal, read_journal
 from fieldlum.session.lines import cut_torn_tail, decode_line, encode_line
 from fieldlum.session.marks import BY_PEOPLE, add_note, mark_slot, marks
 from fieldlum.session.pause import MAX_PAUSE, pause, paused_until, resume

@@ -58,17 +58,3 @@ def read_journal(session: Session) -> list[JournalEvent]:
         return []
     with session.journal.open("rb") as file:
         return [row for line in file if (row := decode_line(line)) is not None]
-
-
-def outcomes(session: Session) -> dict[str, str]:
-    """Return the last outcome of each slot: done, missed or aborted.
-
-    A slot whose bracket was withdrawn has none.
-    """
-    found: dict[str, str] = {}
-    for event in read_journal(session):
-        if event["event"] in ("done", "missed", "aborted") and "slot" in event:
-            found[event["slot"]] = event["event"]
-        elif event["event"] == "withdrawn":
-            found.pop(event.get("slot", ""), None)
-    return found

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.capture.state import Ledger, fold
 from fieldlum.records import parse_utc
 from fieldlum.session import Session, decode_line, decode_sample
+from fieldlum.session.ledger import Ledger, fold
 from fieldlum.session.tables import JournalEvent
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page

@@ -8,10 +8,10 @@ from datetime import datetime
 from typing import Literal
 
 from fieldlum.records import Slot, parse_utc
-from fieldlum.session import BY_PEOPLE
-from fieldlum.session.files.capture_json import Frame as Frame
-from fieldlum.session.files.capture_json import frame_fields as frame_fields
-from fieldlum.session.files.capture_json import frame_from as frame_from
+from fieldlum.session.files.capture_json import Frame, frame_from
+from fieldlum.session.folder import Session
+from fieldlum.session.journal import read_journal
+from fieldlum.session.marks import BY_PEOPLE
 from fieldlum.session.tables import JournalEvent
 
 Outcome = Literal["", "started", "done", "missed", "aborted"]
@@ -56,6 +56,11 @@ def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger
             slot = event["slot"]
             ledger.slots[slot] = _step(ledger.slots.get(slot, SlotState()), kind, event)
     return ledger
+
+
+def read_ledger(session: Session) -> Ledger:
+    """Return the state of all slots, from the journal."""
+    return fold(read_journal(session))
 
 
 def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
