@@ -91,15 +91,10 @@ def test_without_dask_one_line_states_what_to_install(
         list(run_units([WorkUnit("a", units.doubled, tmp_path, 1)], scheduler))
 
 
-def test_workers_and_scheduler_are_not_given_together(tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        main, ["merge", str(tmp_path), "--workers", "2", "--scheduler", "local"]
-    )
-    assert result.exit_code == 3, "local is the default"
-    result = CliRunner().invoke(
-        main, ["merge", str(tmp_path), "--workers", "2", "--scheduler", "processes:2"]
-    )
-    assert result.exit_code == 2 and "not both" in result.output
+def test_a_number_of_workers_is_a_number_of_processes(tmp_path: Path) -> None:
+    assert parse_scheduler("2") == parse_scheduler("processes:2")
+    result = CliRunner().invoke(main, ["merge", str(tmp_path), "--workers", "2"])
+    assert result.exit_code == 3, "the option is known; the folder is no session"
 
 
 # ----------------------------------------------------------------------------------------------

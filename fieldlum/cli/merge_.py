@@ -63,12 +63,6 @@ if TYPE_CHECKING:
 @click.option(
     "--drop-moved", is_flag=True, help="Exclude frames from pixels that something moved through."
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(1),
-    metavar="N",
-    help="The same as --scheduler processes:N.",
-)
 @scheduler_option
 @force_option
 @json_option
@@ -83,7 +77,6 @@ def command(
     heading: float,
     fit: bool | None,
     drop_moved: bool,
-    workers: int | None,
     scheduler_text: str,
     force: bool,
     as_json: bool,
@@ -109,7 +102,7 @@ def command(
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
         raise click.UsageError("--camera, --out and --projection are for --frames only")
-    scheduler = scheduler_of(scheduler_text, workers)
+    scheduler = scheduler_of(scheduler_text)
     height = panorama_height(size) if size else _present_height(session)
     options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
     _merge_session(session, options, scheduler, force, as_json)

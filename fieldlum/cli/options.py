@@ -78,27 +78,21 @@ def out_option(content: str, *, default: str = "", required: bool = False) -> De
 
 scheduler_option = click.option(
     "--scheduler",
+    "--workers",
     "scheduler_text",
     default="local",
     show_default=True,
-    metavar="local|processes:N|tcp://HOST:PORT|FILE.json",
+    metavar="local|N|processes:N|tcp://HOST:PORT|FILE.json",
     help="Where the work runs: here, in N processes, or on a Dask cluster (fieldlum[cluster]).",
 )
 """Where units of work run, as the parameter `scheduler_text`."""
 
 
-def scheduler_of(text: str, workers: int | None = None) -> Scheduler:
-    """Return the scheduler of --scheduler, or of --workers N as processes:N.
-
-    Raises click.UsageError if both are set, InputError for an unknown text.
-    """
+def scheduler_of(text: str) -> Scheduler:
+    """Return the scheduler of --scheduler. Raises InputError for an unknown text."""
     from fieldlum.cli.terminal import say
     from fieldlum.scheduler import parse_scheduler
 
-    if workers is not None:
-        if text != "local":
-            raise click.UsageError("use --scheduler or --workers, not both")
-        text = f"processes:{workers}"
     return parse_scheduler(text, say)
 
 

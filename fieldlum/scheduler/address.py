@@ -56,14 +56,14 @@ def in_processes(count: int) -> Scheduler:
 
 
 def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Scheduler:
-    """Return the scheduler that `text` names: local, processes:N, tcp://HOST:PORT or FILE.json.
+    """Return the scheduler that `text` names: local, processes:N (or N), tcp:// or FILE.json.
 
     Raises InputError for any other text and for a FILE.json that cannot be used. Warns through
     `say` about an address that other computers can reach without TLS.
     """
     if text == "local":
         return Scheduler(say=say)
-    if text.startswith("processes:"):
+    if text.startswith("processes:") or text.isdigit():
         count = text.removeprefix("processes:")
         if not count.isdigit() or int(count) < 1:
             raise InputError("--scheduler", f"'{text}'", "processes:N with N of 1 or more")

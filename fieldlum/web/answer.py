@@ -109,7 +109,7 @@ class Worker:
             root = str(self.session.root)
             before = newest_sidecar(self.session)  # what the user merged is not merged otherwise
             options = () if before is None else before.command_options
-            good = self._run("merge", "merge", root, "--workers", "1", *options)
+            good = self._run("merge", "merge", root, "--scheduler", "processes:1", *options)
             good = good and self._run("pair", "pair", root)
             if not self._stop.is_set():
                 self._merged_at = now.captured
