@@ -10,7 +10,7 @@ is a picture, `models.transport` to learn from pictures.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from typing import Any
@@ -70,16 +70,6 @@ class Light:
             None if self.states is None else tuple(self.states[i] for i in index),
             self.refraction,
         )
-
-    def scaled(self, factor: float) -> Light:
-        """Return the same sky and sun, `factor` times as bright."""
-        sky = self.sky
-        bright = {
-            name: getattr(sky, name) * factor
-            for name in ("norm_cdm2", "ground_cdm2", "direct_lx", "diffuse_lx")
-        }
-        more = {"dni_wm2": self.dni_wm2 * factor, "dhi_wm2": self.dhi_wm2 * factor}
-        return replace(self, **more, perez=replace(sky, **bright))
 
     @cached_property
     def sky(self) -> PerezSky:

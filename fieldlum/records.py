@@ -195,6 +195,11 @@ class Exposure:
     nd: str = ""  # name of a neutral-density filter of the profile; empty: none
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 room" or "3 rooms"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def shutter_text(shutter_s: float) -> str:
     """Return a time as cameras label it, in s without the unit: 1/250, 0.4, 2."""
     return f"1/{1 / shutter_s:.6g}" if shutter_s < 0.3 else f"{shutter_s:.6g}"

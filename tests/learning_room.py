@@ -1,5 +1,6 @@
 """A small room for the learning tests: linear in sky and sun, made of numbers, no rendering."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -20,6 +21,14 @@ latitude_deg = 47.6
 longitude_deg = -122.3
 timezone = "America/Los_Angeles"
 """
+
+
+def scaled(light: Light, factor: float) -> Light:
+    """Return the same sky and sun, `factor` times as bright."""
+    names = ("norm_cdm2", "ground_cdm2", "direct_lx", "diffuse_lx")
+    bright = {name: getattr(light.sky, name) * factor for name in names}
+    more = {"dni_wm2": light.dni_wm2 * factor, "dhi_wm2": light.dhi_wm2 * factor}
+    return replace(light, **more, perez=replace(light.sky, **bright))
 
 
 def light_of_days(days: tuple[str, ...], seed: int = 0) -> Light:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning_room import scaled
 from places import SEATTLE
 
 from fieldlum.light import (
@@ -47,7 +48,7 @@ def test_light_divides_into_sky_and_sun() -> None:
 
 @pytest.mark.property
 def test_features_do_not_change_with_brightness() -> None:
-    for once, twice in zip(*(_parts(light) for light in (LIGHT, LIGHT.scaled(2.0))), strict=True):
+    for once, twice in zip(*(_parts(light) for light in (LIGHT, scaled(LIGHT, 2.0))), strict=True):
         assert np.allclose(once, twice, rtol=1e-5)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from learning_room import scaled
 from places import SEATTLE
 
 from fieldlum import simulate, weather
@@ -127,7 +128,7 @@ def test_the_same_room_comes_out_the_same() -> None:
 def test_linear_in_light(truth: simulate.GroundTruth) -> None:
     """Twice the sky and the sun, twice the picture, the patch and the disc."""
     light = light_at([NOON], SMALL.site, np.array([600.0]), np.array([100.0]))
-    one, two = truth.render(light), truth.render(light.scaled(2.0))
+    one, two = truth.render(light), truth.render(scaled(light, 2.0))
     assert two.luminance_cdm2 == pytest.approx(2 * one.luminance_cdm2, rel=1e-4)
     assert two.disc_lx == pytest.approx(2 * one.disc_lx)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from learning_room import scaled
 from places import SEATTLE
 
 from fieldlum import models
@@ -162,7 +163,7 @@ def test_learns_an_exactly_linear_room() -> None:
 def test_twice_the_light_is_twice_the_map() -> None:
     assert TEST.patch_cdm2 is not None
     once = MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
-    twice = MODEL.predict(TEST.light.scaled(2.0), 2.0 * TEST.patch_cdm2).luminance_cdm2
+    twice = MODEL.predict(scaled(TEST.light, 2.0), 2.0 * TEST.patch_cdm2).luminance_cdm2
     assert np.allclose(twice, 2.0 * once, rtol=1e-4)
 
 
@@ -361,7 +362,7 @@ def test_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None
     assert every[0] == 2 * every[1]
     physics = physics_of(with_room.setup, TRAIN.light)
     assert physics is not None
-    once, twice = physics.features(TEST.light), physics.features(TEST.light.scaled(2.0))
+    once, twice = physics.features(TEST.light), physics.features(scaled(TEST.light, 2.0))
     assert np.allclose(once, twice, atol=1e-5)  # per unit of total light
     assert not once[TEST.light.dni_wm2 == 0].any() and once.any()
     assert log_mse(model.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1.5e-3

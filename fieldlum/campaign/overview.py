@@ -15,14 +15,13 @@ from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.campaign.drift import FEWEST, FEWEST_DAYS, LIMITS, UNITS, DriftSeries, drifts_of
 from fieldlum.errors import FieldlumError
 from fieldlum.predict import best_and_worst
-from fieldlum.records import Progress, quiet
+from fieldlum.records import Progress, counted, quiet
 from fieldlum.report.page import (
     Figure,
     Page,
     Row,
     Section,
     Table,
-    counted,
     named,
     render,
     svg_figure,
@@ -111,10 +110,9 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
 
 def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
     """Return slots that were missed, aborted, not merged, or rejected by pair, with the reason."""
-    from fieldlum.capture.state import fold
-    from fieldlum.session import read_journal
+    from fieldlum.session.ledger import read_ledger
 
-    ledger = fold(read_journal(session))
+    ledger = read_ledger(session)
     reasons = {
         name: state.outcome
         for name, state in ledger.slots.items()

@@ -11,8 +11,7 @@ from typing import Literal
 
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.errors import FieldlumError, InputError
-from fieldlum.records import Progress, quiet
-from fieldlum.report.page import counted
+from fieldlum.records import Progress, counted, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
 from fieldlum.session import Session, open_session
 

@@ -11,26 +11,11 @@ from pathlib import Path
 from fieldlum.capture.match_card import CardFrame
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
-from fieldlum.raw import JPEG_SUFFIXES, read_exif, same_model
+from fieldlum.raw import JPEG_SUFFIXES, RAW_SUFFIXES, read_exif, same_model
 from fieldlum.raw.exif import tags_of
 from fieldlum.records import Exposure, Progress, SiteFile, quiet
 from fieldlum.session import sha256
 
-RAW_SUFFIXES = (
-    ".dng",
-    ".cr2",
-    ".cr3",
-    ".crw",
-    ".nef",
-    ".nrw",
-    ".arw",
-    ".raf",
-    ".rw2",
-    ".orf",
-    ".pef",
-    ".srw",
-    ".raw",
-)
 _OTHER_PICTURES = (
     ".mpo",
     ".heic",

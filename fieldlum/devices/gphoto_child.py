@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from fieldlum.devices.driver_process import failure
+from fieldlum.raw import RAW_SUFFIXES
 
 # Names of the three settings by brand; the first name that a camera has is used.
 WIDGETS = {
@@ -17,7 +18,6 @@ WIDGETS = {
     "aperture": ("aperture", "f-number"),
     "iso": ("iso", "isospeed"),
 }
-RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
 _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
     -1: "unspecified error",
     -3: "out of memory, or the camera's card is full; delete pictures on the card",

@@ -22,7 +22,7 @@ from fieldlum.models.camera_turns import (
     turned_rays,
 )
 from fieldlum.projection import direction
-from fieldlum.records import Progress
+from fieldlum.records import Progress, counted
 from fieldlum.session.files.alignment_csv import (
     AlignmentRow,
     alignment_path,
@@ -134,4 +134,4 @@ def _captures(rows: NDArray[np.bool_], days: NDArray[np.datetime64]) -> str:
     names = [str(day) for day in np.unique(days[rows])]
     shown = ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
     count = int(rows.sum())
-    return f"{count} capture{'s' if count > 1 else ''} of {shown}"
+    return f"{counted(count, 'capture')} of {shown}"

@@ -8,6 +8,21 @@ from fieldlum.errors import InputError
 from fieldlum.raw.jpeg import read_jpeg
 from fieldlum.raw.mosaic import read_mosaic
 
+RAW_SUFFIXES = (
+    ".dng",
+    ".cr2",
+    ".cr3",
+    ".crw",
+    ".nef",
+    ".nrw",
+    ".arw",
+    ".raf",
+    ".rw2",
+    ".orf",
+    ".pef",
+    ".srw",
+    ".raw",
+)
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
 

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.records import counted
 from fieldlum.report.figures import (
     agreement_svg,
     comparison_png,
     contrast_levels_svg,
     error_by_sun_svg,
 )
-from fieldlum.report.page import Row, Section, Table, counted, png_figure, svg_figure
+from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile
 

@@ -28,11 +28,6 @@ class Figure:
     png: str = ""  # base64
 
 
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun, such as "1 room" or "3 rooms"."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
 def named(azimuth_deg: float) -> str:
     """Return a direction by name and degrees."""
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"

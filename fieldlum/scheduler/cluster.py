@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.records import counted
 from fieldlum.scheduler.address import Scheduler
 from fieldlum.scheduler.crew import POLL_S, Ended
 from fieldlum.scheduler.identity import difference, sent_by_value, software_identity
@@ -184,7 +185,7 @@ class ClusterCrew:
     def status(self) -> str:
         """Return the number of workers, in words."""
         count = len(self._usable)
-        text = f"{count} worker{'' if count == 1 else 's'}"
+        text = counted(count, "worker")
         return f"{text}, {len(self._avoided)} not used" if self._avoided else text
 
 
