@@ -21,7 +21,7 @@ from fieldlum.models.transport.setting_scan import Setting, SettingFinding, sett
 from fieldlum.models.transport.uncertainty import edge_range, experience, slip_variance
 from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
-from fieldlum.train.setting import settle, warnings_of
+from fieldlum.train.setting import settle, warnings_of, with_right_clock
 
 ROOM = Room(
     width_m=5.0,
@@ -73,13 +73,16 @@ def captured() -> Dataset:
     return replace(data, luminance_cdm2=(walls[:, None, None] + data.patch_cdm2).astype(np.float32))
 
 
-def stated_otherwise(turn_deg: float = 0.0, fast_min: float = 0.0) -> Dataset:
+def stated_otherwise(
+    turn_deg: float = 0.0, fast_min: float = 0.0, of_days: tuple[float, ...] = (0.0,)
+) -> Dataset:
+    """The captures with north and clock stated wrongly; of_days: more minutes, day by day."""
     data = captured()
     light = data.light
-    now, then = (
-        sun.position([t + timedelta(minutes=m) for t in light.t_utc], SEATTLE)
-        for m in (0.0, fast_min)
-    )
+    day = np.unique(data.days, return_inverse=True)[1]
+    fast = [timedelta(minutes=fast_min + of_days[k % len(of_days)]) for k in day.tolist()]
+    now = sun.position(light.t_utc, SEATTLE)
+    then = sun.position([t + m for t, m in zip(light.t_utc, fast, strict=True)], SEATTLE)
     other = replace(
         light,
         sun_altitude_deg=light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
@@ -122,6 +125,18 @@ def test_a_clock_is_told_from_north() -> None:
     found = found_in(stated_otherwise(fast_min=15.0))
     assert found.wrong is not None and found.wrong.cause == "clock"
     assert found.wrong.amount[0] == pytest.approx(15.0, abs=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_clock_that_differs_between_days_is_corrected() -> None:
+    data = stated_otherwise(of_days=(-2.0, 2.0, 1.0))
+    better, (line,) = with_right_clock(data, Setting((), (), 0.0, 40))
+    off = np.abs(better.light.sun_azimuth_deg - captured().light.sun_azimuth_deg)
+    before = np.abs(data.light.sun_azimuth_deg - captured().light.sun_azimuth_deg)
+    assert off.mean() < 0.3 * before.mean()
+    assert line.startswith("WARNING: the clock of the pictures differs between days")
+    assert with_right_clock(captured(), Setting((), (), 0.0, 40)) == (captured(), [])
 
 
 @pytest.mark.slow

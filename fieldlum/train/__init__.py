@@ -27,13 +27,14 @@ from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.room_changes import without_changes
 from fieldlum.train.selection import ModelSelection, Trial, choose
-from fieldlum.train.setting import settle
+from fieldlum.train.setting import scan, settle, with_right_clock
 from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import dense_folds, evaluate_folds, fit_timed
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
+    from fieldlum.models.transport.setting_scan import Setting
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 FOLD_SHARE = 0.5  # of the time of slow models; the rest is for the stored model; not measured
@@ -121,7 +122,7 @@ def fit_and_score(
     """
     budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
-    data, changed = without_changes(data, with_patch=patch != "none")
+    data, setting, changed = usable_captures(data, patch, progress)
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
@@ -168,9 +169,8 @@ def fit_and_score(
         progress=progress,
         **more,
     )
-    fitted, warned = settle(fitted, data, patch, progress)
-    doubted = (*doubts(fitted, data), *hard_captures(fitted, data), *warned)
-    skies = _seen_skies(fitted)
+    fitted, doubted = findings(fitted, data, patch, setting)
+    skies = seen_skies(fitted)
     notes = (*_notes(data, patch, model, trials), *left_out, *skies, *changed, *doubted)
     return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes)
 
@@ -182,7 +182,25 @@ def _is_too_short(trial: Trial) -> bool:
     return trial.passes is not None and trial.passes < MIN_PASSES_TO_JUDGE
 
 
-def _seen_skies(fitted: Fitted) -> list[str]:
+def usable_captures(
+    data: Dataset, patch: Patch, progress: Progress = quiet
+) -> tuple[Dataset, Setting | None, list[str]]:
+    """Return the captures of the usual room at the right times, their setting, and warnings."""
+    data, changed = without_changes(data, with_patch=patch != "none")
+    setting = scan(data, patch, progress)
+    data, clock = with_right_clock(data, setting, progress)
+    return data, setting, [*changed, *clock]
+
+
+def findings(
+    fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None
+) -> tuple[Fitted, list[str]]:
+    """Return the model with doubt where the captures contradict it, and what they contradict."""
+    fitted, warned = settle(fitted, data, patch, setting)
+    return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
+
+
+def seen_skies(fitted: Fitted) -> list[str]:
     """Return a note if the captures' skies were read off the windows."""
     from fieldlum.models.transport import Transport
 
@@ -191,7 +209,8 @@ def _seen_skies(fitted: Fitted) -> list[str]:
         return []
     size = math.expm1(sky_field.sd)
     return [
-        f"the windows showed skies that differ from the Perez model by {size:.0%} (k = 1). Each "
+        f"the windows showed skies that differ by {size:.0%} (k = 1) from the Perez model for the "
+        f"measured irradiance: clouds, or an instrument that sees other light than the room. Each "
         f"capture was learnt under its own sky. Predicted hours use the Perez model, and their "
         f"uncertainty includes the difference"
     ]

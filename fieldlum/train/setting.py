@@ -1,4 +1,7 @@
-"""Report where the captures contradict the stated setting, and lower the model's trust there."""
+"""Report where the captures contradict the stated setting, and lower the model's trust there.
+
+A clock that differs between days is corrected in the captures; all else must be fixed in SITE.toml.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,54 @@ if TYPE_CHECKING:
     from fieldlum.models.transport.setting_scan import Setting, SettingFinding
 
 
-def settle(
-    fitted: Fitted, data: Dataset, patch: Patch, progress: Progress = quiet
-) -> tuple[Fitted, list[str]]:
-    """Return the model with doubt about its sun patches, and warnings.
-
-    The doubt is as large as the captures contradict the patches. Nothing is corrected: a wrong
-    north must be fixed in SITE.toml, which all stages read.
-    """
-    from fieldlum.models.transport.model import Transport
+def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | None:
+    """Return what the sun patches show about north, clock, camera and room; None without them."""
     from fieldlum.models.transport.setting_scan import setting_scan
 
     if patch == "none" or data.patch_cdm2 is None:
-        return fitted, []
-    found = setting_scan(data, progress)
+        return None
+    return setting_scan(data, progress)
+
+
+def with_right_clock(
+    data: Dataset, setting: Setting | None, progress: Progress = quiet
+) -> tuple[Dataset, list[str]]:
+    """Return the captures at corrected times, and a warning, if the clock differs between days.
+
+    Nothing is corrected while the captures contradict the stated setting: a wrong north moves sun
+    patches by another number of minutes on each day.
+    """
+    from fieldlum.models.transport.clock_by_day import clock_by_day, with_clock
+
+    if setting is None or setting.slip_deg > 0.0:
+        return data, []
+    clock = clock_by_day(data, progress)
+    if clock is None:
+        return data, []
+    days = ", ".join(
+        f"{day} {minutes:+.1f} min"
+        for day, minutes in zip(clock.days, -clock.late_min, strict=True)
+    )
+    warning = (
+        f"WARNING: the clock of the pictures differs between days. Sun patches and held-out days "
+        f"agree best after these corrections of the stated times: {days}. They are used here; set "
+        f"the camera's clock on every day of captures"
+    )
+    return with_clock(data, clock), [warning]
+
+
+def settle(
+    fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None = None
+) -> tuple[Fitted, list[str]]:
+    """Return the model with doubt about its sun patches, and warnings.
+
+    setting: of `scan`, which is called unless it is given. The doubt is as large as the captures
+    contradict the patches. Nothing is corrected: a wrong north must be fixed in SITE.toml, which
+    all stages read.
+    """
+    from fieldlum.models.transport.model import Transport
+
+    found = setting or scan(data, patch)
     if found is None or found.slip_deg == 0.0:
         return fitted, []
     if isinstance(fitted, Transport):

@@ -115,8 +115,11 @@ def moved(
     return upper * (1.0 - v) + lower * v
 
 
-def evidence_of(data: Dataset) -> Evidence | None:
-    """Return the evidence; None without patches or with under three hours of direct sun in view."""
+def evidence_of(data: Dataset, sub: int = SUB) -> Evidence | None:
+    """Return the evidence; None without patches or with under three hours of direct sun in view.
+
+    sub: rays per pixel in each direction.
+    """
     if data.patch_cdm2 is None:
         return None
     flux = direct_flux_lx(data.patch_cdm2, ~data.seen)
@@ -143,10 +146,10 @@ def evidence_of(data: Dataset) -> Evidence | None:
         (then.altitude_deg - now.altitude_deg, azimuth),
         (1.0, 1.0),
     )
-    return _filled(parts, data)
+    return _filled(parts, data, sub)
 
 
-def _filled(parts: Evidence, data: Dataset) -> Evidence | None:
+def _filled(parts: Evidence, data: Dataset, sub: int) -> Evidence | None:
     """Choose the pixels, and find the light without patches there."""
     from scipy.ndimage import binary_dilation
 
@@ -158,7 +161,7 @@ def _filled(parts: Evidence, data: Dataset) -> Evidence | None:
     if room is not None and room.kind == "box" and room.window:
         from fieldlum.scene.view import look
 
-        view = look(room, data.shape[0], data.heading_deg, SUB)
+        view = look(room, data.shape[0], data.heading_deg, sub)
         parts = replace(parts, everywhere=view.sun_points())
         for turn in (-MOST_TURN_DEG, 0.0, MOST_TURN_DEG):
             near = near | (parts.computed(turn, full_maps=True) > 0.0).any(axis=0)

@@ -30,7 +30,12 @@ from fieldlum.models.transport.pixel_fit import (
     second_inverse,
 )
 from fieldlum.models.transport.response import LightBasis, RoomResponse, SurfaceMaps
-from fieldlum.models.transport.selection import SelectedRecipe, choose_model, hold_out_seasons
+from fieldlum.models.transport.selection import (
+    SelectedRecipe,
+    choose_model,
+    hold_out_seasons,
+    plain_held_out,
+)
 from fieldlum.models.transport.stored import (
     TransportTable,
     arrays_of,
@@ -255,6 +260,19 @@ def fit(
         tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table),
         chosen.sky_field,
     )
+
+
+def held_out_errors(data: Dataset, seed: int = 0) -> Array:
+    """Return the squared log10 error of each capture without its day, [n], by a plain recipe.
+
+    It is for comparing two descriptions of the same captures, in a tenth of the time of `fit`.
+    """
+    with_patch = data.patch_cdm2 is not None
+    arrays = training_arrays_of(data, with_patch=with_patch)
+    kernel = Kernel(arrays.facades)
+    if with_patch:
+        arrays = arrays.with_patch_scaled(find_patch_gain(arrays, kernel))
+    return plain_held_out(arrays[_draw(arrays, seed)], kernel).judged
 
 
 def _draw(arrays: TrainingArrays, seed: int) -> NDArray[np.intp]:

@@ -296,6 +296,12 @@ def _with_seen_sky(
     return (trial, sky.field) if no_worse else (drawn, None)
 
 
+def plain_held_out(drawn: TrainingArrays, kernel: Kernel) -> HeldOutFit:
+    """Return held-out days by a plain recipe without the room's physics."""
+    recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
+    return _choose_kernel(drawn, kernel, recipes, None).held
+
+
 def _under_perez(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
     """Return the choice with held-out hours that are predicted under Perez's skies."""
     if drawn.perez_sky is None:

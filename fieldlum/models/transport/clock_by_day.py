@@ -1,0 +1,123 @@
+"""Find a clock that differs between days: how late the stated times are on each day.
+
+A clock that drifts, or is set now and then, moves the sun patches of each day by another amount.
+Each day's offset is the one under which computed patches cover the captured ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.models.transport.misalignment import Evidence, evidence_of
+from fieldlum.models.transport.model import held_out_errors
+from fieldlum.records import Progress, quiet
+from fieldlum.scene import sun_patches
+from fieldlum.statistics import is_no_worse
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[Any]
+
+# Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
+_TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
+SUB = 3  # rays per pixel in each direction, as in the stated patches (`sun_patches`)
+_FEWEST_HOURS = 3  # sunny captures of a day whose offset is estimated; chosen
+_FEWEST_DAYS = 3  # with such captures, to have a median
+# Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
+# clock that drifts by 2 min in a week 0.6 min.
+_LEAST_SPREAD_MIN = 0.3
+_LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class ClockByDay:
+    """Days [k] with enough direct sun, and how late their stated times are [k] min.
+
+    An offset that all days have is in them, because no setting explains it better: see
+    `train.setting.with_right_clock`.
+    """
+
+    days: NDArray[np.datetime64]
+    late_min: Array
+
+    def at(self, days: NDArray[np.datetime64]) -> Array:
+        """Return the offset of captures on `days`, [n] min; the median without enough sun."""
+        known = dict(zip(self.days.tolist(), self.late_min.tolist(), strict=True))
+        middle = float(np.median(self.late_min))
+        return np.array([known.get(day, middle) for day in days.tolist()])
+
+
+def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
+    """Return the offsets of a clock that differs between days; None where one clock is as good.
+
+    It needs patches and a box room. Held-out days decide: with the offsets corrected, they must be
+    better by a tenth and by one standard error.
+    """
+    found = evidence_of(data, SUB)
+    if found is None or found.points is None:
+        return None
+    days = data.days[found.rows]
+    names, counts = np.unique(days, return_counts=True)
+    names = names[counts >= _FEWEST_HOURS]
+    if len(names) < _FEWEST_DAYS:
+        return None
+    misfits = _misfits(found, progress)  # [offsets, n]
+    late = np.array([_least(misfits[:, days == day].sum(axis=1)) for day in names])
+    if late.std() < _LEAST_SPREAD_MIN:
+        return None
+    clock = ClockByDay(names, late)
+    before, after = held_out_errors(data), held_out_errors(with_clock(data, clock))
+    better = after.mean() < (1.0 - _LEAST_GAIN) * before.mean()
+    return clock if better and not is_no_worse(before, after, data.days) else None
+
+
+def _misfits(found: Evidence, progress: Progress) -> Array:
+    """Return the misfit of each hour under each offset, [offsets, n]."""
+    rows = []
+    for k, late_min in enumerate(_TRIED_MIN):
+        progress(k, len(_TRIED_MIN), "clock of each day")
+        rows.append(found.misfit(found.computed(0.0, float(late_min)), found.gains[1]))
+    return np.array(rows)
+
+
+def _least(misfits: Array) -> float:
+    """Return the offset of the least misfit, by a parabola between those tried."""
+    best = int(np.argmin(misfits))
+    if not 0 < best < len(misfits) - 1:
+        return float(_TRIED_MIN[best])
+    x, y = _TRIED_MIN[best - 1 : best + 2], misfits[best - 1 : best + 2]
+    square, slope, _ = np.polyfit(x - x[1], y, 2)
+    vertex = 0.0 if square <= 0.0 else -slope / (2.0 * square)
+    return float(np.clip(x[1] + vertex, x[0], x[2]))
+
+
+def with_clock(data: Dataset, clock: ClockByDay) -> Dataset:
+    """Return the captures with the sun and the sun patches of the corrected times."""
+    light, site, room = data.light, data.setup.site, data.setup.room
+    assert room is not None and data.patch_cdm2 is not None
+    late = clock.at(data.days)  # [n] min
+    true_utc = [t - timedelta(minutes=m) for t, m in zip(light.t_utc, late.tolist(), strict=True)]
+    stated, true = (sun.position(times, site) for times in (list(light.t_utc), true_utc))
+    moved = replace(
+        light,
+        sun_altitude_deg=np.maximum(
+            light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg, 0.05
+        ),
+        sun_azimuth_deg=light.sun_azimuth_deg + true.azimuth_deg - stated.azimuth_deg,
+    )
+    made = sun_patches(
+        room,
+        data.setup,
+        moved.shown_sun_direction,
+        moved.direct_lx,
+        height=data.shape[0],
+        heading_deg=data.heading_deg,
+    )
+    return replace(data, light=moved, patch_cdm2=made.luminance_cdm2)
