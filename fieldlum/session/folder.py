@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
@@ -23,140 +23,59 @@ from fieldlum.version import __version__
 DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; chosen, `capture --grace` sets another
 
 
-@dataclass(frozen=True, slots=True)
+class _Place:
+    """A file or folder of every session, at the same place in it."""
+
+    def __init__(self, *parts: str) -> None:
+        self._parts = parts
+
+    def __get__(self, session: Session, owner: type[Session]) -> Path:
+        return session.root.joinpath(*self._parts)
+
+
+class _SlotPlace:
+    """A file of each slot of a session; `{}` in its place is the slot's id."""
+
+    def __init__(self, *parts: str) -> None:
+        self._parts = parts
+
+    def __get__(self, session: Session, owner: type[Session]) -> Callable[[str], Path]:
+        return lambda slot: session.root.joinpath(*(part.format(slot) for part in self._parts))
+
+
+@dataclass(frozen=True)
 class Session:
-    """A session folder; its properties are paths in it."""
+    """A session folder: the paths in it, and its own files session.toml and plan.csv."""
 
     root: Path
 
-    @property
-    def toml(self) -> Path:
-        """session.toml: site, camera, room, plan and devices."""
-        return self.root / "session.toml"
+    toml = _Place("session.toml")  # site, camera, room, plan and devices
+    plan = _Place("plan.csv")  # the slots
+    journal = _Place("journal.jsonl")  # all events
+    pause = _Place("pause.json")  # only while a person has paused the capture
+    irradiance = _Place("irradiance")  # UTC day files 2027-03-20.csv, clean.csv, health.json
+    clean_irradiance = _Place("irradiance", "clean.csv")  # quality-checked irradiance
+    irradiance_health = _Place("irradiance", "health.json")  # result of the quality checks
+    raw = _Place("raw")  # the captured brackets, one folder for each slot
+    panoramas = _Place("panoramas")  # merged
+    quality = _Place("panoramas", "quality.csv")  # one row for each merged bracket
+    suns = _Place("suns.csv")  # the sun of each panorama, completed by `pair`
+    sunpatches = _Place("sunpatches")  # maps of sun patches
+    pairs = _Place("pairs.csv")  # panoramas with their light
+    models = _Place("models")  # trained
+    annual = _Place("annual")  # predicted years
+    report = _Place("report")
+    truth = _Place("truth")  # the simulator's truth, only in simulated sessions
+    truth_irradiance = _Place("truth", "irradiance.csv")
+    truth_pairs = _Place("truth", "pairs.csv")  # of the simulator's panoramas
 
-    @property
-    def plan(self) -> Path:
-        """plan.csv: the slots."""
-        return self.root / "plan.csv"
-
-    @property
-    def journal(self) -> Path:
-        """journal.jsonl: all events."""
-        return self.root / "journal.jsonl"
-
-    @property
-    def pause(self) -> Path:
-        """Only while a person has paused the capture."""
-        return self.root / "pause.json"
-
-    @property
-    def irradiance(self) -> Path:
-        """Folder of UTC day files ``2027-03-20.csv`` and of ``clean.csv``."""
-        return self.root / "irradiance"
-
-    @property
-    def raw(self) -> Path:
-        """Folder of the captured brackets, one folder for each slot."""
-        return self.root / "raw"
-
-    @property
-    def panoramas(self) -> Path:
-        """Folder of the merged panoramas."""
-        return self.root / "panoramas"
-
-    @property
-    def sunpatches(self) -> Path:
-        """Folder of the maps of sun patches."""
-        return self.root / "sunpatches"
-
-    @property
-    def pairs(self) -> Path:
-        """pairs.csv: panoramas with their light."""
-        return self.root / "pairs.csv"
-
-    @property
-    def models(self) -> Path:
-        """Folder of the trained models."""
-        return self.root / "models"
-
-    @property
-    def annual(self) -> Path:
-        """Folder of the predicted years."""
-        return self.root / "annual"
-
-    @property
-    def report(self) -> Path:
-        """Folder of the report."""
-        return self.root / "report"
-
-    @property
-    def truth(self) -> Path:
-        """Folder of the simulator's truth, only in simulated sessions."""
-        return self.root / "truth"
-
-    # ------------------------------------------------------------------------------------------
-    # files of one slot
-
-    def capture_file(self, slot: str) -> Path:
-        """Return the path of a slot's capture.json."""
-        return self.raw / slot / "capture.json"
-
-    def panorama(self, slot: str) -> Path:
-        """Return the path of a slot's panorama."""
-        return self.panoramas / f"{slot}.exr"
-
-    def sidecar(self, slot: str) -> Path:
-        """Return the path of a panorama's sidecar."""
-        return self.panoramas / f"{slot}.json"
-
-    def sunpatch(self, slot: str) -> Path:
-        """Return the path of a slot's map of sun patches."""
-        return self.sunpatches / f"{slot}.exr"
-
-    def sunpatch_sidecar(self, slot: str) -> Path:
-        """Return the path of the JSON next to a slot's map of sun patches."""
-        return self.sunpatches / f"{slot}.json"
-
-    def truth_panorama(self, slot: str) -> Path:
-        """Return the path of the simulator's panorama of a slot."""
-        return self.truth / f"{slot}.exr"
-
-    # ------------------------------------------------------------------------------------------
-    # files of the complete session
-
-    @property
-    def clean_irradiance(self) -> Path:
-        """clean.csv: quality-checked irradiance."""
-        return self.irradiance / "clean.csv"
-
-    @property
-    def irradiance_health(self) -> Path:
-        """JSON with the result of the irradiance's quality checks."""
-        return self.irradiance / "health.json"
-
-    @property
-    def quality(self) -> Path:
-        """quality.csv: one row for each merged bracket."""
-        return self.panoramas / "quality.csv"
-
-    @property
-    def suns(self) -> Path:
-        """suns.csv: the sun of each panorama, completed by `pair`."""
-        return self.root / "suns.csv"
-
-    def truth_sunpatch(self, slot: str) -> Path:
-        """Return the path of the simulator's map of sun patches of a slot."""
-        return self.truth / "sunpatches" / f"{slot}.exr"
-
-    @property
-    def truth_irradiance(self) -> Path:
-        """The simulator's irradiance."""
-        return self.truth / "irradiance.csv"
-
-    @property
-    def truth_pairs(self) -> Path:
-        """pairs.csv of the simulator's panoramas."""
-        return self.truth / "pairs.csv"
+    capture_file = _SlotPlace("raw", "{}", "capture.json")
+    panorama = _SlotPlace("panoramas", "{}.exr")
+    sidecar = _SlotPlace("panoramas", "{}.json")
+    sunpatch = _SlotPlace("sunpatches", "{}.exr")
+    sunpatch_sidecar = _SlotPlace("sunpatches", "{}.json")
+    truth_panorama = _SlotPlace("truth", "{}.exr")
+    truth_sunpatch = _SlotPlace("truth", "sunpatches", "{}.exr")
 
     def captured_folders(self) -> list[Path]:
         """Return the folders in raw/ with a bracket, in order of time."""
