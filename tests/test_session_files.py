@@ -158,7 +158,7 @@ def test_files_of_a_predicted_year_carry_their_version(tmp_path: Path) -> None:
     views = {name: np.full((n, d), 0.5) for name in VIEW_COLUMNS}
     year = HourlyFile((NOON, NOON + timedelta(hours=1)), np.array([180.0]), hours, views)
     year.write(tmp_path, "UTC")
-    PredictFile.from_table({"hours": n, "azimuths_deg": [180.0]}, tmp_path).write(tmp_path)
+    PredictFile(hours=n, azimuths_deg=(180.0,)).write(tmp_path)
     about = PredictFile.read(tmp_path)
     assert json.loads((tmp_path / "predict.json").read_text())["format"] == 1
     again = HourlyFile.read(tmp_path, np.array(about.azimuths_deg), about.hours)

@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fieldlum.records import Exposure, utc_text
-from fieldlum.session.files.json_file import (
-    check_format,
-    content_of,
-    from_json,
-    read_object,
-    write_object,
-)
+from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
 from fieldlum.session.tables import FrameTable
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -85,8 +79,7 @@ class CaptureFile:
     def read(cls, path: Path) -> CaptureFile:
         """Read the file. Raises InputError for a missing file or other content."""
         table = read_object(path, _EXPECTED, _REMEDY)
-        check_format(table, FORMAT, path)
-        with content_of(path, _EXPECTED, _REMEDY):
+        with content_of(table, FORMAT, path, _EXPECTED, _REMEDY):
             rows = [{"index": number, **row} for number, row in enumerate(table.get("frames", ()))]
             if "t_open_utc" not in table:
                 opened, closed = interval_of(tuple(frame_from(row) for row in rows))

@@ -56,8 +56,11 @@ def build_known(cls: type[T], table: Mapping[str, Any], where: str) -> T:
 
 
 @contextmanager
-def content_of(path: Path, expected: str, remedy: str) -> Iterator[None]:
-    """Raise InputError for what `from_json` and conversions raise for the content of a file."""
+def content_of(
+    table: Mapping[str, Any], newest: int, path: Path, expected: str, remedy: str
+) -> Iterator[None]:
+    """Raise InputError for a newer format, and for what conversions of a file's content raise."""
+    check_format(table, newest, path)
     try:
         yield
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:

@@ -9,7 +9,6 @@ from typing import Any
 
 from fieldlum.errors import InputError
 from fieldlum.session.files.json_file import (
-    check_format,
     content_of,
     from_json,
     read_object,
@@ -111,22 +110,17 @@ class PredictFile:
         return to_json(self)
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any], path: Path) -> PredictFile:
-        """Build from the JSON object of `path`. Raises InputError for other content."""
-        with content_of(path, "what fieldlum predict wrote", "predict again"):
-            needed = {name: table[name] for name in ("azimuths_deg", "hours")}
-            return from_json(cls, {**table, **needed})
-
-    @classmethod
     def read(cls, folder: Path) -> PredictFile:
         """Read predict.json. Raises InputError if `folder` has no complete year."""
         path = folder / NAME
         if not path.is_file():
             expected, remedy = "a predicted year", "predict one: fieldlum predict"
             raise InputError(folder, f"no {NAME} in it", expected, remedy)
-        table = read_object(path, "what fieldlum predict wrote", "predict again")
-        check_format(table, FORMAT, path)
-        return cls.from_table(table, path)
+        expected, remedy = "what fieldlum predict wrote", "predict again"
+        table = read_object(path, expected, remedy)
+        with content_of(table, FORMAT, path, expected, remedy):
+            needed = {name: table[name] for name in ("azimuths_deg", "hours")}
+            return from_json(cls, {**table, **needed})
 
     def write(self, folder: Path) -> None:
         """Write predict.json."""

@@ -7,13 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict, cast
 
-from fieldlum.session.files.json_file import (
-    check_format,
-    content_of,
-    from_json,
-    read_object,
-    write_object,
-)
+from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
 
 FORMAT = 1  # of the file; docs/file-formats.md
 _REMEDY = "train the model again"
@@ -115,7 +109,6 @@ class ScoresFile:
         """Read the file. Raises InputError for a missing file or other content."""
         path = folder / "scores.json"
         table = read_object(path, "the scores of a trained model", _REMEDY)
-        check_format(table, FORMAT, path)
         return cls.from_table(table, path)
 
     @classmethod
@@ -123,7 +116,7 @@ class ScoresFile:
         """Build from the JSON object of `path`. Raises InputError for other content."""
         known = {field.name for field in fields(cls)} | {"format"}
         more = {key: value for key, value in table.items() if key not in known}
-        with content_of(path, "what fieldlum train wrote", _REMEDY):
+        with content_of(table, FORMAT, path, "what fieldlum train wrote", _REMEDY):
             return from_json(cls, {**table, "more": more})
 
     @classmethod

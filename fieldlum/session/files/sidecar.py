@@ -10,7 +10,6 @@ from typing import Any
 from fieldlum.errors import InputError
 from fieldlum.records import utc_text
 from fieldlum.session.files.json_file import (
-    check_format,
     content_of,
     from_json,
     read_object,
@@ -101,8 +100,7 @@ class Sidecar:
     @classmethod
     def from_table(cls, table: dict[str, Any], path: Path) -> Sidecar:
         """Build from the JSON object of `path`. Raises InputError for other content."""
-        check_format(table, FORMAT, path)
-        with content_of(path, _EXPECTED, _REMEDY):
+        with content_of(table, FORMAT, path, _EXPECTED, _REMEDY):
             profile, software = table.get("profile") or {}, table.get("software") or {}
             stated = {
                 "report": table.get("quality"),

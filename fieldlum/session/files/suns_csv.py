@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fieldlum.errors import InputError
 from fieldlum.records import SunSource
+from fieldlum.session.files.json_file import from_json
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -74,19 +75,7 @@ def read_suns(path: Path) -> dict[str, SunRow]:
 
 
 def _row(cells: dict[str, str]) -> SunRow:
-    version = int(cells.get("format") or 1)
-    if version > FORMAT:
-        raise ValueError(f"format {version}, this fieldlum reads 1 to {FORMAT}")
-    altitude, azimuth, normal, fraction, bound = (
-        float(cells[name])
-        for name in (
-            "altitude_deg",
-            "azimuth_deg",
-            "normal_illuminance_lx",
-            "visible_fraction",
-            "bound_lx",
-        )
-    )
-    return SunRow(
-        cells["panorama"], altitude, azimuth, normal, fraction, cells["origin"], bound, version
-    )
+    row = from_json(SunRow, {**cells, "format": cells.get("format") or 1})
+    if row.format > FORMAT:
+        raise ValueError(f"format {row.format}, this fieldlum reads 1 to {FORMAT}")
+    return row
