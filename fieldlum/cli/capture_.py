@@ -11,30 +11,16 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import PATH, session_argument
+from fieldlum.cli.options import PATH, device_options, device_uris, session_argument
 from fieldlum.errors import DeviceError
 
 if TYPE_CHECKING:
     from fieldlum.notify import Post
-    from fieldlum.session import Session
 
 
 @click.command("capture")
 @session_argument
-@click.option(
-    "--camera",
-    "camera",
-    metavar="URI",
-    help="For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
-)
-@click.option(
-    "--pyranometer",
-    metavar="URI",
-    help="For example serial:/dev/ttyUSB0?kind=spn1. [default: irradiance is not logged]",
-)
-@click.option(
-    "--meter", metavar="URI", help="Illuminance meter at the lens, like cl200a:/dev/ttyUSB1."
-)
+@device_options
 @click.option(
     "--clock",
     type=click.Choice(["real", "fast"]),
@@ -124,7 +110,13 @@ def command(
         terminal.say(
             "note: plan.csv is not the file that session.toml was written for: run fieldlum doctor"
         )
-    camera_uri, pyranometer_uri, meter_uri = _devices(session, camera, pyranometer, meter)
+    camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
+    if not camera_uri:
+        raise click.UsageError(
+            "name a camera, for example --camera gphoto: (or --camera sim:office?seed=1 to try it)"
+        )
+    if pyranometer is None and not pyranometer_uri:
+        terminal.say("note: no --pyranometer: irradiance is not logged")
     if clock == "fast" and (real := _real(camera_uri, pyranometer_uri, meter_uri)):
         raise click.UsageError(
             f"--clock fast simulates the time: it works with sim: and replay: devices, not {real}"
@@ -193,23 +185,6 @@ def _heartbeat(option: str) -> str:
     from fieldlum.notify import read_address
 
     return read_address(option) if option else ""
-
-
-def _devices(
-    session: Session, camera: str | None, pyranometer: str | None, meter: str | None
-) -> tuple[str, str, str]:
-    """Return the devices of the command line, else those of the session's last capture."""
-    known = session.table().get("devices", {}).get("uris", {})
-    camera_uri = camera if camera is not None else known.get("camera", "")
-    if not camera_uri:
-        raise click.UsageError(
-            "name a camera, for example --camera gphoto: (or --camera sim:office?seed=1 to try it)"
-        )
-    if pyranometer is None:
-        pyranometer = known.get("pyranometer", "")
-        if not pyranometer:
-            terminal.say("note: no --pyranometer: irradiance is not logged")
-    return camera_uri, pyranometer or "", known.get("meter", "") if meter is None else meter
 
 
 def _real(*uris: str) -> str:

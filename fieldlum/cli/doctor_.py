@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import json_option, session_argument
+from fieldlum.cli.options import device_options, device_uris, json_option, session_argument
 
 if TYPE_CHECKING:
     from fieldlum.session import Session
@@ -20,17 +20,7 @@ MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "
 
 @click.command("doctor")
 @session_argument
-@click.option(
-    "--camera", metavar="URI", help="For example gphoto:. [default: as in the last capture]"
-)
-@click.option(
-    "--pyranometer",
-    metavar="URI",
-    help="For example serial:/dev/ttyUSB0?kind=spn1. [default: as in the last capture]",
-)
-@click.option(
-    "--meter", metavar="URI", help="Like cl200a:/dev/ttyUSB1. [default: as in the last capture]"
-)
+@device_options
 @json_option
 def command(
     session_folder: Path,
@@ -51,14 +41,11 @@ def command(
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
-    known = session.table().get("devices", {}).get("uris", {})
-    uris = (
-        known.get("camera", "") if camera is None else camera,
-        known.get("pyranometer", "") if pyranometer is None else pyranometer,
-    )
+    camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
     with terminal.progress("looking") as progress:
-        meter_uri = known.get("meter", "") if meter is None else meter
-        findings = doctor.run(session, *uris, datetime.now(UTC), progress, meter_uri=meter_uri)
+        findings = doctor.run(
+            session, camera_uri, pyranometer_uri, datetime.now(UTC), progress, meter_uri=meter_uri
+        )
     if as_json:
         terminal.emit_json(doctor.as_table(findings))
     else:

@@ -10,6 +10,7 @@ import click
 
 if TYPE_CHECKING:
     from fieldlum.scheduler import Scheduler
+    from fieldlum.session import Session
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Decorator = Callable[[Command], Command]
@@ -47,6 +48,29 @@ session_argument = click.argument("session_folder", metavar="SESSION", type=PATH
 
 pairs_argument = click.argument("pairs", metavar="SESSION|PAIRS.csv", type=PATH)
 """A session or a pairs.csv, as the parameter `pairs`."""
+
+_OF_LAST_CAPTURE = "[default: as in the last capture]"
+_DEVICES = (
+    ("--camera", "For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1."),
+    ("--pyranometer", "For example serial:/dev/ttyUSB0?kind=spn1."),
+    ("--meter", "Illuminance meter at the lens, like cl200a:/dev/ttyUSB1."),
+)
+
+
+def device_options(function: Command) -> Command:
+    """Add --camera, --pyranometer and --meter; see `device_uris`."""
+    for name, text in reversed(_DEVICES):
+        function = click.option(name, metavar="URI", help=f"{text} {_OF_LAST_CAPTURE}")(function)
+    return function
+
+
+def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
+    """Return the URIs of camera, pyranometer and meter; by default those of the last capture."""
+    known = session.table().get("devices", {}).get("uris", {})
+    names = [name.removeprefix("--") for name, _ in _DEVICES]
+    pairs = zip(names, given, strict=True)
+    return tuple(known.get(name, "") if uri is None else uri for name, uri in pairs)
+
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print the answer as one JSON object."
