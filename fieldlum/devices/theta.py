@@ -10,7 +10,7 @@ import json
 import os
 import urllib.error
 import urllib.request
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -34,6 +34,8 @@ READOUT_S = 40.0
 POLL_S = 0.3
 BRACKET_SHOTS = range(2, 14)  # all models take up to 13, Z1 and V up to 19 (THETA Web API v2.1)
 _LARGEST_FILE = 200_000_000  # bytes; longer answers are cut and then rejected
+Reply = dict[str, Any]
+"""A JSON object that the camera answered; each value is checked where it is used."""
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
 
 
@@ -196,15 +198,15 @@ class ThetaCamera:
     # --------------------------------------------------------------------------------------
     # protocol
 
-    def _set(self, options: dict[str, Any]) -> None:
+    def _set(self, options: Mapping[str, object]) -> None:
         self._command("camera.setOptions", {"options": options}, self._timeout_s)
 
-    def _options(self, *names: str) -> dict[str, Any]:
+    def _options(self, *names: str) -> Reply:
         results = self._command("camera.getOptions", {"optionNames": list(names)}, self._timeout_s)
         found = results.get("options")
         return found if isinstance(found, dict) else {}
 
-    def _command(self, name: str, parameters: dict[str, Any], patience_s: float) -> dict[str, Any]:
+    def _command(self, name: str, parameters: Mapping[str, object], patience_s: float) -> Reply:
         """Execute a command, wait until it is complete, and return its results.
 
         Raises DeviceError if the camera reports an error or does not answer.
@@ -223,10 +225,10 @@ class ThetaCamera:
         results = reply.get("results")
         return results if isinstance(results, dict) else {}
 
-    def _get(self, path: str) -> dict[str, Any]:
+    def _get(self, path: str) -> Reply:
         return _json(self._http(urllib.request.Request(self._address + path), self._timeout_s))
 
-    def _post(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
+    def _post(self, path: str, body: Mapping[str, object]) -> Reply:
         headers = {"Content-Type": "application/json;charset=utf-8", "Accept": "application/json"}
         request = urllib.request.Request(self._address + path, json.dumps(body).encode(), headers)
         return _json(self._http(request, self._timeout_s))
@@ -257,7 +259,7 @@ class ThetaCamera:
         return body
 
 
-def _json(body: bytes) -> dict[str, Any]:
+def _json(body: bytes) -> Reply:
     try:
         reply = json.loads(body)
     except ValueError:
@@ -267,14 +269,14 @@ def _json(body: bytes) -> dict[str, Any]:
     return reply
 
 
-def _error_text(reply: dict[str, Any]) -> str:
+def _error_text(reply: Reply) -> str:
     error = reply.get("error")
     if not isinstance(error, dict):
         return f"state {reply.get('state')!r}"
     return f"{error.get('code', 'error')}: {error.get('message', '')}".rstrip(": ")
 
 
-def _numbers(values: Any) -> list[float]:
+def _numbers(values: object) -> list[float]:
     listed = values if isinstance(values, list) else []
     return [
         float(v) for v in listed if isinstance(v, int | float) and not isinstance(v, bool) and v > 0
