@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark
@@ -63,7 +62,7 @@ class ScaleFit:
     u_rel: float
     residual: NDArray[np.float64]  # meter over corrected picture minus one, [n]
     far: tuple[str, ...]
-    choice: OrderSelection
+    line: str  # the error of readings that were left out
 
 
 def from_table(
@@ -229,10 +228,8 @@ def fit(
 ) -> ScaleFit:
     """Fit k by weighted least squares of ln(meter / picture) with Huber weights.
 
-    u(k) includes the meter's own u. A second model with an offset (stray light) is compared on
-    held-out readings and reported, but never written into the profile. Raises NotEnoughDataError
-    without readings, InputError if a reading is not positive, or if too many readings contradict
-    each other.
+    u(k) includes the meter's own u. Raises NotEnoughDataError without readings, InputError if a
+    reading is not positive, or if too many readings contradict each other.
     """
     if not readings:
         raise NotEnoughDataError(
@@ -263,10 +260,9 @@ def fit(
             "and that the light was steady; correct the csv and run this again"
         )
         raise InputError(source, found, "pictures and readings in one proportion", remedy)
-    spots = np.array([r.kind == "spot" for r in readings])
-    choice = _choice(meter, image, u, log, spots)
     residual = meter / (image * np.exp(centre)) - 1.0
-    return ScaleFit(float(np.exp(centre)), float(np.hypot(u_log, meter_u)), residual, far, choice)
+    u_rel, line = float(np.hypot(u_log, meter_u)), _held_out_line(log, u)
+    return ScaleFit(float(np.exp(centre)), u_rel, residual, far, line)
 
 
 def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
@@ -329,41 +325,11 @@ def _centre(log: NDArray[np.float64], u: NDArray[np.float64]) -> tuple[float, ND
     return centre, weight
 
 
-def _choice(
-    meter: NDArray[np.float64],
-    image: NDArray[np.float64],
-    u: NDArray[np.float64],
-    log: NDArray[np.float64],
-    spots: NDArray[np.bool_],
-) -> OrderSelection:
-    """Choose between one factor, and a factor with an offset, on spots held out one at a time."""
+def _held_out_line(log: NDArray[np.float64], u: NDArray[np.float64]) -> str:
+    """Return how well one factor predicts the readings that are left out one by one, as text."""
     n = len(log)
     if n < 2:
-        return OrderSelection(
-            0, "scale: one factor, not tested, because there is no second reading to hold out"
-        )
-    plain = (
-        np.array([log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]) ** 2
-    )
-    candidates = [Candidate("one factor", 1, plain)]
-    if spots.sum() >= 5 and spots.all():
-        errors = [
-            _offset_error(
-                np.delete(meter, i), np.delete(image, i), np.delete(u, i), meter[i], image[i]
-            )
-            for i in range(n)
-        ]
-        candidates.append(Candidate("factor and offset", 2, np.array(errors)))
-    return choose("scale", candidates)
-
-
-def _offset_error(
-    meter: NDArray[np.float64],
-    image: NDArray[np.float64],
-    u: NDArray[np.float64],
-    held: float,
-    held_image: float,
-) -> float:
-    a = np.stack([image, np.ones_like(image)], axis=1) / (u * meter)[:, None]
-    slope, offset = np.linalg.lstsq(a, 1.0 / u, rcond=None)[0]
-    return float(np.log(max(slope * held_image + offset, 1e-3 * held) / held) ** 2)
+        return "scale: one reading, one factor: no reading to hold out"
+    off = [log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]
+    rms = float(np.sqrt(np.mean(np.square(off))))
+    return f"scale: one factor; held-out rms: {100 * rms:.3g} %"
