@@ -1,8 +1,6 @@
 """Find the 24-patch chart in a frame, and check that it is a chart.
 
-Lattices of patches (chart_grid.py) are searched first, then OpenCV's detector mcc at several sizes
-of the picture. mcc alone misses many good charts, depending on its random start, and sometimes
-reports a chart where there is none. Any candidate counts only if its 24 colours are those of a
+Lattices of patches (chart_grid.py) are candidates. One counts only if its 24 colours are those of a
 chart, in order.
 """
 
@@ -22,67 +20,32 @@ Array = NDArray[np.floating]
 
 # Luminous reflectance Y in percent, illuminant C, row by row from dark skin: McCamy, Marcus,
 # Davidson, "A color-rendition chart", J. Appl. Photogr. Eng. 2(3), 1976.
-CHART_Y = (
-    10.1,
-    35.8,
-    19.3,
-    13.3,
-    24.3,
-    43.1,
-    30.1,
-    12.0,
-    19.8,
-    6.6,
-    44.3,
-    43.1,
-    6.1,
-    23.4,
-    12.0,
-    59.1,
-    19.8,
-    19.8,
-    90.0,
-    59.1,
-    36.2,
-    19.8,
-    9.0,
-    3.1,
+CHART_Y = np.fromstring(
+    """
+     10.1  35.8  19.3  13.3  24.3  43.1
+     30.1  12.0  19.8   6.6  44.3  43.1
+      6.1  23.4  12.0  59.1  19.8  19.8
+     90.0  59.1  36.2  19.8   9.0   3.1
+    """,
+    sep=" ",
 )
 ROWS, COLUMNS = 4, 6
 # The maker's sRGB codes of the same patches (X-Rite, ColorChecker Classic).
-_SRGB = (
-    (115, 82, 68),
-    (194, 150, 130),
-    (98, 122, 157),
-    (87, 108, 67),
-    (133, 128, 177),
-    (103, 189, 170),
-    (214, 126, 44),
-    (80, 91, 166),
-    (193, 90, 99),
-    (94, 60, 108),
-    (157, 188, 64),
-    (224, 163, 46),
-    (56, 61, 150),
-    (70, 148, 73),
-    (175, 54, 60),
-    (231, 199, 31),
-    (187, 86, 149),
-    (8, 133, 161),
-    (243, 243, 242),
-    (200, 200, 200),
-    (160, 160, 160),
-    (122, 122, 121),
-    (85, 85, 85),
-    (52, 52, 52),
-)
+_SRGB = np.fromstring(
+    """
+    115  82  68   194 150 130    98 122 157    87 108  67   133 128 177   103 189 170
+    214 126  44    80  91 166   193  90  99    94  60 108   157 188  64   224 163  46
+     56  61 150    70 148  73   175  54  60   231 199  31   187  86 149     8 133 161
+    243 243 242   200 200 200   160 160 160   122 122 121    85  85  85    52  52  52
+    """,
+    int,
+    sep=" ",
+).reshape(24, 3)
 # Largest relative misfit of a chart's colours: any other order of the colours leaves 0.6 and more.
 # Chosen.
 _ALIKE = 0.2
 _IN_ORDER = 0.9  # correlation of ln Y with a chart's; chosen, not measured
 _GRID_SIZES = (1.0, 2.0)  # sizes of the picture in which lattices are searched; chosen
-# Size of the picture and mcc's smallest window [px], for each try. Chosen by trial, not measured.
-_TRIES = ((1.0, 11), (1.0, 23), (2.0, 11), (0.5, 11), (1.5, 23), (0.7, 23))
 _LONGEST = 1600  # longest side [px] of the picture at size 1; chosen, limits the time
 
 
@@ -93,7 +56,7 @@ def misfit(rgb: Array) -> float:
     """
     from fieldlum.photometry import srgb_table
 
-    chart = srgb_table()[np.array(_SRGB)]
+    chart = srgb_table()[_SRGB]
     weight = 1.0 / (chart.mean(axis=1, keepdims=True) + 0.03)
     camera = np.asarray(rgb, float) / max(float(np.max(rgb)), 1e-12)
     matrix = np.linalg.lstsq(camera * weight, chart * weight, rcond=None)[0]
@@ -153,25 +116,6 @@ def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
         searched, by = _sized(picture, size)
         for patches in grids(searched, ROWS, COLUMNS):
             yield patches / by
-    yield from _of_mcc(picture)
-
-
-def _of_mcc(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
-    """Yield the charts that OpenCV's detector reports; nothing if the installed OpenCV lacks it."""
-    import cv2
-
-    for seed, (size, window_px) in enumerate(_TRIES if hasattr(cv2, "mcc") else ()):
-        searched, by = _sized(picture, size)
-        options = getattr(cv2.mcc, "DetectorParametersMCC")()  # noqa: B009 (OpenCV's stubs lack both)
-        options.adaptiveThreshWinSizeMin = window_px
-        cv2.setRNGSeed(seed + 1)  # the detector starts from random clusters
-        detector = getattr(cv2.mcc, "CCheckerDetector_create")()  # noqa: B009
-        detector.setDetectionParams(options)
-        if detector.process(searched, 1):  # reading a chart that was not found would crash
-            yield (
-                np.asarray(detector.getBestColorChecker().getColorCharts(), float).reshape(-1, 4, 2)
-                / by
-            )
 
 
 def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], float]:
