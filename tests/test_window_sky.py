@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
+from fieldlum import sun
 from fieldlum.light import Light, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit, from_state
@@ -15,6 +16,8 @@ from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Site, SiteFile, utc_text
 from fieldlum.simulate.troubles import Trouble, Troubles, true_light
 from fieldlum.sky import reinhart_patches
+from fieldlum.train.agreement import process_of
+from fieldlum.train.room_changes import find_lamp
 
 SITE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")
 HEIGHT, WIDTH = 16, 32
@@ -121,3 +124,18 @@ def test_a_marked_state_is_no_sky() -> None:
     sky = seen_sky(training_arrays_of(marked, with_patch=False))
     assert sky is not None
     assert np.allclose(sky.luminance_cdm2[5], CLOUDED.light.sky_cdm2[5], rtol=1e-3)
+
+
+@pytest.mark.property
+def test_clouds_hide_no_lamp() -> None:
+    """A lamp is found under the skies that the windows showed, and not under Perez's."""
+    hours = np.array([sun.standard_time(t, SITE.timezone).hour for t in CLOUDED.light.t_utc])
+    evenings = np.isin(CLOUDED.days, np.unique(CLOUDED.days)[[1, 3, 4, 8]]) & (hours >= 14)
+    maps = CLOUDED.luminance_cdm2 + np.float32(15.0) * (evenings[:, None, None] & ~WINDOW)
+    lit = replace(CLOUDED, luminance_cdm2=maps)
+    clouded, perez = (
+        process_of(lit, with_patch=False, seen_skies=skies) for skies in (True, False)
+    )
+    rows, _ = find_lamp(clouded, hours.astype(float))
+    assert np.array_equal(rows, np.flatnonzero(evenings & clouded.judged))
+    assert not len(find_lamp(perez, hours.astype(float))[0])

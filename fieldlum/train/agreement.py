@@ -20,6 +20,7 @@ from fieldlum.models.transport.features import (
     pixel_scale,
     training_arrays_of,
 )
+from fieldlum.models.transport.window_sky import seen_sky
 
 Array = NDArray[Any]
 Rows = NDArray[np.intp]
@@ -164,15 +165,23 @@ def thinned(data: Dataset) -> Dataset:
 
 
 def process_of(
-    data: Dataset, *, with_patch: bool, complete: bool = False, windows: bool = False
+    data: Dataset,
+    *,
+    with_patch: bool,
+    complete: bool = False,
+    windows: bool = False,
+    seen_skies: bool = False,
 ) -> Process:
     """Return the captures as a process. Values that are hidden (a sun patch, flags) are filled.
 
     It has `_PIXELS` pixels; `complete`: all seen pixels of `thinned(data)`. Windows are hidden
-    unless `windows` is set.
+    unless `windows` is set. seen_skies: captures have the skies that the windows showed.
     """
     small = thinned(data)
     arrays = training_arrays_of(small, with_patch=with_patch)
+    sky = seen_sky(arrays) if seen_skies else None
+    if sky is not None:
+        arrays = replace(arrays, features=sky.features(arrays))
     luminance = np.maximum(arrays.luminance, LEAST_CDM2).astype(float)
     judged = np.median(luminance, axis=1) > _LEAST_LEVEL_CDM2
     if arrays.patch is None:  # unknown sun patches look like a change

@@ -106,7 +106,11 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     process = process_of(data, with_patch=with_patch)
     if not process.shows_exceptions:
         return None
-    lamp, process = find_lamp(process, _hours(data))
+    # Clouds hide a lamp, so it is searched for under the skies that the windows showed. A blind
+    # looks like a dark sky there: captures that contradict the rest are found under Perez's.
+    clouded = process_of(data, with_patch=with_patch, seen_skies=True)
+    lamp, lit = find_lamp(clouded, _hours(data))
+    process = process.with_lamp(lit)
     unexplained, complete_days = find_unexplained(process)
     if not len(lamp) and not len(unexplained):
         return None
@@ -157,15 +161,15 @@ def _hours(data: Dataset) -> NDArray[np.float64]:
 # a lamp
 
 
-def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Process]:
-    """Return the captures in which a lamp was on at times, [k], and the process with that lamp.
+def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]:
+    """Return the captures in which a lamp was on at times, [k], and those in which one is on.
 
-    hours [n]: local standard time. A lamp that is on in all captures is part of the room: it
-    changes the process and not the captures.
+    hours [n]: local standard time. A lamp that is on in all captures is part of the room: then only
+    the second result has captures.
     """
     rows = np.flatnonzero(process.judged)
     if len(np.unique(process.days)) > _MOST_DAYS:
-        return _NO_ROWS, process
+        return _NO_ROWS, _NO_ROWS
     usual = typical(process, rows)
     without = disagreement(process, rows, usual)
 
@@ -182,11 +186,11 @@ def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Proce
     best = min(found, key=cost)
     always = process.with_lamp(rows)
     if without - disagreement(always, rows, usual) > max(_LEAST_GAIN, without - cost(best)):
-        return _NO_ROWS, always
+        return _NO_ROWS, rows
     if without - cost(best) < _LEAST_GAIN:
-        return _NO_ROWS, process
+        return _NO_ROWS, _NO_ROWS
     lit = _each_capture(process, best, cost)
-    return lit, process.with_lamp(lit)
+    return lit, lit
 
 
 def _lit_days(process: Process, block: NDArray[np.bool_], cost: Callable[[Rows], float]) -> Rows:

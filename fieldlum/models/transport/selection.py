@@ -28,7 +28,6 @@ from fieldlum.models.transport.pixel_fit import (
 )
 from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
 from fieldlum.models.transport.window_sky import SeenSky, SkyField
-from fieldlum.sky import reinhart_patches
 from fieldlum.statistics import is_no_worse, standard_error
 
 Array = NDArray[Any]
@@ -281,9 +280,7 @@ def _with_seen_sky(
     """
     if sky is None or len(np.unique(drawn.days)) < SKY_DAYS:
         return drawn, None
-    root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
-    seen = sky.luminance_cdm2 * root / drawn.light.total_lx.astype(np.float32)[:, None]
-    trial = replace(drawn, features=replace(drawn.features, sky=seen), perez_sky=drawn.features.sky)
+    trial = replace(drawn, features=sky.features(drawn), perez_sky=drawn.features.sky)
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
     without = _choose_kernel(drawn, kernel, recipes, None)
     found = _choose_kernel(trial, kernel, recipes, None)

@@ -9,13 +9,14 @@ Perez's sky.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.light import Features
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
 from fieldlum.sky import reinhart_patches
 
@@ -58,6 +59,12 @@ class SeenSky:
 
     luminance_cdm2: NDArray[np.float32]
     field: SkyField
+
+    def features(self, arrays: TrainingArrays) -> Features:
+        """Return the features of the captures under these skies."""
+        root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
+        unit = arrays.light.total_lx.astype(np.float32)[:, None]
+        return replace(arrays.features, sky=self.luminance_cdm2 * root / unit)
 
 
 def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
