@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntFlag
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +193,10 @@ class Exposure:
     f_number: float
     iso: float = 100.0
     nd: str = ""  # name of a neutral-density filter of the profile; empty: none
+
+
+JsonTable = dict[str, Any]
+"""A JSON object that a command prints or a page fetches; tests/test_json_keys.py has its keys."""
 
 
 def counted(count: int, noun: str) -> str:

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fieldlum.capture.status_table import (
-    CaptureStatus,
-    LogStatus,
-    ModelStatus,
-    PlanStatus,
-    SessionStatus,
-)
 from fieldlum.errors import InputError
-from fieldlum.records import Slot, utc_text
+from fieldlum.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.ledger import Ledger, SlotState, read_ledger
 
 
-def status(session: Session) -> SessionStatus:
+def status(session: Session) -> JsonTable:
     """Return for each stage what is done and what is still to do."""
     slots, ledger = session.slots(), read_ledger(session)
     captured = {slot.id for slot in slots if _of(ledger, slot).frames}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     paired = {Path(row.panorama).stem for row in pairs.rows}
-    answer: SessionStatus = {
+    answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan(session, slots),
@@ -42,7 +35,7 @@ def status(session: Session) -> SessionStatus:
     return {**answer, "next_step": next_step(answer)}
 
 
-def next_step(answer: SessionStatus) -> str:
+def next_step(answer: JsonTable) -> str:
     """Return the next step, as a command line if there is one."""
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
@@ -69,8 +62,8 @@ def _of(ledger: Ledger, slot: Slot) -> SlotState:
     return ledger.slots.get(slot.id, SlotState())
 
 
-def _plan(session: Session, slots: list[Slot]) -> PlanStatus:
-    plan: PlanStatus = {
+def _plan(session: Session, slots: list[Slot]) -> JsonTable:
+    plan = {
         "set": session.table().get("plan", {}).get("set", ""),
         "slots": len(slots),
     }
@@ -79,7 +72,7 @@ def _plan(session: Session, slots: list[Slot]) -> PlanStatus:
     return plan
 
 
-def _capture(slots: list[Slot], ledger: Ledger) -> CaptureStatus:
+def _capture(slots: list[Slot], ledger: Ledger) -> JsonTable:
     outcomes = [_of(ledger, slot).outcome for slot in slots]
     owed = [
         slot for slot, outcome in zip(slots, outcomes, strict=True) if outcome in ("", "started")
@@ -97,7 +90,7 @@ def _capture(slots: list[Slot], ledger: Ledger) -> CaptureStatus:
     }
 
 
-def _irradiance(session: Session) -> LogStatus:
+def _irradiance(session: Session) -> JsonTable:
     files = day_files(session)
     rows = 0
     for path in files:
@@ -113,9 +106,9 @@ def _irradiance(session: Session) -> LogStatus:
     }
 
 
-def _models(session: Session) -> list[ModelStatus]:
+def _models(session: Session) -> list[JsonTable]:
     """Return name and class of each trained model; the class is empty if config.json is damaged."""
-    rows: list[ModelStatus] = []
+    rows: list[JsonTable] = []
     for folder in session.model_folders():
         try:
             model = ModelConfig.read(folder).model

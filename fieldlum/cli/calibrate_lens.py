@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
 from fieldlum.cli.options import EXISTING_PATH
+from fieldlum.records import JsonTable
 
 if TYPE_CHECKING:
     from fieldlum.calibrate.boards import Boards
@@ -89,7 +90,7 @@ def command(
 
 def _edge(
     sources: tuple[Path, ...], start: Lens, against: Path | None, refit: Refit
-) -> tuple[Lens, str, dict[str, Any]]:
+) -> tuple[Lens, str, JsonTable]:
     from dataclasses import replace
 
     from fieldlum.calibrate import lens_circle, pictures
@@ -118,7 +119,7 @@ def _mapping(
     chessboard: str | None,
     profile: CameraProfile,
     refit: Refit,
-) -> tuple[Lens, str, dict[str, Any]]:
+) -> tuple[Lens, str, JsonTable]:
     from fieldlum.calibrate import boards, lens, pictures
 
     seen = _boards(sources, chessboard, profile) if chessboard else None

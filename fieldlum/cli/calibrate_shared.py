@@ -14,6 +14,7 @@ import click
 from fieldlum.cli import terminal
 from fieldlum.cli.estimates import estimate_text, frames_s
 from fieldlum.cli.options import PATH, json_option, out_option
+from fieldlum.records import JsonTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +49,7 @@ class Refit:
         profile: CameraProfile,
         frames: Iterable[Path],
         lines: list[str],
-        figures: dict[str, Any],
+        figures: JsonTable,
         **changed: Any,
     ) -> None:
         """Write the profile with its changed parts, and print the choice and the figures."""

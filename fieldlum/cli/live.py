@@ -8,12 +8,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.live import Live, Watch
 from fieldlum.cli import terminal
-from fieldlum.records import Site, parse_utc, utc_text
+from fieldlum.records import JsonTable, Site, parse_utc, utc_text
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _state(state: str) -> str:
     return f"[{'green' if state == 'ok' else 'red'}]{state}[/]"
 
 
-def as_json(live: Live) -> dict[str, Any]:
+def as_json(live: Live) -> JsonTable:
     """Return the state as JSON can hold it."""
     return {k: utc_text(v) if isinstance(v, datetime) else v for k, v in asdict(live).items()}
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli.options import PATH, json_option, pairs_argument, site_option
 from fieldlum.cli.scene_click import command as click_command
 from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.records import JsonTable
 
 if TYPE_CHECKING:
     from fieldlum.scene_fit.scene_file import Scene
@@ -62,7 +63,7 @@ def fit(
     say("written: " + ", ".join(str(file) for file in result.files))
 
 
-def answer_of(scene: Scene) -> dict[str, Any]:
+def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints."""
     room = scene.room
     windows = [

@@ -11,7 +11,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import json_option, session_argument
 
 if TYPE_CHECKING:
-    from fieldlum.capture.status_table import SessionStatus
+    from fieldlum.records import JsonTable
 
 
 @click.command("status")
@@ -46,7 +46,7 @@ def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -
         click.echo(line)
 
 
-def _lines(s: SessionStatus) -> list[str]:
+def _lines(s: JsonTable) -> list[str]:
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]
     merge, pair = s["merge"], s["pair"]
     models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"

@@ -20,7 +20,7 @@ from fieldlum.doctor.findings import Finding, owed_slots
 from fieldlum.doctor.instruments import check_camera, check_meter, check_pyranometer
 from fieldlum.doctor.planned import check_calendar, check_plan, check_profile
 from fieldlum.errors import FieldlumError, InputError
-from fieldlum.records import Progress, quiet
+from fieldlum.records import JsonTable, Progress, quiet
 from fieldlum.session import Session
 
 
@@ -66,6 +66,6 @@ def exit_code(findings: Sequence[Finding]) -> int:
     return min(codes, default=0)
 
 
-def as_table(findings: Sequence[Finding]) -> dict[str, Any]:
+def as_table(findings: Sequence[Finding]) -> JsonTable:
     """Return the findings for --json."""
     return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}

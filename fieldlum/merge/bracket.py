@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
-from fieldlum.records import Flag, Panorama, Progress, quiet
+from fieldlum.records import Flag, JsonTable, Panorama, Progress, quiet
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun
 from fieldlum.sun_disc import SunDisc
@@ -41,7 +40,7 @@ class MergeResult:
     sun: MeasuredSun | None = None
 
     @property
-    def quality(self) -> dict[str, Any]:
+    def quality(self) -> JsonTable:
         """Return the report as the object `quality` of `merge --json`."""
         return self.report.table()
 

@@ -22,7 +22,7 @@ from fieldlum.merge.shots import Shot, middle_of, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
-from fieldlum.records import CLIPPED_SUN, Progress, Site, SunSource, quiet
+from fieldlum.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
 from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
@@ -49,7 +49,7 @@ class Verdict:
     text: str
     report: MergeReport | None
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> JsonTable:
         """Return the object that `merge --json` prints."""
         quality = self.report.table() if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -16,7 +15,7 @@ from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, li
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
-from fieldlum.records import Progress, Site, quiet, slot_id, utc_text
+from fieldlum.records import JsonTable, Progress, Site, quiet, slot_id, utc_text
 from fieldlum.session import Session
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -197,7 +196,7 @@ def run(
     )
 
 
-def as_table(answer: RankedHours) -> dict[str, Any]:
+def as_table(answer: RankedHours) -> JsonTable:
     """Return the answer for --json."""
     return {
         "model": answer.model or None,

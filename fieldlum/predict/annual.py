@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
+from fieldlum.records import JsonTable
 from fieldlum.session import replacing
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
@@ -42,7 +42,7 @@ class Annual:
         return len(self.t_utc)
 
     @property
-    def about(self) -> dict[str, Any]:
+    def about(self) -> JsonTable:
         """Return the object that `predict --json` prints."""
         return self.summary.table()
 

@@ -4,8 +4,3 @@
 decides who may ask, `server` answers. The pages read a session's files alone: a capture that runs
 does not know of them.
 """
-
-from typing import Any
-
-JsonTable = dict[str, Any]
-"""A JSON object that a page fetches; static/watch.js and static/click.js read its keys."""

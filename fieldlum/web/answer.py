@@ -21,11 +21,10 @@ from pathlib import Path
 from typing import IO
 
 from fieldlum.errors import InputError
-from fieldlum.records import utc_text
+from fieldlum.records import JsonTable, utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
-from fieldlum.web import JsonTable
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 QUIET_BEFORE_S = 90.0

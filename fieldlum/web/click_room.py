@@ -19,14 +19,13 @@ from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
 from fieldlum.projection import direction
-from fieldlum.records import Room, parse_utc
+from fieldlum.records import JsonTable, Room, parse_utc
 from fieldlum.scene import sun_patches
 from fieldlum.scene.clicked import ClickedRoom, room_from_clicks
 from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows
 from fieldlum.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.site_toml import site_table
-from fieldlum.web import JsonTable
 from fieldlum.web.pictures import scale_of
 from fieldlum.web.server import picture_routes, static_route
 

@@ -21,8 +21,8 @@ from starlette.routing import Route
 
 from fieldlum.errors import InputError
 from fieldlum.plan.extra import add_extra
+from fieldlum.records import JsonTable
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
-from fieldlum.web import JsonTable
 
 _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.records import Site
-from fieldlum.web import JsonTable
+from fieldlum.records import JsonTable, Site
 from fieldlum.web.follow import BIN_S, IrradianceFollower
 
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from fieldlum.capture.utc_clock import boot_id
-from fieldlum.web import JsonTable
+from fieldlum.records import JsonTable
 from fieldlum.web.follow import JournalState
 
 

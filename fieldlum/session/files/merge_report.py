@@ -11,7 +11,7 @@ from datetime import datetime
 from typing import Any
 
 from fieldlum.photometry import ShutterLaw
-from fieldlum.records import Exposure, utc_text
+from fieldlum.records import Exposure, JsonTable, utc_text
 from fieldlum.session.files.json_file import from_json, to_json
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 
@@ -39,7 +39,7 @@ class FrameQuality:
     t_utc: datetime | None = None
     dropped_percent: float | None = None
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> JsonTable:
         """Return the row of `quality.frames`."""
         row = {
             "file": self.file,
@@ -127,7 +127,7 @@ class MergeReport:
     vertical_illuminance_lx: float | None = None
     lost: tuple[str, ...] = ()
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> JsonTable:
         """Return the object of the sidecar; keys that only some brackets have are left out."""
         optional = ("shutter_law", "vertical_illuminance_lx", "lost")
         return {

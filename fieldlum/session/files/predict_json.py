@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fieldlum.errors import InputError
+from fieldlum.records import JsonTable
 from fieldlum.session.files.json_file import (
     content_of,
     from_json,
@@ -40,7 +41,7 @@ class DirectionYear:
     hours_over: Mapping[str, int | None] = field(default_factory=dict)
     sentence: str = ""
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> JsonTable:
         """Return the row of `protection`."""
         return {("class" if k == "glare_class" else k): v for k, v in to_json(self).items()}
 
@@ -105,7 +106,7 @@ class PredictFile:
     protection: tuple[DirectionYear, ...] = ()
     capture_next: tuple[SkyToCapture, ...] = ()
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> JsonTable:
         """Return the JSON object, without its format."""
         return to_json(self)
 
