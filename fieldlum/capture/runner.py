@@ -150,22 +150,19 @@ class _Runner:
         while: the brackets do not wait for it.
         """
         options = self.options
-        self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
+        rest = self.clock, self.recorder.tell, options.watchdog_s
+        self.camera = Keeper("camera", open_cam, *rest)
         about: DevicesTable = {"uris": uris}
         camera = self.camera.insist()
         refuse_what_is_not_offered(camera, self.slots, self.states)
         about["camera"] = plain_info(camera.info)
         if open_pyr is not None:
-            keeper = Keeper(
-                "pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s
-            )
+            keeper = Keeper("pyranometer", open_pyr, *rest)
             if info := self._insist(keeper, uris):
                 about["pyranometer"] = info
             self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
         if open_met is not None:
-            self.meter = Keeper(
-                "meter", open_met, self.clock, self.recorder.tell, options.watchdog_s
-            )
+            self.meter = Keeper("meter", open_met, *rest)
             if info := self._insist(self.meter, uris):
                 about["meter"] = info
         self.recorder.tell(
