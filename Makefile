@@ -6,11 +6,11 @@ PYTHON ?= python3.11
 demo: .venv/ready
 	.venv/bin/fieldlum demo demo
 
-# Before each push: under a minute on two free cores. pyright runs next to the tests.
+# Before each push. pyright runs next to the tests; times are in CONTRIBUTING.md.
 check: .venv/ready
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check -q .
-	@.venv/bin/pyright & types=$$!; .venv/bin/pytest -q -m "not slow"; tests=$$?; wait $$types && exit $$tests
+	@.venv/bin/pyright & types=$$!; .venv/bin/pytest -q -n 2 -m "not slow"; tests=$$?; wait $$types && exit $$tests
 
 # pyright runs next to the tests: it needs one core for a minute or more.
 test: .venv/ready

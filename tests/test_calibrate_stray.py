@@ -78,6 +78,7 @@ def readings_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_known_kernel_is_found_and_its_haze_removed(readings_csv: Path) -> None:
     found = stray.fit(stray.from_table(readings_csv, PROFILE))

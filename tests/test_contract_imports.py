@@ -4,6 +4,7 @@ other. Every test has a kind.
 
 import ast
 from collections.abc import Container, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,9 +41,15 @@ def _module(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
 def _imported(path: Path) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(_tree(path)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "fieldlum":
             parts = (node.module or "").split(".")
             found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
@@ -94,7 +101,7 @@ def _marks(node: ast.AST) -> set[str]:
     "path", sorted(Path(__file__).parent.glob("test_*.py")), ids=lambda p: p.name
 )
 def test_every_test_has_a_kind(path: Path) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = _tree(path)
     module = [
         node
         for node in tree.body
@@ -132,7 +139,7 @@ def _statements(node: ast.AST) -> Iterator[ast.AST]:
 def _module_imports(path: Path, modules: Container[str]) -> set[str]:
     """Modules that a file imports anywhere, inside functions too."""
     names: set[str] = set()
-    for node in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _statements(_tree(path)):
         if isinstance(node, ast.ImportFrom) and node.module:
             inner = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= {name if name in modules else node.module for name in inner}
@@ -173,7 +180,7 @@ def test_a_circle_is_found() -> None:
 def test_no_public_class_name_stands_twice() -> None:
     places: dict[str, list[str]] = {}
     for module, path in _modules().items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in _tree(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(module)
     assert not {name: where for name, where in places.items() if len(where) > 1}

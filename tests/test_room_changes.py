@@ -93,6 +93,7 @@ def block(turn: int = 0) -> np.ndarray:
     return np.roll(region, turn, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_people_in_some_captures_are_named_and_only_their_pixels_left_out() -> None:
     rows = np.arange(3, len(CLEAN), 11)

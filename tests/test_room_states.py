@@ -41,6 +41,7 @@ def lit(data: Dataset, on: np.ndarray) -> Dataset:
     return replace(data, luminance_cdm2=maps.astype(np.float32))
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_lamp_always_on_costs_nothing(tmp_path: Path) -> None:
     """Review, missing test 4: at most 1.2 times the error of the room without a lamp."""
@@ -55,6 +56,7 @@ def test_a_lamp_always_on_costs_nothing(tmp_path: Path) -> None:
     assert log_mse(dark, TEST) < 10.0 * CLEAN_MSE  # the room without its lamp was never captured
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_marked_lamp_is_learnt_and_can_be_switched() -> None:
     on = np.array([t.hour in (16, 17) for t in TRAIN.light.t_utc])

@@ -98,6 +98,7 @@ ROOMS = {"20": (range(100, 120), 920), "120 other": (range(1000, 1120), 920)}
 ROOMS["60 of them, twice the size"] = range(1000, 1060), 1840
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("which", ROOMS)
 def test_lengths_of_noisy_clicks_are_within_one_percent_and_u_states_it(which: str) -> None:
@@ -195,6 +196,7 @@ def test_clicks_that_are_no_box_are_refused() -> None:
         clicks_from_rows({"kind": "floor"})
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_sun_patch_of_a_clicked_room_is_the_true_one() -> None:
     """IoU of patches (230 x 115, 1 m2 of floor is some 200 px) for 10 of the rooms, clicks of

@@ -90,6 +90,7 @@ def test_free_clock_and_free_level_are_reported_as_one() -> None:
     assert abs(pose["heading_deg"] - TRUE["heading"]) < 2.0 * pose.u["heading_deg"]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_uncertainties_of_the_discs_cover_the_truth() -> None:
     names = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")

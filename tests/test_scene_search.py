@@ -172,6 +172,7 @@ def test_an_hour_of_another_level_is_levelled() -> None:
         assert np.abs(np.log(level / true)).max() < 0.3  # carried on below the patch
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> None:
     few = data.take(np.arange(len(data)))

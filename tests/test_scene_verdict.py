@@ -98,6 +98,7 @@ def test_no_sunny_hour_teaches_one_of_its_own_block() -> None:
     assert set(folds) == set(range(FOLDS))
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
     wrong = scene.sun_patches(

@@ -233,15 +233,9 @@ def test_every_cause_has_words_and_a_remedy(cause: str) -> None:
     assert warnings_of(Setting((finding,), (), 0.0, 40), SETUP, 4.5) == []
 
 
+@pytest.mark.slow
 @pytest.mark.property
-@pytest.mark.parametrize(
-    "measure",
-    [
-        "camera_x_m",
-        pytest.param("camera_y_m", marks=pytest.mark.slow),
-        pytest.param("left_m", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("measure", ["camera_x_m", "camera_y_m", "left_m"])
 def test_a_room_wrong_by_a_tape_measure_makes_no_sure_alarm(measure: str) -> None:
     """The review's missing test 6: true north and clock, one measure of the room wrong."""
     window = ROOM.window[0]

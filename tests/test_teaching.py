@@ -43,6 +43,7 @@ def test_what_all_captures_share_cancels() -> None:
     assert mostly is not None and (mostly[:2] > 0.0).all() and (mostly[:2] < 0.2).all()
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_person_and_clipped_pixels_change_no_prediction() -> None:
     """Review, missing test 7: by 3 % at most, which is the model's own error on a clean room."""
@@ -65,6 +66,7 @@ def test_a_person_and_clipped_pixels_change_no_prediction() -> None:
     assert log_mse(answer, TEST) < 0.2 * log_mse(unflagged, TEST)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_an_unmeasured_low_sun_changes_no_other_hour() -> None:
     """Review, missing test 10: under 1 % (median over pixels and hours)."""

@@ -214,6 +214,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert runner.invoke(main, ["train", str(path), "--model", "mean"]).exit_code == 5
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_model_of_the_same_captures_and_options_is_kept(tmp_path: Path) -> None:
     """Other captures, options or weights train again, and so does `force`."""

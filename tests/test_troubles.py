@@ -100,6 +100,7 @@ def test_the_instrument_drifts_is_shaded_and_is_far_away() -> None:
     assert np.abs(np.log(dni[high] / light.dni_wm2[high])).mean() > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_every_trouble_of_room_and_camera_changes_pictures(tmp_path: Path) -> None:
     truth = simulate.ground_truth(SETUP, height=16, quality="draft", workers=1)
@@ -118,6 +119,7 @@ def test_every_trouble_of_room_and_camera_changes_pictures(tmp_path: Path) -> No
     np.testing.assert_array_equal(none.luminance_cdm2, made.luminance_cdm2)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_session_keeps_what_is_stated_and_renders_again_for_other_troubles(
     tmp_path: Path,

@@ -147,6 +147,7 @@ def test_the_tmy2_file_of_pvlib_is_read() -> None:
     assert {t.minute for t in found.t_utc} == {30}
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_label_shift_mends_labels_that_are_known_to_be_wrong(tmp_path: Path) -> None:
     year = _year(SEATTLE)

@@ -81,11 +81,13 @@ def test_the_sky_in_the_windows_is_found() -> None:
     assert np.allclose(sky.luminance_cdm2 @ horizontal, perez @ horizontal, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_perez_skies_stay() -> None:
     assert fit(CLEAR).sky_field is None
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = fit(CLOUDED)
@@ -103,6 +105,7 @@ def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -
     assert seen.predict(UNSEEN.light).expected_mse.mean() > 3.0 * under_perez
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_field_is_stored() -> None:
     fitted = fit(CLOUDED)
