@@ -104,7 +104,13 @@ _add_stage(
     show_default=True,
     help="Models as in fieldlum bench, separated by commas.",
 )
-@click.option("--seeds", default=1, show_default=True, type=click.IntRange(1))
+@click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Trainings of each random model, with seeds 0, 1, 2 ...",
+)
 @click.option(
     "--budget",
     default=5.0,
