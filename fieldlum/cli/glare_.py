@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fieldlum.cli.options import FILE_PATH, PATH, json_lines_option
-from fieldlum.cli.terminal import emit_json, say
+from fieldlum.cli.terminal import emit_json, say, write_csv
 
 if TYPE_CHECKING:
     from fieldlum.glare.answers import GlareAnswer
@@ -129,7 +128,7 @@ def command(
         else:
             _table(answer)
     if csv_path is not None:
-        _write_csv(csv_path, rows)
+        write_csv(csv_path, CSV_COLUMNS, rows)
     if bad and len(images) > 1:
         say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
     if bad:
@@ -147,14 +146,6 @@ def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
         extra = {f"reference_{key}": reference.get(key) for key in ("dgp", "ev_lx")}
         rows.append({key: {**view, **whole, **extra}.get(key) for key in CSV_COLUMNS})
     return rows
-
-
-def _write_csv(path: Path, rows: list[dict[str, object]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(CSV_COLUMNS)
-        for row in rows:
-            writer.writerow("" if row[key] is None else row[key] for key in CSV_COLUMNS)
 
 
 def _table(answer: GlareAnswer) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import click
@@ -34,6 +36,14 @@ def _finite(value: Any) -> Any:
 def emit_json(answer: Any) -> None:
     """Print exactly one JSON object on one line of stdout."""
     click.echo(json.dumps(_finite(answer), ensure_ascii=False, default=str))
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
+    """Write these columns of the rows; None is an empty cell."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(["" if row[key] is None else row[key] for key in columns] for row in rows)
 
 
 def say(text: str) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from fieldlum.cli.options import FILE_PATH, PATH
-from fieldlum.cli.terminal import say
+from fieldlum.cli.terminal import say, write_csv
 
 
 @click.command()
@@ -57,7 +56,7 @@ def command(
     """
     from fieldlum.errors import InputError
     from fieldlum.view.measured_picture import MeasuredPicture, read_measured_picture
-    from fieldlum.view.regions import parse_region, region_statistics
+    from fieldlum.view.regions import COLUMNS, parse_region, region_statistics
 
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):
@@ -86,7 +85,7 @@ def command(
             say(f"fieldlum view: {picture.name}: {note}")
     _print_rows(rows)
     if csv_path is not None:
-        _write_csv(csv_path, rows)
+        write_csv(csv_path, COLUMNS, rows)
     if pictures:
         click.echo(str(out))
     if len(pictures) < len(files):
@@ -103,12 +102,3 @@ def _print_rows(rows: Sequence[dict[str, float | str | None]]) -> None:
             f"{row['median_cdm2']:.4g}, {row['min_cdm2']:.4g} to {row['max_cdm2']:.4g}, sd "
             f"{row['sd_cdm2']:.3g} cd/m², {row['solid_angle_sr']:.4g} sr"
         )
-
-
-def _write_csv(path: Path, rows: Sequence[dict[str, float | str | None]]) -> None:
-    from fieldlum.view.regions import COLUMNS
-
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows(["" if row[key] is None else row[key] for key in COLUMNS] for row in rows)
