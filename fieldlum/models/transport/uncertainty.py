@@ -287,7 +287,10 @@ def calibrate(
     known = np.maximum(known, LEAST_VARIANCE)
     novelty = float(variance[0].max())
     out = Uncertainty(inverse, novelty, factors, known, patch_sd, 1.0, second, *noise_of_all)
-    guess = (sds[0] * LOG10_E * out.factor(beam, variance[0])[:, None]) ** 2  # [n, P]
+    # Held-out days have the factors that were fitted to them. Those of the seasons, which `factor`
+    # gives to distant hours, would state too much here, and `mse` would lower every hour by it.
+    of_days = replace(out, factors=factors[:1], variances=known[:1])
+    guess = (sds[0] * LOG10_E * of_days.factor(beam, variance[0])[:, None]) ** 2  # [n, P]
     trust = arrays.trust
     mse = float((trust * chosen.held.error**2).sum() / (trust * guess).sum())
     return replace(out, mse=mse)
