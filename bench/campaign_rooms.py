@@ -1,6 +1,6 @@
 """A campaign of twelve simulated rooms end to end: plan, capture, merge, train, predict, report.
 
-    python bench/campaign_rooms.py FOLDER [--rooms 12] [--height 30] [--set 4-day]
+    python bench/campaign_rooms.py FOLDER [--height 24] [--budget 0.05]
 
 Rooms differ in orientation and window. One camera loses a quarter of its sensitivity over the
 year, one session is missing and one has a broken session.toml: the overview must name all three.
@@ -36,9 +36,10 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--rooms", type=int, default=12)
-    parser.add_argument("--height", type=int, default=30)
+    parser.add_argument("--height", type=int, default=24)
     parser.add_argument("--set", default="4-day", help="days of the plan, as in fieldlum plan")
     parser.add_argument("--model", default="transport", help="as in fieldlum train --model")
+    parser.add_argument("--budget", type=float, default=0.05, help="minutes of each training")
     parser.add_argument("--scheduler", default="local")
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +81,9 @@ def campaign_file(folder: Path, names: list[str], asked: argparse.Namespace) -> 
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     missing = {"session": f"room-{len(names) + 1:02d}"}
     size = f"{2 * asked.height}x{asked.height}"
-    common = {"model": asked.model, "views": 8, "size": size, "set": asked.set}
+    common = {"model": asked.model, "views": 8, "size": size, "set": asked.set} | {
+        "budget_min": asked.budget
+    }
     table = {"name": "Twelve rooms", "common": common, "room": [*rooms, missing]}
     path = folder / "CAMPAIGN.toml"
     path.write_text(tomli_w.dumps(table), encoding="utf-8")

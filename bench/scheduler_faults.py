@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +27,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import psutil
-import scheduler_units
-from dask_cluster import SOURCE, Cluster, cluster
-from test_merge_stage import START, profile, take
+import scheduler_units  # pyright: ignore[reportMissingImports]
+from dask_cluster import SOURCE, Cluster, cluster  # pyright: ignore[reportMissingImports]
+from test_merge_stage import START, profile, take  # pyright: ignore[reportMissingImports]
 
 from fieldlum import merge, models, predict, simulate
 from fieldlum.models.data import load_pairs
@@ -44,6 +45,9 @@ from fieldlum.scheduler import (
 )
 from fieldlum.session import Session, create_session
 from fieldlum.site_toml import load_site
+from fieldlum.weather import synthetic_weather
+
+SEATTLE_STANDARD = timezone(timedelta(hours=-8))
 
 
 def main() -> None:
@@ -122,13 +126,15 @@ def years(shared: Path, count: int, days: int) -> tuple[Path, list[Path]]:
         data = load_pairs(session)
         models.save(shared / "model", models.fit("transport", data, patch="none"), data)
     paths = [shared / f"weather-{k}.csv" for k in range(count)]
+    site = load_site(shipped("capture_plans") / "seattle-office.toml").site
     for k, path in enumerate(paths):
-        rng = np.random.default_rng(k)
-        times = np.datetime64("2027-01-01") + np.arange(24 * days) * np.timedelta64(1, "h")
+        year = synthetic_weather(site, seed=k + 1)
         lines = ["month,day,hour,dni_wm2,dhi_wm2"]
-        for t in times.tolist():
-            light = rng.uniform((0, 60), (800, 250)) if 6 <= t.hour < 19 else (0.0, 0.0)
-            lines.append(f"{t.month},{t.day},{t.hour + 0.5},{light[0]:.0f},{light[1]:.0f}")
+        hours = list(zip(year.t_utc, year.dni_wm2, year.dhi_wm2, strict=True))
+        for t, dni, dhi in hours[: 24 * days]:
+            local = t.astimezone(SEATTLE_STANDARD)
+            hour = local.hour + local.minute / 60
+            lines.append(f"{local.month},{local.day},{hour},{dni:.0f},{dhi:.0f}")
         path.write_text("\n".join(lines) + "\n")
     return shared / "model", paths
 
