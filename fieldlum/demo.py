@@ -1,8 +1,8 @@
-"""All stages on simulated captures: one session, each stage's own `run`, then a comparison.
+"""Run all stages on simulated captures, and compare the results with the truth.
 
 Radiance renders the paper's office at every planned hour. A simulated camera takes raw brackets of
 it, and a simulated SPN1 is read over a pseudo-terminal; no later stage knows that it is a
-simulation. The merged, paired and predicted results are then compared with the rendered truth.
+simulation. Merged, paired and predicted results are then compared with the rendered truth.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Preset:
     height: int  # of the panoramas; they are twice as wide
     quality: str  # of the rendered truth
     budget_min: float  # of `train`
-    troubles: str = ""  # file in capture_plans/
+    troubles: str = ""  # file in capture_plans/; "" for no troubles
 
 
 PRESETS = {
@@ -57,7 +57,10 @@ Show = Callable[[str], Any]
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of the demo. seconds: time of each stage [s]; figures: name, value, remark."""
+    """Result of the demo.
+
+    report: path of its page; seconds: time of each stage [s]; figures: name, value, remark.
+    """
 
     report: Path
     seconds: dict[str, float]
@@ -65,7 +68,7 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """Return the session with nine days in the paper's office; continue an earlier demo."""
+    """Return the session with nine days in the paper's office; an earlier demo is continued."""
     from fieldlum import plan
 
     if (folder / "session.toml").is_file():
@@ -76,7 +79,7 @@ def prepare(folder: Path) -> Session:
 
 
 def capture(session: Session, seed: int, progress: Progress) -> None:
-    """Capture brackets and irradiance of all due slots, on a clock that jumps between slots."""
+    """Capture brackets and irradiance of all due slots, with a clock that jumps between slots."""
     from fieldlum import capture as stage
     from fieldlum.capture.live import Live
     from fieldlum.capture.verify import doubts
@@ -90,9 +93,9 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
-    """Return, over all merged panoramas, median error, share within 5 %, and number of maps.
+    """Compare all merged panoramas with the truth.
 
-    The share is of the unflagged pixels.
+    Return the median error, the share of unflagged pixels within 5 %, and the number of maps.
     """
     from fieldlum.images import read_panorama
 
@@ -115,9 +118,9 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
 
 
 def irradiance_against_truth(session: Session) -> tuple[float, float]:
-    """Return the rms error of paired DNI and DHI against the simulator's [W/m2].
+    """Return the rms errors of paired DNI and DHI compared with the simulator's [W/m2].
 
-    Only the sun above 10 degrees counts.
+    Only hours with the sun above 10 degrees count.
     """
     truth = TruthIrradiance.read(session.truth_irradiance)
     rows_of_hours = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}
@@ -186,9 +189,9 @@ def run(
     workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
-    """Run all stages in `folder`, with the paper's weather unless `weather` names another.
+    """Run all stages in `folder`, with the paper's weather unless `weather` names another file.
 
-    Skip every stage that is done.
+    Completed stages are skipped.
     """
     from fieldlum import irradiance, merge, pair, predict, report, simulate, train
     from fieldlum.models.data import load_pairs

@@ -1,10 +1,10 @@
-"""The outside light, its features for learning, and the kernel between hours.
+"""Describe the light outside: its features for learning, and the kernel between hours.
 
-A room responds linearly to the sky's patches and to the sun. Its response to a sun direction varies
-smoothly with the direction, except for the sharp sun patch, which is known from geometry or has its
-own model. The kernel is the covariance that follows: linear in the sky vector, linear in the sun's
-share and smooth in its direction, nothing for a sun behind all facades. `plan` uses it before there
-is a picture, `models.transport` to learn from pictures.
+A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
+sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
+The kernel is the covariance that follows: linear in the sky vector, linear in the sun's share and
+smooth in its direction, zero for a sun behind all facades. `plan` uses it before any picture
+exists, `models.transport` to learn from pictures.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart
 
 Array = NDArray[np.float64]
 
-LEAST_LX = 1e-3  # smallest total light, so that features of a dark hour are finite
+LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite
 # Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
 # Chosen, not measured (docs/decisions/0003-light-kernel.md).
 BEHIND = 0.1
 # Typical cosine between facade and sun, so that the facade factor is about the beam's share.
+# Chosen.
 FACING = 0.8
-LAMP_LX = 1000.0  # outside light at which a lamp's share is about one
+LAMP_LX = 1000.0  # light outside [lx] at which a lamp's share is about one; chosen
 # Azimuths of the walls relative to the room's south wall.
 WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
 @dataclass(frozen=True)
 class Light:
-    """The light of n moments: irradiance and sun (true altitude; azimuth clockwise from north).
+    """The light at n times: irradiance and sun (true altitude; azimuth clockwise from north).
 
-    `perez` : a sky known otherwise (the coefficients of a rendering); None: computed from the
-    irradiance. `states` : the room's state in each moment, as in `fieldlum.room_states`; None: the
-    usual state in all of them. `refraction` : pictures show the sun raised by the atmosphere, as a
-    camera does; False: at the true altitude, as a rendering by others does.
+    `perez` : a sky known from elsewhere (the coefficients of a rendering); None: computed from the
+    irradiance. `states` : the room's state at each time, as in `fieldlum.room_states`; None: the
+    usual state. `refraction` : whether pictures show the sun as raised by refraction, as a camera
+    does, or at the true altitude, as some renderings do.
     """
 
     t_utc: tuple[datetime, ...]
@@ -58,7 +59,7 @@ class Light:
         return len(self.t_utc)
 
     def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Light:
-        """Return the moments of an index, a boolean array or a slice."""
+        """Return the times that an index, a boolean array or a slice selects."""
         index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
         return Light(
             tuple(self.t_utc[i] for i in index),
@@ -73,14 +74,14 @@ class Light:
 
     @cached_property
     def sky(self) -> PerezSky:
-        """The skies of all moments."""
+        """The skies at all times."""
         if self.perez is not None:
             return self.perez
         return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
 
     @cached_property
     def sun_direction(self) -> Array:
-        """Unit vectors towards the true sun, [n, 3]: x east, y north, z up. For sky and kernels."""
+        """Unit vectors towards the true sun, [n, 3]: x east, y north, z up; for sky and kernels."""
         return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
@@ -92,7 +93,7 @@ class Light:
 
     @cached_property
     def shown_sun_direction(self) -> Array:
-        """Unit vectors towards the sun of the pictures, [n, 3]. For patches, disc and glare."""
+        """Unit vectors towards the sun in pictures, [n, 3]; for patches, disc and glare."""
         return sun.direction(self.shown_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
@@ -101,9 +102,9 @@ class Light:
         return self.sky_at(reinhart_patches().directions)
 
     def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the luminance of the sky in directions [m, 3], without the sun, [n, m], in cd/m2.
+        """Return the sky's luminance in directions [m, 3], without the sun, [n, m], in cd/m2.
 
-        Below the horizon it is that of an open ground.
+        Below the horizon it is that of open ground.
         """
         return perez_luminance(self.sky, self.sun_direction, directions, dtype=np.float32)  # pyright: ignore
 
@@ -122,15 +123,15 @@ class Light:
 
     @cached_property
     def total_lx(self) -> Array:
-        """Sky on the horizontal plus sun on its normal, [n], in lx.
+        """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
-        Features are divided by it; it does not become small with a low sun.
+        Features are divided by it; it is not small for a low sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
-    """Return the light of n moments, with the sun by SPA. Raises ValueError for naive times.
+    """Return the light at n times, with the sun by SPA. Raises ValueError for times without a zone.
 
     dni_wm2, dhi_wm2 : [n] or one value, W/m2.
     """
@@ -159,19 +160,19 @@ class Facades:
 
 
 def one_facade(azimuth_deg: float) -> Facades:
-    """Return a single facade of weight one."""
+    """Return a single facade with weight one."""
     return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
 
 
 def facades_unknown() -> Facades:
-    """Return eight equal directions, for a room of which nothing is known."""
+    """Return eight equal facades, for a room of which nothing is known."""
     return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
 
 
 def facades_of(room: Room | None) -> Facades:
     """Return the walls with windows.
 
-    The weight of the largest is one; that of the others is the root of their share of glass.
+    The largest has weight one; the others have the root of their share of glass.
     """
     if room is None or room.kind != "box" or not room.window:
         return facades_unknown()
@@ -189,13 +190,14 @@ def facades_of(room: Room | None) -> Facades:
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """The quantities of the kernel, per unit of total light.
+    """The quantities that the kernel compares, per unit of total light.
 
     sky [n, P] : luminances weighted by the root of the solid angle; beam [n] : the sun's share;
-    direction [n, 3] : of the sun; cells [n, c] : direct sun in view, by cells of the picture, if
-    sun patches are known; bounced [n, k] : the sun's light in a coarse model of the room, if there
-    is one; lamps [n, l] : electric light, which does not follow daylight, LAMP_LX / E while on;
-    changed [n, m] : one while the room is in a state (a blind down) that changes its response.
+    direction [n, 3] : of the sun; cells [n, c] : direct sun in view by cells of the picture, if sun
+    patches are known; bounced [n, k] : the sun's light in a coarse model of the room, if there is
+    one; lamps [n, l] : electric light, which does not follow daylight, LAMP_LX / E while on;
+    changed [n, m] : 1 while the room is in a state (such as a blind down) that changes its
+    response.
     """
 
     sky: NDArray[np.float32]
@@ -222,7 +224,7 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Return sky and sun of each moment, divided by the total light."""
+    """Return sky and sun at each time, divided by the total light."""
     root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
     sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
@@ -232,7 +234,7 @@ def light_features(light: Light) -> Features:
 class Kernel:
     """Prior covariance between hours of the light that reaches a pixel, per unit of total light.
 
-    The defaults come from a study of one room and may be changed threefold without much effect
+    The defaults are from a study of one room and may change threefold with little effect
     (docs/decisions/0003-light-kernel.md). Widths are chords of the sun's direction (0.5 is about 29
     degrees).
     """
@@ -241,11 +243,11 @@ class Kernel:
     constant: float = 1.0  # a room that follows total light; the sun; the sun on the ground
     sky: float = 2.0
     beam_width: float = 0.5
-    facade: float = 1.0  # sun on the facades, smooth in its direction
+    facade: float = 1.0  # sun on the facades, smooth in the sun's direction
     cells: float = 0.5
     bounced: float = 5.0  # the sun's light in a coarse model of the room
     lamps: float = 100.0  # electric light: ten times the room's daylight at LAMP_LX outside
-    changed: float = 1.0  # how much a state of the room changes its response to light
+    changed: float = 1.0  # effect of a state of the room on its response to light
 
     def __call__(self, a: Features, b: Features) -> Array:
         """Return the covariance matrix, [len(a), len(b)]."""
@@ -286,7 +288,7 @@ def _ground(a: Features) -> Array:
 
 
 def _facade(a: Features, facades: Facades) -> Array:
-    """Return the beam's share on each facade, [n, f]."""
+    """Return the sun's share on each facade, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
 
@@ -300,7 +302,7 @@ class GreedySelection:
     """The hours of a greedy choice.
 
     index [k] : into the pool, in the order of choice; variance [k + 1] : mean predictive variance
-    over the year before any choice and after each, as a share of the prior variance.
+    over the year, before any choice and after each, over the prior variance.
     """
 
     index: NDArray[np.intp]
@@ -318,9 +320,9 @@ def greedy_hours(
     weights: Array | None = None,
     progress: Progress = quiet,
 ) -> GreedySelection:
-    """Choose from `pool`, one by one, the hour that reduces the summed variance over `year` most.
+    """Choose from `pool`, one at a time, the hour that most reduces the variance over `year`.
 
-    Needs weather only, no picture. taken : hours already captured; weights [len(year)] : the
+    Only weather is needed, no picture. taken : hours already captured; weights [len(year)] :
     importance of each hour of the year; noise : variance of one capture, in units of the kernel.
     Cost: O(len(year) len(pool) count).
     """

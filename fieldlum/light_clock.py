@@ -1,4 +1,7 @@
-"""The offset of a log's clock, from the light: its days are centred on solar noon under any sky."""
+"""Estimate the offset of a log's clock from the light, as days are centred on solar noon.
+
+This is true on average under any sky.
+"""
 
 from __future__ import annotations
 
@@ -12,35 +15,40 @@ from fieldlum.records import Site
 
 Array = NDArray[np.float64]
 
-LIT_WM2 = 10.0  # global irradiance with the sun at 1 (clear) to 4 degrees (overcast)
-# A smaller offset is not reported: mornings and evenings whose clouds differ twentyfold shift the
+LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degrees (overcast)
+# Smaller offsets are not reported: mornings and evenings whose clouds differ twentyfold shift the
 # middle of the light by under 7 minutes.
 CLOCK_WARN_S = 1200.0
 _SET_S = 1800.0  # smallest step of a clock that was set; chosen, not measured
-_LEAST_DAYS = 3  # on each side of such a step
-# Altitude of the day's highest sun and of the night's lowest, at least: else clouds make day and
-# night. Chosen, not measured.
+_LEAST_DAYS = 3  # least number of days before and after such a step; chosen
+# Least altitude of the day's highest sun, and least depression of the night's lowest sun; otherwise
+# clouds decide between day and night. Chosen, not measured.
 _SETS_DEG = 5.0
-_LONGEST_STORM_S = 7200.0  # of a dark spell within a day; chosen, not measured
-# Below it there are at most 40 lx, or 0.4 W/m2. An error of one hour of daylight saving is light
-# there at every dusk or every dawn.
+_LONGEST_STORM_S = 7200.0  # longest dark spell within a day [s]; chosen, not measured
+# With a lower sun there are at most 40 lx, or 0.4 W/m2. If daylight saving was ignored, there is
+# light at this sun at every dusk or every dawn.
 _NIGHT_SUN_DEG = -3.0
-# Rows before and after the day must not be further apart: else the start of the light is unknown.
+# Rows before and after the day must not be further apart [s], otherwise the start of the light is
+# unknown. Chosen.
 _SEEN_DARK_S = 900.0
 
 
 def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
-    """Return the median over days of (logged middle of the light minus solar noon), in s.
+    """Return the median over days of the logged middle of the light minus solar noon [s].
 
-    t_unix_s, ghi_wm2 [n] : rows in order of time. A positive value is a clock that is fast, or a
-    stated offset from UTC that is too small: -43 200 to 43 200 s. None without a complete day.
+    t_unix_s, ghi_wm2 [n] : rows in order of time. A positive value means that the clock is fast, or
+    that the stated offset from UTC is too small: -43 200 to 43 200 s. Return None without a
+    complete day.
     """
     off = days_off_s(t_unix_s, ghi_wm2, site)[1]
     return float(np.median(off)) if len(off) else None
 
 
 def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[datetime], Array]:
-    """Return each complete day's middle of the light, and that minus solar noon, [days], s."""
+    """Return each complete day's middle of the light, and its distance from solar noon.
+
+    The distance is [days] s, positive after solar noon.
+    """
     known = np.isfinite(ghi_wm2)
     middles = [0.5 * (first + last) for first, last in whole_days(t_unix_s[known], ghi_wm2[known])]
     times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
@@ -52,13 +60,11 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
 
 
 def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
-    """Return the first day after the clock was set, and by how much; None if it was not set.
+    """Return the first day after the clock was set, and the size of the step; None without a step.
 
-    The split of the days with the least scatter on both sides, at least three days on each. A step
-    counts from half an hour on, and if it removes half of all scatter: the middle of one day of
-    broken clouds can be wrong by an hour.
-
-    t_unix_s, ghi_wm2 : [n] rows in order of time.
+    The days are split so that the scatter on both sides is least, with at least three days on each.
+    A step must be at least half an hour and remove half of all scatter, because the middle of one
+    day of broken clouds can be wrong by an hour. t_unix_s, ghi_wm2 : [n] rows in order of time.
     """
     days, off = days_off_s(t_unix_s, ghi_wm2, site)
     splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
@@ -82,7 +88,7 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 
 
 def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
-    """Return first and last moment of each spell of light with logged darkness on either side.
+    """Return the first and last time of each spell of light between logged darkness.
 
     t_unix_s, ghi_wm2 : [n] rows in order of time.
     """
@@ -111,11 +117,9 @@ def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
 def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
     """Return minutes with light while the sun is well down.
 
-    Then the logger's clock, the stated offset, or the sign of the longitude is wrong. Unlike
-    `clock_off_s` this needs no complete day, but gives no offset, and finds none under half an
-    hour.
-
-    t_unix_s, ghi_wm2 : [n] rows.
+    They show that the logger's clock, the stated offset, or the sign of the longitude is wrong.
+    Unlike `clock_off_s` this needs no complete day, but gives no offset, and does not detect an
+    offset of less than half an hour. t_unix_s, ghi_wm2 : [n] rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     if len(minutes) == 0:

@@ -1,8 +1,8 @@
-"""From the counts and codes of a camera frame to linear light, by the camera's profile.
+"""Convert counts and codes of a camera frame to linear light, by the camera's profile.
 
-Merge, calibrate and the simulated cameras share these rules, so that a frame means the same in all
-of them: which frames belong to a profile, black level and saturation, gain, the true shutter time
-with its uncertainty, filters, vignetting, response, and the lens on a part of the sensor.
+Merge, calibrate and the simulated cameras share these rules, so that a frame has the same meaning
+in all of them: which frames belong to a profile, black level and saturation, gain, the true shutter
+time with its uncertainty, filters, vignetting, response, and the lens on a part of the sensor.
 """
 
 from __future__ import annotations
@@ -36,17 +36,20 @@ _SAME_APERTURE_STOPS = 0.4
 
 
 def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
-    """Raise InputError for a frame of another size or camera model than the profile's.
+    """Raise InputError for a frame whose size or camera model differs from the profile's.
 
-    shape : (height, width, ...); model : recorded in the file, "" if it is not.
+    shape : (height, width, ...); model : as recorded in the file, "" if it is not.
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
         size = f"{shape[1]} x {shape[0]} pixels"
         expected = f"{body.width_px} x {body.height_px} pixels, the size of {body.name}"
-        raise InputError(path, size, expected, "use its own profile")
+        raise InputError(path, size, expected, "use a profile of this camera (--camera)")
     if model and body.model and not same_model(model, body.model):
-        remedy = "use its own profile; if this is its own, write that model under [camera]"
+        remedy = (
+            "use a profile of this camera; if this profile is right, write that model "
+            "under [camera]"
+        )
         expected = f"{body.model}, the camera of {body.name}"
         raise InputError(path, f"taken by {model}", expected, remedy)
 
@@ -64,15 +67,15 @@ def full_dn(
 ) -> list[float]:
     """Return the counts at which R, G1, G2, B saturate, in DN, black included.
 
-    The least of the profile's saturation, the file's white level and the plateau in the frames
-    (None: the frames have none).
+    They are the least of the profile's saturation, the file's white level and the plateau in the
+    frames (None if the frames have none).
     """
     tops = zip(profile.sensor.saturation_dn, plateau_dn, strict=True)
     return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
 
 
 def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
-    """Return counts above black [...] DN, made linear in light by the profile's curve."""
+    """Return counts above black [...] DN after the profile's linearity correction."""
     sensor = profile.sensor
     if not sensor.linearity:
         return above_dn
@@ -81,9 +84,9 @@ def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -
 
 
 def curve_u_rel(profile: CameraProfile) -> float:
-    """Return the relative uncertainty of the curve from counts or codes to light.
+    """Return the relative uncertainty of the conversion from counts or codes to light.
 
-    It is a JPEG's response, or a raw sensor's linearity.
+    It is that of a JPEG's response, or of a raw sensor's linearity.
     """
     raw = profile.camera.kind == "raw"
     return profile.sensor.linearity_u_rel if raw else profile.response.u_rel
@@ -95,10 +98,10 @@ def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
 
 
 def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
-    """Return the time that a nominal shutter time exposes, and its relative standard uncertainty.
+    """Return the true time of a nominal shutter time, and its relative standard uncertainty.
 
-    The profile's measured time if it has one, else the time under its shutter law; before any fit
-    of ratios.
+    It is the profile's measured time, or else the time by its shutter law; no ratios have been
+    fitted yet.
     """
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
@@ -108,13 +111,13 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
 
 
 def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
-    """Return linear z in 0 to 1 per cd/m2 without a filter, by the true shutter time."""
+    """Return the linear signal z (0 to 1) per cd/m2 without a filter, by the true shutter time."""
     shutter_s, _ = true_shutter_s(exposure.shutter_s, profile)
     return z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
 
 
 def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
-    """Return luminance without over luminance with a filter for R, G, B; ones without a filter.
+    """Return luminance without a filter over luminance with it, for R, G, B; ones without a filter.
 
     Raises InputError for a filter that the profile does not have.
     """
@@ -128,15 +131,15 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
         profile.camera.name,
         f"filter '{name}'",
         f"one of the profile's: {names}",
-        "add it to the profile under [[nd]]",
+        "add the filter to the profile under [[nd]]",
     )
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
     """Return the coefficients of V and the relative uncertainty at the edge, for an aperture.
 
-    An aperture without a curve takes the nearest one, at most a third of a stop away; a lens
-    without any has V = 1. Raises InputError for other apertures and for an impossible curve.
+    An aperture without a curve uses the nearest curve, at most a third of a stop away; a lens
+    without any curve has V = 1. Raises InputError for other apertures and for an impossible curve.
     """
     if not lens.vignetting:
         return (1.0,), 0.0
@@ -144,11 +147,21 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
         measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
         found = f"no vignetting for f/{f_number:g}"
-        raise InputError(lens.name, found, f"one of {measured}", "calibrate this aperture")
+        raise InputError(
+            lens.name,
+            found,
+            f"one of {measured}",
+            "calibrate this aperture: fieldlum calibrate vignette",
+        )
     wrong = check_vignetting(nearest.coefficients)
     if wrong:
         found = f"vignetting at f/{nearest.f_number:g}: {wrong}"
-        raise InputError(lens.name, found, "a loss towards the edge", "calibrate it again")
+        raise InputError(
+            lens.name,
+            found,
+            "a loss towards the edge",
+            "calibrate it again: fieldlum calibrate vignette",
+        )
     return nearest.coefficients, nearest.u_rel
 
 
@@ -170,9 +183,10 @@ def response_tables(profile: CameraProfile) -> NDArray[np.float64]:
 def lens_geometry(
     lens: Lens, turn_deg: float = 0.0, corner_px: tuple[float, float] = (0.0, 0.0)
 ) -> LensGeometry:
-    """Return the lens over a part of its sensor, with the camera turned.
+    """Return the lens's geometry on a part of its sensor, with the camera turned.
 
-    turn_deg : the camera's heading minus the panorama's; corner_px : x, y of the part's top left.
+    turn_deg : the camera's heading minus the panorama's; corner_px : x, y of the part's top left
+    corner.
     """
     x, y = lens.centre_px
     return replace(

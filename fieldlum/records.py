@@ -1,4 +1,4 @@
-"""Frozen values that cross the borders between stages; units are in the names, times are UTC."""
+"""Define the values that stages exchange: frozen, with units in their names and times in UTC."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.floating]
 Progress = Callable[[int, int, str], None]
-"""Called as progress(done, total, text) by anything that takes over two seconds."""
+"Called as progress(done, total, text) by any work that takes over two seconds."
 
 
 def quiet(done: int, total: int, text: str) -> None:
-    """Show no progress."""
+    """Ignore progress; used if nobody wants to see it."""
 
 
 # ----------------------------------------------------------------------------------------------
@@ -64,11 +64,14 @@ def slot_id(t_utc: datetime) -> str:
 
 
 class Flag(IntFlag):
-    """Why a pixel's value must be used with care; every invented value has a flag."""
+    """Why a pixel's value must be used with care.
 
-    CLIPPED_HIGH = 1  # every frame saturated: the value is a lower bound
+    A value that was not measured always has a flag.
+    """
+
+    CLIPPED_HIGH = 1  # every frame is saturated, so that the value is a lower bound
     BELOW_NOISE = 2  # no frame rises above its noise
-    BLOOM = 4  # a neighbour saturated
+    BLOOM = 4  # a neighbouring pixel is saturated
     MOTION = 8  # frames disagree beyond their noise
     ND = 16  # the value comes from frames through a neutral-density filter
     FILLED = 32  # interpolated from neighbours
@@ -173,7 +176,7 @@ class PyranometerSetup:
 
 @dataclass(frozen=True, slots=True)
 class SiteFile:
-    """All of SITE.toml."""
+    """The content of SITE.toml."""
 
     site: Site
     camera: CameraSetup = field(default_factory=CameraSetup)
@@ -221,7 +224,7 @@ class Slot:
 
     @property
     def id(self) -> str:
-        """The slot's name, its UTC start."""
+        """Name of the slot, which is its UTC start."""
         return slot_id(self.t_utc)
 
 
@@ -242,7 +245,7 @@ class IrradianceSample:
 # luminance
 
 
-CLIPPED_SUN = "clipped"  # origin of a sun that saturated in every frame: a lower bound
+CLIPPED_SUN = "clipped"  # origin of a sun that is clipped in every frame, which is a lower bound
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
-"""States of a room that captures can be marked with: lamps, blinds, snow.
+"""Define the states of a room with which captures can be marked: lamps, blinds, snow.
 
 A state is text such as ``lamp=on;blind=half``; an empty text is the usual room (lamps off, blinds
-up, no snow). Lamps add light; the other words change how the room answers to daylight.
+up, no snow). Lamps add light; the other words change the room's response to daylight.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in KNOWN.items()
 def parse_state(text: str) -> tuple[str, ...]:
     """Return the unusual parts of a state in a fixed order, such as ("blind=half", "lamp=on").
 
-    Raises ValueError for a word or a value that is not in KNOWN, or a word that is given twice.
+    Raises ValueError for a word or a value that is not in KNOWN, or for a repeated word.
     """
     parts: dict[str, str] = {}
     for part in filter(None, (piece.strip() for piece in text.split(";"))):
         word, _, value = (piece.strip() for piece in part.partition("="))
         if word not in KNOWN or value not in KNOWN[word] or word in parts:
-            raise ValueError(f"'{part}' is no state of a room; known: {USAGE}")
+            raise ValueError(f"'{part}' is not a state of a room; known: {USAGE}")
         parts[word] = value
     return tuple(
         f"{word}={value}" for word, value in sorted(parts.items()) if value != KNOWN[word][0]
@@ -49,6 +49,6 @@ def merged_state(text: str, change: str) -> str:
 
 
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return one where a moment's state has that part, [n, columns]."""
+    """Return 1 where the state at a time has that part, else 0, [n, columns]."""
     rows = [[float(part in parse_state(text)) for part in columns] for text in states]
     return np.array(rows, float).reshape(len(states), len(columns))

@@ -1,9 +1,9 @@
-"""Products of direction vectors whose every row is the same whatever is computed with it.
+"""Multiply direction vectors so that a row does not depend on the other rows.
 
-A BLAS library picks its kernel by the shape of a product, and kernels add in different orders: a
-row computed alone then differs in the last bit from the same row among twelve. What is written to
-a file that a resumed run must write again, bit by bit, is computed with these functions instead:
-three products, added in the order x, y, z.
+A BLAS library chooses its algorithm by the shape of a product, and algorithms add in different
+orders: a row computed alone then differs in the last bit from the same row among twelve. Files that
+a resumed run must write again, bit by bit, are computed with these functions instead: three
+products, added in the order x, y, z.
 """
 
 from __future__ import annotations

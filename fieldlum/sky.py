@@ -1,4 +1,4 @@
-"""Perez all-weather skies and Reinhart patches, vectorised.
+"""Compute Perez all-weather skies and Reinhart patches, vectorised.
 
 The sky is that of Radiance's gendaylit 2.5 (Perez, Seals, Michalsky 1993, Solar Energy 50(3)) with
 perezlum.cal; luminous efficacies are those of Perez, Ineichen, Seals, Michalsky, Stewart 1990,
@@ -131,7 +131,7 @@ class SkyPatches:
 
 
 def patches_per_row(mf: int = 4) -> list[int]:
-    """Return the count of patches of each row from the horizon up; the last is the zenith cap."""
+    """Return the number of patches in each row from the horizon up; the last is the zenith cap."""
     return [n * mf for n in (30, 30, 24, 24, 18, 12, 6) for _ in range(mf)] + [1]
 
 
@@ -139,8 +139,8 @@ def patches_per_row(mf: int = 4) -> list[int]:
 def reinhart_patches(mf: int = 4) -> SkyPatches:
     """Return Reinhart's division of the sky, 144 mf^2 + 1 patches.
 
-    In the order of Radiance's reinhartb.cal and rskysrc.cal: bin 0 is the first, centred on north
-    at the horizon; azimuth increases clockwise. The ground is no patch.
+    The order is that of Radiance's reinhartb.cal and rskysrc.cal: bin 0 is centred on north at the
+    horizon, and azimuth increases clockwise. The ground is not a patch.
     """
     rows = patches_per_row(mf)
     height = np.pi / 2 / (7 * mf + 0.5)
@@ -173,10 +173,10 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
 
 @dataclass(frozen=True, slots=True)
 class PerezSky:
-    """Skies of n moments: arrays [n] and shape [n, 5] = Perez's a, b, c, d, e.
+    """The skies at n times: arrays [n], and shape [n, 5] = Perez's a, b, c, d, e.
 
     The shape is A3 to A7 of perezlum. norm_cdm2 = 179 A1; ground_cdm2 = 179 A2 is the luminance of
-    an open ground of reflectance .2, with its sun. direct_lx is the sun's illuminance on a plane
+    open ground with reflectance 0.2, in the sun. direct_lx is the sun's illuminance on a plane
     normal to it, diffuse_lx the sky's on the horizontal.
     """
 
@@ -219,7 +219,10 @@ def _air_mass(zenith_deg: Array) -> Array:
 def _clearness_brightness(
     dni: Array, dhi: Array, zenith_deg: Array, day: Array
 ) -> tuple[Array, Array]:
-    """Return Perez's epsilon and Delta, [n] each, limited to the model's range as in gendaylit."""
+    """Return Perez's epsilon (clearness) and Delta (brightness), [n] each.
+
+    Both are limited to the model's range, as in gendaylit.
+    """
     cubed = 1.041 * np.radians(zenith_deg) ** 3
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         clearness = ((dhi + dni) / dhi + cubed) / (1 + cubed)
@@ -238,7 +241,7 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
     x = _SHAPE[np.searchsorted(_BINS, clearness, side="right")]
     terms = np.stack((np.ones_like(zenith), zenith, brightness, brightness * zenith), axis=-1)
     shape = np.zeros((len(x), 5))
-    for j in range(4):  # in this order, so that an hour does not depend on the others
+    for j in range(4):  # in this order, so that an hour does not depend on the other hours
         shape += x[:, :, j] * terms[:, j, None]
     overcast = clearness < _BINS[0]
     c, d = x[overcast, 2], x[overcast, 3]
@@ -269,9 +272,9 @@ def _tregenza() -> tuple[Array, Array]:
 def _relative_horizontal(shape: Array, zenith: Array) -> Array:
     """Return the integral of the relative luminance times the cosine, [n], over 145 points.
 
-    The rule is gendaylit's. Far outside of Perez's data the formula is negative over all of the
-    sky, which the normalisation corrects (the integral is negative too), or over a part of it:
-    that part then has no light.
+    The rule is gendaylit's. Far outside Perez's data the formula is negative: over all of the sky,
+    which the normalisation corrects (the integral is negative too), or over a part of it, which
+    then has no light.
     """
     theta, phi = _tregenza()
     z = zenith[:, None]
@@ -307,8 +310,8 @@ def perez_coefficients(
     """Return skies from direct normal and diffuse horizontal irradiance, as gendaylit -W does.
 
     when : day of the year [n] or UTC times. The sun's altitude is limited to 0 to 87 degrees, as in
-    gendaylit. Unlike in gendaylit, a sky outside the model (with a positive coefficient b) is
-    levelled towards the horizon, not black. Negative irradiance counts as 0.
+    gendaylit. A sky outside the model (with a positive coefficient b) is levelled towards the
+    horizon; gendaylit gives a black sky. Negative irradiance counts as 0.
     """
     day = _days(when)
     dni, dhi, altitude_deg, day = (
@@ -353,7 +356,7 @@ def perez_luminance(
 ) -> NDArray[np.floating]:
     """Return the luminance of n skies in m directions, [n, m], in cd/m2, without the sun disc.
 
-    It is 179 times perezlum, with its transition into the ground. sun_direction [n, 3] and
+    It is 179 times perezlum, including its transition to the ground. sun_direction [n, 3] and
     directions [m, 3] are unit vectors.
     """
     sun = np.atleast_2d(np.asarray(sun_direction, dtype))

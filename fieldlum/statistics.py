@@ -1,4 +1,4 @@
-"""Robust spread, standard errors and the one-standard-error rule, the same in every stage."""
+"""Compute robust spreads, standard errors and the one-standard-error rule, for all stages."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ _MEDIAN_OVER_MEAN_ERROR = 1.2533
 def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     """Return the standard deviation that the median absolute deviation of `values` implies.
 
-    values: [n]. centre: where deviations are measured from; the median of `values` unless given.
-    One half of the values may be gross errors (Rousseeuw and Croux, J. Am. Stat. Assoc. 88, 1993).
+    values: [n]. centre: the value from which deviations are measured; by default the median of
+    `values`. Half of the values may be gross errors (Rousseeuw and Croux, J. Am. Stat. Assoc. 88,
+    1993).
     """
     array = np.asarray(values, float)
     middle = np.median(array) if centre is None else centre
@@ -32,9 +33,9 @@ def median_standard_error(sigma: float, count: int) -> float:
 def standard_error(values: NDArray[np.floating], groups: NDArray[Any] | None = None) -> float:
     """Return the standard error of the mean of `values`, [n]; NaN for one value or one group.
 
-    groups [n]: values of one group (hours of one day) share their errors, so that groups are what
-    is independent: cluster-robust with Bessel's correction (Cameron and Miller, J. Human Resources
-    50, 2015, eq. 11 with a constant as the only regressor).
+    groups [n]: values of one group (such as hours of one day) share their errors, and only the
+    groups are independent. The error is then cluster-robust with Bessel's correction (Cameron and
+    Miller, J. Human Resources 50, 2015, eq. 11 with a constant as the only regressor).
     """
     values = np.asarray(values, float)
     if groups is None:
@@ -57,9 +58,9 @@ def is_no_worse(
     """Return whether a model's held-out errors are within one standard error of the best model's.
 
     errors, best_errors [n]: of the same data in the same order. The standard error is that of the
-    paired differences, by `groups` as in `standard_error`: easy and difficult days are the same
-    for both models, so their spread does not describe the difference. With one datum or one
-    group the standard error counts as 0.
+    paired differences, by `groups` as in `standard_error`: easy and difficult days are the same for
+    both models, so that their spread does not describe the difference. With one value or one group
+    the standard error counts as 0.
     """
     difference = np.asarray(errors, float) - np.asarray(best_errors, float)
     return bool(difference.mean() <= np.nan_to_num(standard_error(difference, groups)))

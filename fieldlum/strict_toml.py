@@ -1,4 +1,4 @@
-"""Strict TOML: an unknown key, a wrong type or a missing value is an error."""
+"""Read TOML strictly: an unknown key, a wrong type or a missing value is an error."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from fieldlum.errors import InputError
 
 T = TypeVar("T")
 
-_MAX_BYTES = 4_000_000  # the largest file of this tool has some kB; /dev/zero has no end
+# bytes; the largest file of fieldlum has some kB, but /dev/zero has no end; chosen
+_MAX_BYTES = 4_000_000
 
 
 def build(cls: type[T], table: dict[str, Any], where: str) -> T:
@@ -34,7 +35,9 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
             raise InputError(where, f"unknown key '{key}'", remedy=hint)
     for name, f in known.items():
         if name not in table and f.default is MISSING and f.default_factory is MISSING:
-            raise InputError(where, f"no '{name}'", f"a value for '{name}'", "add it")
+            raise InputError(
+                where, f"no '{name}'", f"a value for '{name}'", "add this key with its value"
+            )
     return cls(
         **{key: _value(hints[key], value, f"{where} [{key}]") for key, value in table.items()}
     )
@@ -59,7 +62,9 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
         if inner is None and len(value) != len(arguments):
             expected = f"{len(arguments)} values"
-            raise InputError(where, f"{len(value)} values", expected, "correct the list")
+            raise InputError(
+                where, f"{len(value)} values", expected, "correct the number of values in the list"
+            )
         return tuple(
             _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
         )
@@ -88,23 +93,26 @@ def _value(hint: Any, value: Any, where: str) -> Any:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises InputError for a missing file or for a file that is no TOML."""
+    """Read a TOML file.
+
+    Raises InputError if the file is missing, or is not TOML.
+    """
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
             found = f"more than {_MAX_BYTES / 1e6:.0f} MB"
-            raise InputError(path, found, "a TOML file", "check the path")
+            raise InputError(path, found, "a TOML file", "check the path of the file")
         # Editors of Windows write a byte order mark before the text.
         return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise InputError(
-            path, error.strerror or str(error), "a readable TOML file", "check the path"
+            path, error.strerror or str(error), "a readable TOML file", "check the path of the file"
         ) from None
     except UnicodeDecodeError as error:
         raise InputError(
             path,
-            f"byte {error.object[error.start]:#04x} that is no UTF-8",
+            f"byte {error.object[error.start]:#04x}, which is not UTF-8",
             "TOML in UTF-8",
             "save it again with the encoding UTF-8",
         ) from None
@@ -115,7 +123,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return dataclasses as values that TOML can have: no None, tuples as lists."""
+    """Return a dataclass as values that TOML can store: no None, and lists for tuples."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):

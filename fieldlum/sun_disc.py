@@ -1,8 +1,8 @@
-"""The sun disc in a luminance map: it is found, removed and added by its energy.
+"""Find the sun disc in a luminance map; remove or add it by its energy.
 
-A map has the sun in one or a few pixels, whose luminance depends on the size of the pixels: only
-the disc's illuminance on a plane normal to the sun is comparable. Merge, training data and the
-glare of single pictures all separate map and disc with the functions of this module.
+In a map the sun is in one or a few pixels, whose luminance depends on their size: only the disc's
+illuminance on a plane normal to the sun is comparable. Merge, training data and the glare of single
+pictures separate map and disc with the functions of this module.
 """
 
 from __future__ import annotations
@@ -39,27 +39,31 @@ BRIGHTEST_SURFACE_CDM2 = 1e5
 # A uniform overcast sky of 60 klx; the least bound on surfaces where DNI shows that the sun is
 # weak.
 _BRIGHTEST_SKY_CDM2 = 2e4
-_SURFACE_MARGIN = 3.0  # of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2
-_LEAST_SHARE = 0.02  # of the sun's illuminance by DNI: less is scattered light, not a part of it
-_LUMENS_PER_WATT = 93.0  # of direct sunlight, to 15 %; only the bounds above depend on it
+_SURFACE_MARGIN = 3.0  # multiple of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2
+# of the sun's illuminance by DNI; less is scattered light, not part of the sun; chosen
+_LEAST_SHARE = 0.02
+_LUMENS_PER_WATT = 93.0  # of direct sunlight, accurate to 15 %; only the bounds above depend on it
 _CONTRAST = 3.0  # least ratio of the disc's brightest pixel to the median around it
-_ABOVE_RING = 1.05  # a pixel over this share of the bright pixels around belongs to the disc
-_BRIGHT_QUANTILE = 0.9  # of the ring: bars and walls in it do not make the sky a part of the sun
-_LEAST_PART = 0.05  # of the brightest pixel's excess: dimmer ones are the bright sky at the sun
-_SEARCH_RAD = np.radians(3.0)  # pointing of a camera that was set up by hand
+# a pixel brighter than this multiple of the bright surrounding pixels belongs to the disc; chosen
+_ABOVE_RING = 1.05
+# quantile of the ring: bars and walls in it must not make the sky a part of the sun; chosen
+_BRIGHT_QUANTILE = 0.9
+# of the brightest pixel's excess: dimmer pixels are the bright sky around the sun; chosen
+_LEAST_PART = 0.05
+_SEARCH_RAD = np.radians(3.0)  # error of direction of a camera that was set up by hand; chosen
 _CLIPPED_REACH_RAD = np.radians(1.5)  # halo of a clipped disc above the clipping level, at most
 _PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
 
 
 @dataclass(frozen=True, slots=True)
 class SunDisc:
-    """The disc as a map shows it.
+    """The sun disc in a map.
 
-    altitude_deg, azimuth_deg : of its measured centre of energy; sigma_deg : standard uncertainty
-    of the centre along each axis, NaN if the map cannot determine it (then the centre is the
-    expected place). normal_lx : illuminance on a plane normal to the sun in excess of the
-    surroundings, a lower bound if `clipped`. pixels [H, W] : the disc's pixels; surroundings_cdm2 :
-    their luminance without it.
+    altitude_deg, azimuth_deg : its measured centre of energy; sigma_deg : standard uncertainty of
+    the centre along each axis, NaN if the map cannot determine it (then the centre is the expected
+    position). normal_lx : illuminance on a plane normal to the sun, in excess of the surroundings;
+    a lower bound if `clipped`. pixels [H, W] : mask of the disc's pixels; surroundings_cdm2 :
+    luminance of these pixels without the disc.
     """
 
     altitude_deg: float
@@ -73,7 +77,7 @@ class SunDisc:
 
 @dataclass(frozen=True, slots=True)
 class _Band:
-    """The rows of a map that the search may touch; arrays [rows, W]."""
+    """The rows of a map in which the disc is searched; arrays [rows, W]."""
 
     first: int
     light: NDArray[np.float64]
@@ -103,15 +107,15 @@ def find_disc(
     clipped: NDArray[np.bool_] | None = None,
     dni_wm2: float | None = None,
 ) -> SunDisc | None:
-    """Return the sun disc in a map [H, W = 2H], or None.
+    """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
 
-    near_deg : expected altitude and azimuth, to 3 degrees or 2.5 pixels; without it the map's
-    brightest spot is examined, and must not be brighter than the sun can be. clipped [H, W] :
+    near_deg : expected altitude and azimuth, to 3 degrees or 2.5 pixels. Without it the map's
+    brightest spot is examined, which must not be brighter than the sun can be. clipped [H, W] :
     pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, if known.
 
-    A disc is a compact spot whose brightest pixel exceeds any surface or sky and three times its
-    surroundings, and whose energy is that of a disc of `LEAST_DISC_CDM2` or more. If the spot is
-    clipped, only its place counts: a compact clipped spot, or clipping at the expected place.
+    A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
+    surroundings, and its energy is that of a disc of `LEAST_DISC_CDM2` or more. If the spot is
+    clipped, only its position counts: a compact clipped spot, or clipping at the expected position.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = light.shape
@@ -145,7 +149,7 @@ def split_disc(
     near_deg: tuple[float, float],
     dni_wm2: float,
 ) -> tuple[NDArray[np.float32], float]:
-    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx, 0 without one.
+    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx (0 if absent).
 
     near_deg : the sun's altitude and azimuth; dni_wm2 : its direct irradiance.
     """
@@ -161,9 +165,9 @@ def add_disc(
     disc_lx: NDArray[np.float64],
     heading_deg: float,
 ) -> NDArray[np.float32]:
-    """Return maps [n, H, W] with each disc's energy on the pixel of the sun.
+    """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
-    disc_lx [n] : illuminance on a plane normal to the sun; light : the sun's places.
+    disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions.
     """
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(
@@ -183,7 +187,10 @@ def add_disc(
 
 
 def _reach_rad(pixel_rad: float) -> float:
-    """Return how far from its centre a disc's light may be, by pixels and by the lens's blur."""
+    """Return the largest distance of a disc's light from its centre.
+
+    It follows from the size of pixels and the lens's blur.
+    """
     return SUN_RADIUS_RAD + 1.5 * pixel_rad + np.radians(0.5)
 
 
@@ -237,10 +244,11 @@ def _measured_disc(
 def _clipped_disc(
     band: _Band, search: NDArray[np.bool_], towards: NDArray[np.float64], shape: tuple[int, ...]
 ) -> SunDisc | None:
-    """Return a disc that clips in every frame: its place and a lower bound of its illuminance.
+    """Return a disc that is clipped in every frame, with a lower bound of its illuminance.
 
-    A compact clipped spot is the disc. If a larger area clips (a window in a bracket that is too
-    short) nothing can be measured: the sun is at its expected place, if the map clips there.
+    A compact clipped spot is the disc. If a larger area is clipped (a window in a bracket that is
+    too short), nothing can be measured: the sun is at its expected position if the map is clipped
+    there.
     """
     spot = band.clipped & search
     centre = band.centroid(spot, np.ones_like(band.light))
@@ -263,7 +271,7 @@ def _disc_at(
     clipped: bool,
     measured: bool = True,
 ) -> SunDisc:
-    """Return the light in excess of the surroundings within `reach_rad` of a centre, as a disc."""
+    """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc."""
     angle = band.angle_rad(centre)
     ring = (angle > reach_rad) & (angle <= reach_rad + _ring_rad(band.pixel_rad))
     around = band.light[ring]
@@ -295,7 +303,7 @@ def _disc_at(
 
 
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
-    """Return whether a measured spot is too bright and too energetic for a surface or a sky."""
+    """Return whether a spot is too bright and has too much energy for a surface or a sky."""
     inside = disc.pixels[band.first : band.first + len(band.light)]
     if not inside.any():
         return False

@@ -102,7 +102,7 @@ def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
     )
     with pytest.raises(
         InputError,
-        match=r"pixels; expected 5616 x 3744 pixels, the size of .*; use its own profile",
+        match=r"pixels; expected 5616 x 3744 pixels, the size of .*; use a profile of this camera",
     ):
         response.sample(response.brackets_in([tmp_path / "b"]), other, np.random.default_rng(1))
 

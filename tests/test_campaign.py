@@ -50,8 +50,8 @@ def test_values_come_from_the_room_then_from_common(tmp_path: Path) -> None:
     [
         ("rooms = 3\n", "unknown key 'rooms'"),
         ('name = "x"\n', r"no \[\[room\]\]"),
-        ("[[room]]\nviews = 4\n", "without session"),
-        ('[[room]]\nsession = "a"\n[[room]]\nsession = "a"\n', "session a twice"),
+        ("[[room]]\nviews = 4\n", "has no session"),
+        ('[[room]]\nsession = "a"\n[[room]]\nsession = "a"\n', "session a occurs twice"),
         ('[[room]]\nsesion = "a"\n', "did you mean 'session'"),
     ],
 )
@@ -174,7 +174,7 @@ def test_a_room_without_a_session_is_planned(tmp_path: Path) -> None:
         tmp_path, '[common]\nset = "4-day"\n[[room]]\nsession = "a"\nsite = "site.toml"\n'
     )
     first, again = (next(run_stage(read_campaign(path), "plan")).text for _ in range(2))
-    assert "slots planned (4-day)" in first and "planned before" in again
+    assert "slots planned (4-day)" in first and "already planned" in again
     assert (tmp_path / "a" / "plan.csv").is_file()
 
 

@@ -87,11 +87,11 @@ def test_any_camera_clock_is_found_from_a_whole_day(
 def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
     groups = group_frames(card(PLAN[3:6], PDT_S), LADDER)
     found = find_offset(groups, PLAN, (PDT_S, 0.0))
-    assert found is not None and found.seconds == PDT_S and "full hours would fit" in found.how
+    assert found is not None and found.seconds == PDT_S and "other offsets would fit" in found.how
     assert "civil time" in found.how
     assert find_offset(groups, PLAN, ()) is None
     utc = find_offset(group_frames(card(PLAN[3:6], 0.0), LADDER), PLAN, (0.0,))
-    assert utc is not None and utc.how.startswith("taken for UTC; other hours")
+    assert utc is not None and utc.how.startswith("assumed to be UTC; other offsets")
 
 
 @pytest.mark.contract
@@ -237,7 +237,7 @@ def test_an_offset_in_exif_and_a_stated_one_are_both_counted(
     assert same.exit_code == 0 and "EXIF" not in same.output
     again = CliRunner().invoke(main, words)
     assert "camera clock: UTC -07:00, stated in EXIF\n" in again.output
-    assert "0 brackets with 0 frames" in again.output and "12 brackets were imported before" in (
+    assert "0 brackets with 0 frames" in again.output and "12 brackets were already imported" in (
         again.output
     )
 
@@ -275,7 +275,8 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
     with pytest.raises(NotEnoughDataError, match="matches the plan"):
         import_card.run(session, tmp_path / "other", utc_offset_s=0.0)
     with pytest.raises(
-        InputError, match=r"brackets from 2027-10-06 14:30 .* the plan's slots, the nearest at 2027"
+        InputError,
+        match=r"brackets from 2027-10-06 14:30 .* the plan's slots, the nearest slot at 2027",
     ):
         import_card.run(session, tmp_path / "other")
     write_card(tmp_path / "few", card(PLAN[3:6], 2.5 * 3600.0))  # neither UTC nor the place's

@@ -131,7 +131,7 @@ def test_a_closed_terminal_ends_nothing_and_sigterm_ends_properly(tmp_path: Path
         process.wait(1.5)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130 and "start it again to go on" in said
+    assert process.returncode == 130 and "start it again to continue" in said
     assert (
         read_journal(session)[-1]["event"] == "close" and not (session.root / ".reserve").exists()
     )

@@ -93,7 +93,7 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(type(main), "get_command", lambda *_: stopped)
     result = CliRunner().invoke(main, ["info"])
     assert result.exit_code == 130
-    assert "start it again to go on" in result.output
+    assert "start it again to continue" in result.output
 
 
 @pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda p: str(p.relative_to(DOCS)))

@@ -39,7 +39,7 @@ def test_what_was_written_is_read(pairs: Path) -> None:
         ("dni_wm2", "nan", "line 3: dni_wm2 is nan"),
         ("t_utc", "2027-03-20 12:00", "line 3: time '2027-03-20 12:00' has no time zone"),
         ("panorama", "gone.exr", "line 3: no file"),
-        ("sunpatch", "", "line 3: no sunpatch, but other rows have one"),
+        ("sunpatch", "", "line 3: sunpatch is empty, but other rows have one"),
     ],
 )
 def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, said: str) -> None:
@@ -67,7 +67,8 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
         (
             "dhi_wm2",
             lambda _: "1200",
-            "more diffuse light than under any sky; expected W/m2; check whether it is the global",
+            "more diffuse light than any sky gives; expected W/m2; "
+            "check whether the column contains global",
         ),
         ("dni_wm2", lambda _: "1500", "more direct light than above the atmosphere"),
     ],
@@ -108,7 +109,7 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
         [*row[:2], *(str(float(cell) / 1e3) for cell in row[2:4]), *row[4:]] for row in rows[1:]
     ]
     pairs.write_text("\n".join(",".join(row) for row in (rows[0], *kilowatts)))
-    with pytest.raises(InputError, match="it is in kW/m2"):
+    with pytest.raises(InputError, match="the values are in kW/m2"):
         load_pairs(pairs)
     pairs.write_text(text.replace(",", ";").replace(".", ","))
     with pytest.raises(InputError, match="separated by ';'"):
@@ -138,7 +139,7 @@ def test_a_heading_in_a_radiance_picture_is_obeyed(pairs: Path) -> None:
     pairs.write_text("\n".join(rows))
     assert load_pairs(pairs).heading_deg == 90.0
     write_radiance_hdr(pairs.parent / "m3.hdr", DATA.luminance_cdm2[3], header=("made by hand",))
-    with pytest.raises(InputError, match=r"m3\.hdr: heading 180; expected 90"):
+    with pytest.raises(InputError, match=r"m3\.hdr: heading 180; expected heading 90"):
         load_pairs(pairs)
 
 
@@ -159,7 +160,7 @@ def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path
     with pytest.raises(InputError, match="8 x 4 pixels"):
         load_pairs(pairs)
     (pairs.parent / "site.toml").unlink()
-    with pytest.raises(InputError, match="no site for it"):
+    with pytest.raises(InputError, match="the csv has no site"):
         load_pairs(pairs)
     pairs.write_text("t_utc,dni_wm2\n")
     (pairs.parent / "site.toml").write_text(

@@ -197,7 +197,7 @@ def test_pyranometer_readings() -> None:
             old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE
         )
     )
-    assert "reports a fault" in said and "global only" in said and "years ago" in said
+    assert "reports a fault" in said and "only global" in said and "years ago" in said
     rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
     told = instruments.judge_pyranometer(rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
     assert [f.verdict for f in told] == ["ok", "warn"] and "let the sketch print a CRC-16" in told[
@@ -340,7 +340,7 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
     found = instruments.check_meter("cl200a:/dev/ttyUSB1")
     assert [(f.verdict, f.text) for f in found] == [
         ("ok", "CL-200A 10001 answers: 1234 lx"),
-        ("warn", "its battery is low: change it"),
+        ("warn", "the meter's battery is low: change it"),
     ]
     assert instruments.check_meter("") == []
 

@@ -161,7 +161,7 @@ def test_directions_that_no_lens_saw_are_said(tmp_path: Path, maps: np.ndarray) 
     flags[-9:] = Flag.OUTSIDE_LENS
     pixels = np.where(flags > 0, np.nan, maps).astype(np.float32)
     write_panorama(path, Panorama(pixels, 180.0, flags=flags))
-    assert "seen by no lens" in picture_glare(path)["warnings"][0]
+    assert "no lens saw" in picture_glare(path)["warnings"][0]
     write_panorama(path, Panorama(pixels, 180.0))
     with pytest.raises(InputError, match="not finite"):
         picture_glare(path)

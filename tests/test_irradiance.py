@@ -311,8 +311,8 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     assert np.isnan(found.dni_wm2).all() and np.isnan(found.dhi_wm2).all()
     told = health(lone, found, altitude, top, 0, SEATTLE).warnings
     assert told == (
-        "100 % of the rows by day have global only, and no neighbour within half an hour: "
-        "direct irradiance cannot be derived from them",
+        "100 % of the rows by day have only global irradiance and no neighbouring row within half "
+        "an hour: direct irradiance cannot be derived from them; log at least every minute",
     )
 
 
@@ -402,7 +402,7 @@ def test_broken_lines_are_counted(session: Session) -> None:
     lines[5] = b"\xff\xfe" + lines[5]
     path.write_bytes(b"".join(lines))
     told = irradiance.run(session)
-    assert (told.rows, told.broken_lines) == (99, 1) and "broken lines" in told.warnings[0]
+    assert (told.rows, told.broken_lines) == (99, 1) and "damaged lines" in told.warnings[0]
 
 
 @pytest.mark.contract

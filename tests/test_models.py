@@ -152,9 +152,9 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
     kept = tmp_path / "checkpoint.pt"
     models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=1, plan=FEW, **SMALL)
     brighter = replace(DATA, luminance_cdm2=DATA.luminance_cdm2 * np.float32(1.02))
-    with pytest.raises(InputError, match="of other pictures, irradiance or seed"):
+    with pytest.raises(InputError, match="of other pictures, other irradiance or another seed"):
         models.fit("dense", brighter, checkpoint=kept, plan=FEW, **SMALL)
-    with pytest.raises(InputError, match="of other pictures, irradiance or seed"):
+    with pytest.raises(InputError, match="of other pictures, other irradiance or another seed"):
         models.fit("dense", DATA, checkpoint=kept, plan=FEW, seed=1, **SMALL)
 
 

@@ -302,7 +302,7 @@ def test_a_clipped_sun_without_its_row_is_a_lower_bound(tmp_path: Path) -> None:
     stale = read_panorama_with_sun(path)
     assert stale.sun == again and "lower bounds" in stale.attributes["note"]
     notes = load_pairs(session).notes
-    assert any("the sun of 1 maps clipped" in note for note in notes)
+    assert any("the sun of 1 maps is clipped" in note for note in notes)
 
 
 @pytest.mark.contract
@@ -356,7 +356,8 @@ def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:
     note.write_text(json.dumps({**json.loads(note.read_text()), "sun": {"u_mosaic_percent": 20.0}}))
     pair.run(session)
     assert (
-        "sun measured on few pixels, uncertainty 20 %" in rows_of(session)[0]["why"]
+        "the sun was measured on few pixels, with an uncertainty of 20 %"
+        in rows_of(session)[0]["why"]
         and rows_of(session)[0]["ok"] == "1"
     )
 
@@ -382,8 +383,8 @@ def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
     first, second, third = rows_of(session)
     assert (
         first["why"]
-        == f"the same frames as {slot_id(NOON + timedelta(hours=2))}: imported with two clock "
-        f"offsets"
+        == f"the same frames as {slot_id(NOON + timedelta(hours=2))}: a card was imported "
+        "with two clock offsets; import it again with the right one"
     )
     assert third["ok"] == "0" and slot_id(NOON) in third["why"] and second["ok"] == "1"
 

@@ -227,8 +227,8 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     third = makeup.run(session, datetime(2029, 5, 1, tzinfo=UTC))
     assert (third.missed, third.recovered, len(third.made_up)) == (9, 4, 9)
     assert (
-        makeup.sentences(third)[0] == "9 slots missed, 0 of them with a make-up slot already; "
-        "4 missed slots were made up since"
+        makeup.sentences(third)[0] == "9 slots missed, 0 of them already have a make-up slot; "
+        "4 missed slots have been made up for"
     )
 
 
@@ -298,7 +298,7 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
     (folder / "config.json").write_text(json.dumps(elsewhere))
     assert coming.trained_kernel(session) is None
     (folder / "config.json").write_text(json.dumps({"model": "transport"}))
-    with pytest.raises(InputError, match="train again"):
+    with pytest.raises(InputError, match="train the model again"):
         coming.trained_kernel(session)
 
 

@@ -82,7 +82,7 @@ def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
     assert load_site(path).site.name == "Büro"
     for encoding in ("cp1252", "utf-16"):
         path.write_bytes(text.encode(encoding))
-        with pytest.raises(InputError, match="no UTF-8; expected TOML in UTF-8; save it again"):
+        with pytest.raises(InputError, match="is not UTF-8; expected TOML in UTF-8; save it again"):
             load_site(path)
 
 

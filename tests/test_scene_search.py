@@ -189,10 +189,10 @@ def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> N
     assert put.setup.camera.heading_deg == pytest.approx((180.0 + scene.north_deg) % 360.0)
     assert with_scene(few, replace(again, chosen="none")).patch_cdm2 is None
     # A site that was corrected after the fit must not be corrected a second time.
-    with pytest.raises(InputError, match="face 181 degrees"):
+    with pytest.raises(InputError, match="heading 181 degrees"):
         with_scene(replace(few, heading_deg=181.0), again)
     corrected = replace(few.setup, room=again.room)
-    with pytest.raises(InputError, match=r"\[room\] that differs"):
+    with pytest.raises(InputError, match=r"another \[room\]"):
         with_scene(replace(few, setup=corrected), again)
     (tmp_path / "scene.toml").write_text("format = 7\n")
     with pytest.raises(InputError, match="format 7"):

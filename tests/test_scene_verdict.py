@@ -168,7 +168,7 @@ def test_the_verdict_reaches_the_scene(chosen: str, monkeypatch: pytest.MonkeyPa
     scene_ = stage.judged_scene(CAPTURES, _fit_of(CAPTURES))
     assert scene_.chosen == chosen and scene_.trusted == (chosen == "fitted")
     assert scene_.expected_log10_mse == 3e-3
-    assert "least error" in scene_.verdict and "kept out" in scene_.verdict
+    assert "least error" in scene_.verdict and "held out" in scene_.verdict
 
 
 @pytest.mark.property

@@ -47,7 +47,7 @@ def test_the_text_of_the_option_names_a_scheduler() -> None:
     assert parse_scheduler("tcp://localhost:8786", notes.append).kind == "cluster"
     assert not notes
     parse_scheduler("tcp://10.0.0.7:8786", notes.append)
-    assert len(notes) == 1 and "anyone who reaches that port can run programs" in notes[0]
+    assert len(notes) == 1 and "anyone who can reach that port can run programs" in notes[0]
 
 
 @pytest.mark.parametrize(

@@ -245,7 +245,7 @@ def test_an_extra_bracket_fits_between_planned_ones(tmp_path: Path) -> None:
     )
     before = session.plan.read_bytes()
     for now in (noon - timedelta(seconds=150), noon - timedelta(seconds=40)):
-        with pytest.raises(InputError, match="too near"):
+        with pytest.raises(InputError, match="too close"):
             add_extra(session, now)
     with pytest.raises(InputError, match="below the horizon"):
         add_extra(session, noon + timedelta(hours=10))
@@ -254,7 +254,7 @@ def test_an_extra_bracket_fits_between_planned_ones(tmp_path: Path) -> None:
     assert slot.t_utc == noon + timedelta(minutes=22)
     assert slot.exposures == LADDER and EXTRA in slot.tags
     assert [s.id for s in session.slots()] == [plan[0].id, slot.id, plan[1].id]
-    with pytest.raises(InputError, match="is planned already"):
+    with pytest.raises(InputError, match="is already planned"):
         add_extra(session, noon + timedelta(minutes=20, seconds=30))
 
 

@@ -1,4 +1,4 @@
-"""Benchmarks of any pairs.csv: speed, accuracy, count of captures, choice of days, disturbances."""
+"""Benchmark models on any pairs: speed, accuracy, captures, choice of days, disturbances."""
 
 from __future__ import annotations
 
@@ -87,12 +87,14 @@ STRESS = {
     "wild_unflagged": "gross errors unflagged",
 }
 
-_SHORTEST_LIMIT_S = 7200.0  # as long as a curve of 1000 captures may take; not measured
-_BUDGETS = 4.0  # a unit reads, trains within its budget and predicts; not measured
+# seconds; a learning curve of 1000 captures may take this long; not measured
+_SHORTEST_LIMIT_S = 7200.0
+# multiple of the budget that a unit may take to read, train and predict; not measured
+_BUDGETS = 4.0
 
 
 class BenchAnswer(TypedDict):
-    """The object that `bench --json` prints; rows as `rows.BenchRow`, and one for Radiance."""
+    """The object that `bench --json` prints; rows as `rows.BenchRow`, and a row for Radiance."""
 
     models: list[Mapping[str, object]]
     chosen: str
@@ -100,7 +102,7 @@ class BenchAnswer(TypedDict):
 
 
 def machine() -> str:
-    """Return the machine's cores and architecture, as tables state them."""
+    """Return the computer's cores and architecture, as text for tables."""
     return f"{os.cpu_count()} cores, {platform.machine()}"
 
 
@@ -124,7 +126,7 @@ def shown(value: object) -> str:
 
 
 def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> str:
-    """Return a Markdown table of the columns that have a value in some row."""
+    """Return a Markdown table; columns without any value are omitted."""
     used = [key for key in columns if any(row.get(key) is not None for row in rows)]
     lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
     lines += ["| " + " | ".join(shown(row.get(key)) for key in used) + " |" for row in rows]
@@ -177,9 +179,9 @@ def run(
 ) -> BenchAnswer:
     """Write score table, chart, learning curves, collection periods and stress tests into `out`.
 
-    Collection periods need a year of data. loaded: hours to train on, to test on (by default
-    held-out days) and from which seasons are drawn. files: where other processes read them; a
-    scheduler other than this process needs it.
+    Collection periods need a year of data. loaded: hours to train on, hours to test on (by default
+    held-out days), and hours from which seasons are drawn. files: where other processes read these
+    hours; needed for a scheduler other than this process.
     """
     from fieldlum.bench import charts
     from fieldlum.bench.pieces import local_unit_of, pieces_of, unit_of

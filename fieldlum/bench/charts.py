@@ -56,9 +56,9 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
-    """Draw two panels: seconds of training, and of one map, against the error.
+    """Draw the error over the seconds of training, and over the seconds of one map.
 
-    The error is in paper mode, as that of the published point.
+    The error is that of paper mode, as for the published point.
     """
     figure, axes = _figure(11.0, 4.8, 2)
     for axis, key, label in zip(
@@ -122,7 +122,7 @@ def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) 
 
 
 def learning_curves(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the error against the count of captures, random and greedy, for each model."""
+    """Draw the error over the number of captures, random and greedy, for each model."""
     figure, axis = _figure(6.5, 4.5)
     for name in dict.fromkeys(row["name"] for row in rows):
         for way, style in (("random", "o--"), ("greedy", "o-")):
@@ -164,7 +164,7 @@ def collection_periods(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def stress(path: Path, rows: Sequence[StressRow]) -> None:
-    """Draw each regime's error over the normal error; blue if the tool itself reported it."""
+    """Draw each condition's error over the normal error; blue if the tool itself reported it."""
     figure, axis = _figure(9.0, 0.32 * len(rows) + 1.2)
     for k, row in enumerate(reversed(rows)):
         colour = "#0b6e99" if row.told else "#c2410c"

@@ -1,4 +1,4 @@
-"""Measured cost of the same maps as Radiance renderings."""
+"""Measure the cost of the same maps as Radiance renderings."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def radiance_row(
 ) -> dict[str, object] | None:
     """Measure the time of one map of the data's size by rtrace with the paper's options.
 
-    The mean of a few hours on one core. The room is the box of [room]; its sky is uniform with the
-    hour's illuminance, which costs as much as a Perez sky. Returns None without a box room.
+    It is the mean of a few hours on one core. The room is the box of [room]. Its sky is uniform
+    with the hour's illuminance, which costs as much as a Perez sky. Return None without a box room.
     """
     from fieldlum.scene.geometry import build
     from fieldlum.scene.radiance import octree, rad_text, sun_text, trace

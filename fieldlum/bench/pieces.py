@@ -1,6 +1,7 @@
-"""Pieces of a benchmark that can run anywhere: a model with a seed, a learning curve, a regime set.
+"""Define pieces of a benchmark that can run on any worker: scores, learning curves, stress tests.
 
-Each piece reads the pairs where it runs and returns rows of a table. A worker reads them once.
+Each piece reads the pairs where it runs, and returns rows of a table. A worker reads the pairs
+once.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ PieceKind = Literal["score", "random", "greedy", "periods", "stress", "rendering
 
 @dataclass(frozen=True, slots=True)
 class BenchFiles:
-    """What a benchmark reads, relative to `folder`; empty for what was not stated.
+    """The files of a benchmark, relative to `folder`; "" for files that were not stated.
 
-    pairs, test, pool: sessions or csv files. site: SITE.toml. scene: as the option --scene. models:
-    names, or folders of trained models.
+    pairs, test, pool: sessions or csv files. site: SITE.toml. scene: value of the option --scene.
+    models: names, or folders of trained models.
     """
 
     folder: Path
@@ -49,7 +50,7 @@ class BenchFiles:
     scene: str = ""
 
     def hashed(self) -> tuple[str, ...]:
-        """Return the csv files, which a worker must see as this computer does."""
+        """Return the csv files whose content must be the same for a worker as for this computer."""
         found = [name for name in (self.pairs, self.test, self.pool) if name]
         tables = [f"{name}/pairs.csv" if (self.folder / name).is_dir() else name for name in found]
         return tuple(dict.fromkeys(os.path.normpath(table) for table in tables))
@@ -71,7 +72,7 @@ def bench_files(
     paths = [p for p in (pairs, test, pool, site, scene_folder, *trained) if p is not None]
     full = [path.resolve() for path in paths]
     common = os.path.commonpath([p if p.is_dir() else p.parent for p in full])
-    shown = os.path.relpath(common)  # tables name the pairs as the user did
+    shown = os.path.relpath(common)  # tables name the pairs as the user stated them
     folder = Path(common if shown.startswith("..") else shown)
 
     def name(path: Path | None) -> str:
@@ -92,8 +93,8 @@ def bench_files(
 class BenchData:
     """The pairs of a benchmark.
 
-    test: hours that no model was trained on, or None to use held-out days. folder: that paths of
-    trained models are relative to.
+    test: hours that no model was trained on; None to use held-out days. pool: hours from which
+    seasons are drawn. folder: the folder to which paths of trained models are relative.
     """
 
     data: Dataset
@@ -103,7 +104,7 @@ class BenchData:
 
     @cached_property
     def asked(self) -> Truth | None:
-        """The test hours with their true figures."""
+        """The test hours with their true figures; None without test hours."""
         return None if self.test is None else truth(self.test)
 
     def spec(self, text: str) -> Spec:
@@ -112,9 +113,10 @@ class BenchData:
 
 
 def load(files: BenchFiles, progress: Progress = quiet) -> BenchData:
-    """Read the pairs with their sun patches or their scene. Test hours of a training are left out.
+    """Read the pairs with their sun patches or their scene.
 
-    Raises InputError for files that cannot be used, NotEnoughDataError if no test hour is left.
+    Omit test hours that a model was trained on. Raises InputError for files that cannot be used,
+    NotEnoughDataError if no test hour is left.
     """
     at = files.folder
     scene = files.scene if files.scene in ("", "none") else str(at / files.scene)
@@ -140,17 +142,20 @@ def load(files: BenchFiles, progress: Progress = quiet) -> BenchData:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One unit of a benchmark. random, greedy: learning curves over captures chosen that way."""
+    """One piece of a benchmark, which becomes a unit of work.
+
+    kind "random" and "greedy": learning curves over captures chosen in that way.
+    """
 
     kind: PieceKind
     model: str = ""
     seed: int = 0
     budget_s: float = 0.0
-    hours: int = 0  # to render
+    hours: int = 0  # number of hours to render
 
     @property
     def name(self) -> str:
-        """Return a name that no other piece has."""
+        """Return a unique name of the piece."""
         return f"{self.kind} {self.model} {self.seed}".strip()
 
 
@@ -163,7 +168,7 @@ def pieces_of(
     with_stress: bool,
     render_hours: int,
 ) -> list[Piece]:
-    """Return all pieces, in the order of the tables. Models without randomness run once."""
+    """Return all pieces, in the order of the tables; models without random numbers run once."""
     found = score_pieces(models, seeds, budget_s, loaded.folder)
     quick = [
         model
@@ -200,7 +205,7 @@ def score_pieces(
 
 
 def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
-    """Return training and test hours of the learning curve, or None for too few captures."""
+    """Return training and test hours of the learning curve; None for too few captures."""
     data, test = loaded.data, loaded.test
     if test is None and year.is_year(data):
         order = np.random.default_rng(0).permutation(len(data))
@@ -212,7 +217,7 @@ def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
 
 
 def work(piece: Piece, loaded: BenchData, progress: Progress = quiet) -> Any:
-    """Return the rows of a piece; for a score also its trial."""
+    """Return the rows of a piece; for a score, also its trial."""
     if piece.kind == "rendering":
         asked = loaded.data if loaded.test is None else loaded.test
         return radiance_row(asked, piece.hours, progress=progress)
@@ -243,7 +248,10 @@ def _stress(spec: Spec, loaded: BenchData, progress: Progress) -> list[stress.St
 
 
 def _split(data: Dataset) -> tuple[Dataset, Dataset]:
-    """Return training data and held-out days, a fifth of all (hours, if there is only one day)."""
+    """Return training data, and a fifth of the days, which is held out.
+
+    If there is only one day, a fifth of its hours is held out.
+    """
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
@@ -257,13 +265,13 @@ def _split(data: Dataset) -> tuple[Dataset, Dataset]:
 
 
 def unit_of(piece: Piece, files: BenchFiles) -> WorkUnit:
-    """Return a piece as a unit of work for any worker."""
+    """Return a piece as a unit of work that any worker can run."""
     argument = (piece, replace(files, folder=Path()))
     return WorkUnit(piece.name, perform, files.folder, argument, files=files.hashed())
 
 
 def local_unit_of(piece: Piece, loaded: BenchData, progress: Progress) -> WorkUnit:
-    """Return a piece as a unit of work for this process, which has the pairs already."""
+    """Return a piece as a unit of work for this process, which has already read the pairs."""
     call: Callable[[Path, Any], Any] = partial(_perform_here, loaded=loaded, progress=progress)
     return WorkUnit(piece.name, call, loaded.folder, piece)
 
@@ -273,7 +281,7 @@ def _perform_here(folder: Path, piece: Piece, *, loaded: BenchData, progress: Pr
 
 
 def perform(folder: Path, argument: tuple[Piece, BenchFiles]) -> Any:
-    """Work on a piece with the pairs in a folder: a unit of work."""
+    """Run a piece with the pairs in a folder."""
     piece, files = argument
     return work(piece, _loaded(replace(files, folder=folder)))
 

@@ -1,4 +1,4 @@
-"""Rows of the score table: one model, its training data and its test."""
+"""Define the rows of the score table: one model, its training data and its test."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ERRORS = (
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """A model: ``NAME``, ``NAME:PATCH`` or the folder of a trained model."""
+    """A model to compare: ``NAME``, ``NAME:PATCH`` or the folder of a trained model."""
 
     label: str
     name: str
@@ -56,9 +56,10 @@ class BenchRow(ScoreFigures):
 
 
 def parse_specs(texts: Sequence[str], folder: Path = Path()) -> tuple[Spec, ...]:
-    """Parse models. Raises InputError for a text that is neither a model nor a model folder.
+    """Parse the models to compare.
 
-    folder: that folders of models are relative to.
+    folder: the folder to which folders of models are relative. Raises InputError for a text that is
+    neither a model nor a model folder.
     """
     return tuple(_parse_spec(text.strip(), folder) for text in texts if text.strip())
 
@@ -78,7 +79,7 @@ def _parse_spec(text: str, at: Path) -> Spec:
             folder,
         )
     wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
-    raise InputError("--models", f"'{text}'", wanted, "correct the name")
+    raise InputError("--models", f"'{text}'", wanted, "correct the name after --models")
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:
@@ -92,7 +93,7 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
     fresh = np.array([slot not in known for slot in test.slots])
     if not fresh.any():
         raise NotEnoughDataError(
-            f"{test.source}: every test hour is a training hour; use other test hours"
+            f"{test.source}: every test hour is also a training hour; use other test hours"
         )
     return test.take(fresh)
 
@@ -147,7 +148,7 @@ def _fitted(
 
 
 def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
-    """Return one row for each model: its first seed's, with mean and sd over several seeds."""
+    """Return one row for each model: its first seed's, with mean and sd over all seeds."""
     out: list[dict[str, object]] = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]

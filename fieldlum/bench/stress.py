@@ -1,10 +1,10 @@
-"""Regimes in which methods fail: error relative to a normal case, and whether the tool reports it.
+"""Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
-A regime changes the training data, the test data, or both, from a normal case of its own kind.
-"Reported" means that the training warned (`train.consistency_warnings`), or that the model expected
-at least a third of the error, or that it did not trust most of the hours with a large error. A
-gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04); none may be
-both trusted and expected to be good.
+A condition changes the training data, the test data, or both, relative to its own normal case.
+"Reported" means one of three: the training warned (`train.consistency_warnings`); the model
+expected at least a third of the error; or it did not trust most of the hours with a large error. A
+gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04); no gross
+error may be both trusted and expected to be good.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
 from fieldlum.train.trials import fit_timed
 
-SEEDS = 5  # fits of the normal case, which differ by chance alone
-FEWEST = 8  # hours of training and of test that a regime needs
-# Maps are reduced to this many rows after a regime was applied at full size: thirty fits then take
-# a minute or two.
+SEEDS = 5  # number of fits of the normal case, which differ only by chance; chosen
+FEWEST = 8  # hours of training and of test that a condition needs; chosen
+# Number of rows to which maps are reduced after a condition was applied at full size: thirty fits
+# then take a minute or two. Chosen.
 HEIGHT = 20
 GROSS_MSE = 0.04  # log10 MSE of a gross error: a factor of 1.6
-REPORTED_SHARE = 1.0 / 3.0  # of the error that the model must expect; chosen, not measured
+REPORTED_SHARE = 1.0 / 3.0  # share of the error that the model must expect; chosen, not measured
 SUNNY_WM2 = 120.0
 OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A regime: its training data, its test data, and the name of its normal case."""
+    """A condition: its training data, its test data, and the name of its normal case."""
 
     name: str
     train: Dataset
@@ -55,19 +55,19 @@ class Case:
 
 
 def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
-    """Return the same maps with another irradiance or sun; a measured sky is removed."""
+    """Return the same maps with other irradiance or another sun; a measured sky is removed."""
     return replace(data, light=replace(data.light, perez=None, **columns))
 
 
 def turned(data: Dataset, degrees: float) -> Dataset:
-    """Return the data as if north were wrong by some degrees."""
+    """Return the data with north wrong by some degrees."""
     return _patched(
         with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
     )
 
 
 def late(data: Dataset, minutes: float) -> Dataset:
-    """Return the data as if the clock were wrong: the sun moves as SPA computes."""
+    """Return the data with the clock wrong by some minutes, with the sun moved as SPA computes."""
     site, step = data.setup.site, timedelta(minutes=minutes)
     now = sun.position(data.light.t_utc, site)
     then = sun.position([t + step for t in data.light.t_utc], site)
@@ -82,7 +82,7 @@ def late(data: Dataset, minutes: float) -> Dataset:
 
 
 def _patched(data: Dataset) -> Dataset:
-    """Compute sun patches again from [room], for the assumed sun."""
+    """Compute sun patches again from [room], for the wrong sun."""
     stated = data.setup.room is not None and data.patch_cdm2 is not None
     return with_patches(data) if stated else data
 
@@ -110,7 +110,7 @@ def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data under broken clouds: DNI is wrong, global horizontal is kept."""
+    """Return the data as under broken clouds: DNI is wrong, global horizontal is right."""
     light = data.light
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
     total = light.dni_wm2 * rise + light.dhi_wm2
@@ -120,9 +120,9 @@ def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def from_global(data: Dataset) -> Dataset:
-    """Return the data with DNI and DHI derived from global horizontal irradiance, by Erbs.
+    """Return the data with DNI and DHI derived from global horizontal irradiance by Erbs's model.
 
-    The hours are isolated, and DIRINT needs a series.
+    DIRINT cannot be used, because it needs a series and the hours are isolated.
     """
     from pvlib.irradiance import erbs
 
@@ -138,7 +138,7 @@ def from_global(data: Dataset) -> Dataset:
 def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
     """Return the data with a blind down on about that share of the days.
 
-    Then the room has two fifths of the light, and no sun patch.
+    The room then has two fifths of its light, and no sun patch.
     """
     days = np.unique(data.days)
     down = np.random.default_rng(seed).permutation(days)[: max(1, round(share * len(days)))]
@@ -163,7 +163,10 @@ def _months(data: Dataset) -> NDArray[np.int64]:
 
 
 def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
-    """Yield all regimes that the data allow; seasons are drawn from `pool`, without the test."""
+    """Yield all conditions that the data allow.
+
+    Seasons are drawn from `pool`, without test hours.
+    """
     yield Case("normal", data, test)
     for seed in range(1, SEEDS):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
@@ -210,9 +213,9 @@ def _seasons(pool: Dataset, test: Dataset) -> Iterator[Case]:
 
 
 def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
-    """Yield wrong north and clock, with patches computed from [room].
+    """Yield a wrong north and a wrong clock, with patches computed from [room].
 
-    Their normal case has patches computed from [room] too.
+    The patches of their normal case are computed from [room] too.
     """
     base = "normal, patches from [room]"
     yield Case(base, _patched(data), _patched(test), base)
@@ -230,10 +233,10 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 
 @dataclass(frozen=True, slots=True)
 class StressRow:
-    """One regime; the fields are the columns of stress.csv.
+    """The result of one condition; the fields are the columns of stress.csv.
 
-    The last columns: whether the tool itself reported the error, counts of gross errors and of
-    those that were trusted, the normal case, and the error over that of the normal case.
+    The last columns: whether the tool itself reported the error; the numbers of gross errors and of
+    trusted gross errors; the name of the normal case; the error over that of the normal case.
     """
 
     name: str
@@ -263,7 +266,7 @@ def run(
     budget_s: float = 60.0,
     progress: Progress = quiet,
 ) -> list[StressRow]:
-    """Return one row for each regime, with the ratio to its normal case."""
+    """Return one row for each condition, with the ratio to its normal case."""
     rows: list[StressRow] = []
     normal: dict[str, float] = {}
     for case in cases(data, test, pool):

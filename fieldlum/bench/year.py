@@ -1,4 +1,4 @@
-"""The value of a count of captures and of a choice of days: learning curves, collection periods."""
+"""Compute learning curves and compare collection periods, with a year of data."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def learning_curve(
 ) -> list[dict[str, object]]:
     """Return the error on `test` of models trained on N captures.
 
-    Captures are drawn at random, or taken in the order of use (greedy).
+    Captures are drawn at random (random), or taken in the order of use (greedy).
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = curve_counts(len(data))
@@ -65,7 +65,7 @@ def learning_curve(
 
 
 def curve_counts(captures: int) -> list[int]:
-    """Return the counts of captures of a learning curve."""
+    """Return the numbers of captures of a learning curve."""
     counts = [n for n in COUNTS if n < captures]
     return counts + [captures] * (captures <= COUNTS[-1])
 
@@ -83,7 +83,7 @@ def _dates(data: Dataset) -> list[date]:
 
 
 def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDArray[np.bool_]:
-    """Return the hours within `days` days of a (month, day) of any year."""
+    """Return a mask of hours within `days` days of a (month, day) of any year."""
     inside = np.zeros(len(data), bool)
     for k, day in enumerate(_dates(data)):
         inside[k] = any(abs((day - date(day.year, month, d)).days) <= days for month, d in events)
@@ -91,9 +91,9 @@ def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDAr
 
 
 def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
-    """Return the paper's collection periods that are in the data: masks [n] by name.
+    """Return the paper's collection periods that the data contain: masks [n] by name.
 
-    Months; one and two weeks in March; 9, 12 and 4 days at equinoxes and solstices.
+    They are months; one and two weeks in March; 9, 12 and 4 days at equinoxes and solstices.
     """
     march, june, september, december = (3, 20), (6, 21), (9, 22), (12, 21)
     months = np.array([day.month for day in _dates(data)])
@@ -111,7 +111,7 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 def compare_periods(
     spec: Spec, data: Dataset, *, progress: Progress = quiet
 ) -> list[dict[str, object]]:
-    """Train on each period and test on hours of the year that are left out of every training."""
+    """Train on each period; test on hours of the year that no training uses."""
     order = np.random.default_rng(0).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True

@@ -1,6 +1,6 @@
-"""Many sessions as one campaign: every stage for each room, and one overview of all of them.
+"""Run stages for many sessions, and write one overview of all rooms.
 
-Rooms are independent: a failure in one is reported, and the other rooms continue.
+Rooms are independent: a failure in one room is reported, and the other rooms continue.
 """
 
 from fieldlum.campaign.campaign_file import read_campaign

@@ -1,4 +1,4 @@
-"""CAMPAIGN.toml: the rooms of a campaign, and what is common to them."""
+"""Read CAMPAIGN.toml: the rooms of a campaign, and the values that they share."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.strict_toml import build, read_toml
 
-_EXPECTED = "one table [[room]] for each room, with session = FOLDER"
+_EXPECTED = "a table [[room]] with session = FOLDER for each room"
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignRoom:
-    """One room. Paths are relative to CAMPAIGN.toml; an empty value takes that of [common].
+    """One room of a campaign. Paths are relative to CAMPAIGN.toml.
 
-    session: its folder. site and set: from which `plan` creates a missing session. model, seed,
-    budget_min: of `train`. weather and views: of `predict`. size: of `merge`.
+    An empty value is replaced by that of [common]. session: its folder. site and set: from which
+    `plan` creates a missing session. model, seed, budget_min: for `train`. weather and views: for
+    `predict`. size: for `merge`.
     """
 
     session: str = ""
@@ -37,7 +38,7 @@ DEFAULTS = CampaignRoom(
 
 @dataclass(frozen=True, slots=True)
 class CampaignFile:
-    """A campaign with its rooms, whose values are complete."""
+    """A campaign with its rooms; values of [common] are filled in."""
 
     path: Path
     name: str
@@ -48,7 +49,7 @@ class CampaignFile:
         return self.path.parent / room.session
 
     def file(self, name: str) -> Path:
-        """Return a path of the campaign file relative to where the command runs."""
+        """Return a path in the campaign file, relative to the current folder."""
         return self.path.parent / name
 
 
@@ -72,13 +73,13 @@ def read_campaign(path: Path) -> CampaignFile:
     names = [room.session for room in rooms]
     for number, name in enumerate(names, start=1):
         if not name:
-            raise InputError(path, f"[[room]] {number} without session", _EXPECTED)
+            raise InputError(path, f"[[room]] {number} has no session", _EXPECTED)
         if names.count(name) > 1:
-            raise InputError(path, f"session {name} twice", "each session once")
+            raise InputError(path, f"session {name} occurs twice", "each session once")
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 
 
 def _filled(room: CampaignRoom, common: CampaignRoom) -> CampaignRoom:
-    """Return `room` with the values of `common` where it has none of its own."""
+    """Return `room` with missing values replaced by those of `common`."""
     own = {f.name: getattr(room, f.name) or getattr(common, f.name) for f in fields(room)}
     return replace(room, **own)

@@ -20,26 +20,28 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.statistics import robust_sigma
 
-# A change over the campaign is reported when it exceeds this and is sure.
-# k: what calibrating k by spot readings reaches (docs/accuracy.md). Heading: the sun's diameter,
-# by which a sun patch would then miss its pixels. Residual: three times a merge's usual 0.3 %.
+# A change over the campaign is reported if it exceeds these limits and is significant. k [%]:
+# accuracy of calibrating k by spot readings (docs/accuracy.md). Heading [deg]: the sun's diameter,
+# by which a sun patch would then miss its pixels. Residual [%]: three times a merge's usual 0.3 %.
 # How often steady and drifting cameras are reported: docs/campaign.md, bench/campaign_drift.py.
 LIMITS = {"k": 5.0, "heading": 0.5, "residual": 1.0}
 UNITS = {"k": "%", "heading": "°", "residual": "%"}
-FEWEST = 20  # captures
+FEWEST = 20  # least number of captures; chosen
 FEWEST_DAYS = 3  # a line through the means of two days has no residual
-SURE = 0.0027  # of steady cameras are reported: three standard errors of a normal distribution
+# share of steady cameras that are reported: three standard errors of a normal distribution
+SURE = 0.0027
 _HUBER = 1.345  # robust scales; 95 % efficient for normal residuals (Huber 1981)
 _ITERATIONS = 20  # weights then change by less than 1 %
-WINDOW_SHARE = 0.5  # of a pixel's sky that the glass must let through, to count as window
+# share of a pixel's sky that the glass must transmit, so that the pixel counts as window; chosen
+WINDOW_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class DriftSeries:
-    """One quantity over time: days since the first value, values, and the change.
+    """One quantity over time: days since the first value, values, and their change.
 
     change: of a robust line from the first to the last value, with its 95 % interval; reach: a
-    larger change is sure. NaN with fewer than `FEWEST` values or `FEWEST_DAYS` days.
+    larger change is significant. NaN with fewer than `FEWEST` values or `FEWEST_DAYS` days.
     """
 
     kind: str
@@ -49,11 +51,11 @@ class DriftSeries:
     low: float = np.nan
     high: float = np.nan
     reach: float = np.nan
-    start: float = np.nan  # of the line, at the first value
+    start: float = np.nan  # value of the line at the first day
 
     @property
     def drifts(self) -> bool:
-        """Return whether the change is larger than its limit, and sure."""
+        """Return whether the change exceeds its limit and is significant."""
         return bool(abs(self.change) > max(LIMITS[self.kind], self.reach))
 
     @property
@@ -72,10 +74,10 @@ class DriftSeries:
 def series(
     kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
 ) -> DriftSeries:
-    """Return a quantity with the change of a robust line through its values, [n] of t_utc.
+    """Return the values [n] of a quantity with the change of a robust line through them.
 
-    The captures of one day share its weather, so that the interval comes from the scatter of days,
-    and few days give a wide one.
+    The captures of one day share its weather. Therefore the interval is computed from the scatter
+    of days, and is wide for few days.
     """
     data = np.asarray(values, float)
     times = np.array([t.timestamp() for t in t_utc], float) / 86400.0
@@ -97,7 +99,7 @@ def series(
 def _robust_line(
     days: NDArray[np.float64], values: NDArray[np.float64], groups: NDArray[np.intp]
 ) -> tuple[float, float, float]:
-    """Return the start and slope of a line by Huber's weights, and the slope's standard error.
+    """Return start and slope of a line by Huber's weights, and the slope's standard error.
 
     The error is the sandwich estimate over groups (Liang and Zeger 1986), with its correction for a
     small number of groups.
@@ -121,7 +123,10 @@ def _robust_line(
 
 
 def drifts_of(session: Session) -> dict[str, DriftSeries]:
-    """Return the series k, heading and residual of a session; those without data are empty."""
+    """Return a session's series of k, heading and residual, by name.
+
+    A series for which the session has no data is empty.
+    """
     sidecars = [note for path in session.sidecar_files() if (note := _sidecar(path)) is not None]
     dated = [(note.t_utc, note) for note in sidecars if note.t_utc is not None]
     residuals = [(t, _number(note.report.residual_percent)) for t, note in dated]
@@ -164,11 +169,12 @@ def _headings(
 
 
 def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
-    """Return how far the window's sky is above its usual luminance at each capture, in percent.
+    """Return how far the window's sky is above its usual luminance at each capture [%].
 
-    That is measured over expected luminance, over the median of this ratio, less one. Expected is
-    the Perez sky of the logged irradiance. It is wrong by tens of percent in one hour
-    and right on average, so only its change over many hours shows a drift of k.
+    The value is the ratio of measured to expected luminance, divided by the median of this ratio,
+    minus one. The expected luminance is that of the Perez sky for the logged irradiance. It can be
+    wrong by tens of percent in one hour and is right on average, so only a change over many hours
+    shows a drift of k.
     """
     from fieldlum.scene import window_fraction
 

@@ -1,4 +1,4 @@
-"""All hourly figures of a campaign as one table: a row for each room, hour and direction."""
+"""Write all hourly figures of a campaign as one table: a row for each room, hour and direction."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
-    """Yield the predicted year of each room that has one; rooms that cannot be read have none."""
+    """Yield the name and the predicted year of each room that has one.
+
+    Rooms that cannot be read are skipped.
+    """
     from fieldlum.predict import read_annual
 
     for room in campaign.rooms:
@@ -33,7 +36,7 @@ def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
 
 
 def _columns(name: str, annual: Annual) -> dict[str, Any]:
-    """Return columns of equal length, [hours x directions], the directions of one hour together."""
+    """Return columns of length hours x directions; the directions of one hour are consecutive."""
     hours, directions = len(annual), len(annual.azimuths_deg)
     columns: dict[str, Any] = {
         "room": [name] * (hours * directions),

@@ -1,4 +1,7 @@
-"""One page of a campaign: which room has glare, which camera drifts, what failed, what is next."""
+"""Write one page about a campaign.
+
+It shows which room has glare, which camera drifts, what failed, and what to capture next.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +35,17 @@ from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyT
 from fieldlum.version import __version__
 
 GLARE_DGP = "0.40"  # disturbing, EN 17037
-_NEXT = 3  # hours named for each room
-_SLOTS = 6  # failed slots named for each reason, so that a row stays on a line or two
+_NEXT = 3  # hours that are named for each room; chosen
+# failed slots that are named for each reason, so that a row has one or two lines; chosen
+_SLOTS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class RoomOverview:
-    """What the page shows of one room. broken: why it could not be read, "" for the others.
+    """What the page shows about one room.
 
-    protection: rows of predict.json; failed: slot and reason.
+    broken: why the room could not be read, "" if it could. protection: rows of predict.json;
+    failed: slot and reason.
     """
 
     session: str
@@ -56,29 +61,35 @@ class RoomOverview:
 
     @property
     def worst(self) -> DirectionYear | None:
-        """Direction with the most glare, as in the room's own report; None without a year."""
+        """Direction with the highest DGP in 5 % of the hours; None without a predicted year.
+
+        The room's own report names the same direction.
+        """
         ends = best_and_worst(self.protection)
         return ends and ends[1]
 
     @property
     def best(self) -> DirectionYear | None:
-        """Direction with the least glare, as in the room's own report; None without a year."""
+        """Direction with the lowest DGP in 5 % of the hours; None without a predicted year.
+
+        The room's own report names the same direction.
+        """
         ends = best_and_worst(self.protection)
         return ends and ends[0]
 
     @property
     def drifting(self) -> list[DriftSeries]:
-        """Quantities that drift."""
+        """Quantities whose drift exceeds its limit."""
         return [series for series in self.drifts.values() if series.drifts]
 
 
 def exceeded(row: DirectionYear | None) -> float:
-    """Return the DGP in 5 % of the hours; -1 without a direction or a figure."""
+    """Return the DGP that is exceeded in 5 % of the hours; -1 if there is none."""
     return -1.0 if row is None or row.dgp_exceeded is None else row.dgp_exceeded
 
 
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
-    """Read one room; a missing or broken session is an overview that names what is wrong."""
+    """Read one room; for a missing or broken session, the overview states what is wrong."""
     try:
         return _read(open_session(campaign.session_folder(room)), room)
     except (FieldlumError, OSError) as error:
@@ -134,7 +145,7 @@ def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
 def write_overview(
     campaign: CampaignFile, out: Path, *, progress: Progress = quiet
 ) -> tuple[Path, list[RoomOverview]]:
-    """Write out/index.html and overview.json; return the page's path and what is in it."""
+    """Write out/index.html and overview.json; return the page's path and the overviews."""
     rooms = []
     for k, room in enumerate(campaign.rooms):
         progress(k, len(campaign.rooms), room.session)
@@ -273,7 +284,7 @@ def _drift(rooms: Sequence[RoomOverview]) -> Section:
 
 
 def _curve(name: str, series: DriftSeries) -> Figure:
-    """Return a drifting quantity over time; red: the robust line."""
+    """Draw a drifting quantity over time, with the robust line in red."""
     width, height, pad = 420.0, 130.0, 26.0
     top = float(np.abs(series.values).max()) or 1.0
     x = pad + (width - 2 * pad) * series.days / max(float(series.days.max()), 1e-9)

@@ -21,7 +21,7 @@ _LINE = 200  # characters of a room's line
 
 @dataclass(frozen=True, slots=True)
 class RoomResult:
-    """What a stage did for one room: state is done or failed; text is one line."""
+    """What a stage did for one room; `text` is one line."""
 
     session: str
     state: Literal["done", "failed"]
@@ -30,7 +30,7 @@ class RoomResult:
 
 @dataclass(frozen=True, slots=True)
 class _Stage:
-    """The campaign, and how a stage of it runs."""
+    """A campaign, and the options with which a stage runs."""
 
     campaign: CampaignFile
     scheduler: Scheduler
@@ -58,7 +58,7 @@ def run_stage(
 ) -> Iterator[RoomResult]:
     """Run `stage` for each room and yield its result.
 
-    The units of merge and predict are those of one room at a time; train has one unit a room.
+    merge and predict have units of work of one room at a time; train has one unit per room.
     """
     if stage == "train":
         yield from _train(campaign, scheduler, progress)
@@ -70,7 +70,7 @@ def run_stage(
 
 
 def guarded(name: str, work: Callable[[], str]) -> RoomResult:
-    """Return the result of one room's work; whatever it raises concerns this room alone."""
+    """Return the result of one room's work; an error in it does not affect other rooms."""
     try:
         return RoomResult(name, "done", work())
     except (FieldlumError, OSError) as error:
@@ -93,9 +93,14 @@ def _plan(stage: _Stage, room: CampaignRoom) -> str:
 
     folder = stage.campaign.session_folder(room)
     if (folder / "session.toml").is_file():
-        return f"{len(open_session(folder).slots())} slots, planned before"
+        return f"{len(open_session(folder).slots())} slots, already planned"
     if not room.site:
-        raise InputError(folder, "no session and no site", "site = SITE.toml", "add it to the room")
+        raise InputError(
+            folder,
+            "a room with neither a session nor a site",
+            "site = SITE.toml",
+            "add site = SITE.toml to the room in CAMPAIGN.toml",
+        )
     setup = load_site(stage.campaign.file(room.site))
     today = plan.today_at(setup.site, datetime.now(UTC))
     session, _ = plan.run(setup, plan.Request(room.set, today), folder)
@@ -176,4 +181,4 @@ def _predict(stage: _Stage, room: CampaignRoom) -> str:
         force=stage.force,
         progress=stage.progress,
     )
-    return f"{len(annual)} hours" + ("" if new else ", predicted before")
+    return f"{len(annual)} hours" + ("" if new else ", already predicted")

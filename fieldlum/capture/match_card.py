@@ -216,7 +216,7 @@ def find_offset(
     what = "civil time of the place" if chosen else "UTC"
     return Offset(
         chosen,
-        f"assumed to be {what}; other offsets by full hours would fit the plan too: if you "
+        f"assumed to be {what}; other offsets would fit the plan too: if you "
         "know the offset, state it with --utc-offset",
     )
 

@@ -43,26 +43,30 @@ COMMANDS = (
 )
 
 INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
-# Missing on a small computer that only captures; see pyproject.toml.
+# May be missing on a small computer that only captures; see pyproject.toml.
 COMPUTE_PACKAGES = ("torch", "pyradiance")
 
-# Errors of a folder or a disk. Any command can meet them, and no stage can correct them.
+# Errors of a folder or a disk, which can happen in any command and which no stage can correct.
 DISK_TROUBLE = {
     errno.EACCES: "change its permissions, or choose another place",
     errno.EPERM: "change its permissions, or choose another place",
-    errno.EROFS: "it is read-only: choose another place",
-    errno.ENOSPC: "free disk space, then start the command again: finished work is kept",
-    errno.EDQUOT: "free disk space, then start the command again: finished work is kept",
-    errno.EIO: "the disk or card does not answer: copy what can be read to another one",
-    errno.ENOTDIR: "name a folder",
-    errno.EISDIR: "name a file",
+    errno.EROFS: "the disk is read-only: choose another place",
+    errno.ENOSPC: ("free disk space, then start the command again: finished work is not repeated"),
+    errno.EDQUOT: ("free disk space, then start the command again: finished work is not repeated"),
+    errno.EIO: "the disk or card does not answer: copy the readable files to another one",
+    errno.ENOTDIR: "name a folder, not a file",
+    errno.EISDIR: "name a file, not a folder",
     errno.EEXIST: "name a folder",
     errno.ENAMETOOLONG: "choose shorter names",
 }
 
 
 class _CommandGroup(click.Group):
-    """Loads a command's module only when it runs, and shows the tool's own errors as one line."""
+    """The group of all commands.
+
+    It loads a command's module only when the command runs, and prints the tool's own errors as one
+    line.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the command names in the order of the work."""
@@ -104,29 +108,30 @@ class _CommandGroup(click.Group):
             if error.name not in COMPUTE_PACKAGES:
                 raise
             said = (
-                f"the package {error.name} is not installed: this computer captures only; "
-                f"install it with: pip install 'fieldlum[compute]'"
+                f"the package {error.name} is not installed, because this computer only "
+                "captures; install it with: pip install 'fieldlum[compute]'"
             )
             _complain(ctx, said)
             sys.exit(InputError.exit_code)
         except KeyboardInterrupt:
             click.echo(
-                f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True
+                f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to continue",
+                err=True,
             )
             sys.exit(INTERRUPTED)
 
 
 def _complain(ctx: click.Context, text: str) -> None:
-    """Print an error as one line; names of files may hold control codes of the terminal."""
+    """Print an error as one line, without control codes that file names may contain."""
     shown = "".join(c if c.isprintable() else "?" for c in text.replace("\n", " "))
     click.echo(f"fieldlum {ctx.invoked_subcommand}: {shown}", err=True)
 
 
 def _hold_standard_files() -> None:
-    """Open the null device in place of a closed standard file (`<&- >&-`).
+    """Open the null device in place of each closed standard file (`<&- >&-`).
 
     Otherwise the next opened file, such as the journal, would get its number, and libraries would
-    print into it.
+    print into that file.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:

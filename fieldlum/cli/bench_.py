@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 @click.command()
 @pairs_argument
 @click.option("--test", type=PATH, help="Pairs to test on. [default: held-out days]")
-@click.option("--pool", type=PATH, help="Pairs of other seasons, for --stress.")
+@click.option("--pool", type=PATH, help="Pairs of other seasons, to test on with --stress.")
 @site_option
 @click.option(
     "--models",
     default=",".join(MODELS),
     show_default=True,
-    help="Names, NAME:none or NAME:gain, or folders of trained models, separated by commas.",
+    help="Models to compare, separated by commas: names, NAME:none or NAME:gain (use of sun "
+    "patches), or folders of trained models.",
 )
 @click.option(
     "--seeds",
@@ -50,13 +51,13 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0, min_open=True),
     help="Minutes of training for the dense network.",
 )
-@click.option("--stress", is_flag=True, help="Also test the regimes where methods fail.")
+@click.option("--stress", is_flag=True, help="Also test conditions in which methods fail.")
 @click.option(
     "--render",
     default=1,
     show_default=True,
     type=click.IntRange(min=0),
-    help="Hours to render with Radiance for the cost row; needs a [room].",
+    help="Number of hours to render with Radiance, to compare the cost; needs a [room].",
 )
 @scene_option
 @scheduler_option
@@ -79,9 +80,10 @@ def command(
 ) -> None:
     """Chart speed against accuracy of the models.
 
-    Writes bench.md, scores.csv and .png, and where the data allow learning_curve, periods and
-    stress. A fitted scene, or a [room] where the csv has no sun patches, also applies to --test
-    and --pool.
+    Writes bench.md, scores.csv and .png; if there are enough data, also learning_curve, periods and
+    stress.
+    --test and --pool use the same fitted scene as PAIRS, or the same [room] if the csv has no sun
+    patches.
 
     \b
     Example:

@@ -22,7 +22,7 @@ PARTS = (
 
 
 class _PartGroup(click.Group):
-    """Load a part's module only when it is used."""
+    """The group of `calibrate` commands; it loads the module of a part only when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the parts in the order of fitting."""

@@ -22,8 +22,8 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(source: Path, corners: str | None, refit: Refit) -> None:
     """Fit luminance from camera R, G, B, by spot readings or a chart.
 
-    SPOTS.csv: file, x_px, y_px, luminance_cdm2 of surfaces of many colours. FRAME: a 24-patch chart
-    in even light.
+    SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours. FRAME
+    shows a 24-patch chart in even light.
 
     \b
     Example:
@@ -41,7 +41,10 @@ def command(source: Path, corners: str | None, refit: Refit) -> None:
     found = colour.fit(colours, profile)
     refit.draw(lambda: pictures.of_colour(colours, found))
     if source.suffix.lower() == ".csv" and abs(found.scale - 1) > 0.03:
-        terminal.say(f"note: the readings fit k times {found.scale:.3f}: run calibrate scale next")
+        terminal.say(
+            f"note: the readings would multiply k by {found.scale:.3f}: run "
+            "fieldlum calibrate scale next"
+        )
     figures = {
         "y_from_rgb": list(found.y_from_rgb),
         "u_rel": found.u_rel,

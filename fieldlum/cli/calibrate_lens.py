@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "lens_number",
     type=click.IntRange(min=1),
     default=1,
-    help="Which lens of the profile.",
+    help="Number of the lens in the profile.",
 )
 @click.option(
     "--full-angle",
@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     help="Inner corners across x down of a board in the FRAMEs, like 9x6.",
 )
 @click.option(
-    "--against", type=EXISTING_PATH, help="An older frame: move the centre by the shift to FRAME."
+    "--against",
+    type=EXISTING_PATH,
+    help="An older frame; the centre is moved by the shift from it to FRAME.",
 )
 @calibration_options
 def command(
@@ -55,8 +57,8 @@ def command(
 ) -> None:
     """Fit centre, circle, mapping and pose of a lens.
 
-    TARGETS.csv: x_px, y_px, azimuth_deg, altitude_deg, relative to the camera's heading and the
-    horizon.
+    TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; angles are relative to the
+    camera's heading and the horizon.
 
     \b
     Example:
@@ -73,7 +75,8 @@ def command(
         )
     if lens_number > len(profile.lens):
         raise click.UsageError(
-            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)}"
+            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
+            "counted from 1"
         )
     start = profile.lens[lens_number - 1]
     if full_angle_deg is not None:

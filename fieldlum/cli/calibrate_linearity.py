@@ -14,11 +14,12 @@ from fieldlum.cli.options import EXISTING_PATH
 @click.argument("frames", nargs=-1, required=True, type=EXISTING_PATH)
 @calibration_options
 def command(frames: tuple[Path, ...], refit: Refit) -> None:
-    """Fit how raw counts depart from proportion to light.
+    """Fit how far raw counts are from proportional to light.
 
-    FRAMES are raw frames of one steady light (a lit wall, a lamp after half an hour) at six or more
-    shutter times, two frames of each, from dark to nearly full; or their folder. The light must be
-    steady to 0.1 %. The profile gets the smallest order that held-out times support.
+    FRAMES are raw frames of one steady light (a lit wall, or a lamp after half an hour), or their
+    folder. Take two frames at each of six or more shutter times, from dark to nearly saturated. The
+    light must be steady to 0.1 %. The profile gets the smallest order that predicts held-out times
+    well.
 
     \b
     Example:

@@ -22,9 +22,9 @@ def command(
 ) -> None:
     """List hot, dead and stuck pixels in the profile (raw cameras).
 
-    Takes frames of three or more views, a FOLDER for each (turn the camera: what stays in place is
-    the sensor's). Or takes two or more long frames with the cap on (--dark), which show no dead
-    pixels. Pixels that the profile lists already stay listed.
+    SOURCES are folders with the frames of three or more views; turn the camera between them, so
+    that only defects of the sensor stay in place. Or take two or more long frames with the cap on
+    (--dark); these do not show dead pixels. Pixels that the profile already lists remain listed.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""Options of all `fieldlum calibrate` commands, and the output of their profile."""
+"""Define the options of all `fieldlum calibrate` commands, and print their results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """The common options: --camera to start from, and where the fit's results go."""
+    """The common options: the profile to start from, and where results are written."""
 
     camera: str
     out: Path
@@ -32,7 +32,7 @@ class Refit:
     as_json: bool
 
     def profile(self) -> CameraProfile:
-        """Load the profile to start from. Raises InputError for an invalid one."""
+        """Load the profile from which the fit starts. Raises InputError for an invalid one."""
         from fieldlum.profiles import load_camera_profile
 
         return load_camera_profile(self.camera)
@@ -85,7 +85,10 @@ def calibration_options(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def say_time(frames: Iterable[Path], profile: CameraProfile, *, boards: bool = False) -> None:
-    """Print how long reading the frames, or finding boards, may take. frames: files or folders."""
+    """Print how long it may take to read the frames, or to detect boards in them.
+
+    frames: files or folders.
+    """
     files = sum(
         sum(1 for p in path.iterdir() if p.is_file()) if path.is_dir() else 1 for path in frames
     )

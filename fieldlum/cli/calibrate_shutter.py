@@ -18,8 +18,9 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(sessions: tuple[Path, ...], refit: Refit) -> None:
     """Fit the shutter's true times from merged sessions (raw cameras).
 
-    The SESSIONs must be merged with this profile. A pair of neighbouring times is used if five or
-    more brackets agree on it within 2 %. A merge with the new profile starts from the fitted times.
+    The SESSIONs must be merged with this profile. Two neighbouring times are used if five or more
+    brackets agree on their ratio within 2 %. A merge with the new profile starts from the fitted
+    times.
 
     \b
     Example:

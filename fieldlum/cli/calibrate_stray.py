@@ -17,9 +17,10 @@ def command(readings_csv: Path, refit: Refit) -> None:
     """Fit the lens's stray light from black traps in bright fields.
 
     READINGS.csv has panorama, azimuth_deg and altitude_deg of places that emit no light: the hole
-    of a deep dark box, or dark places around a lamp in a dark room; luminance_cdm2 if a place is
-    not black. Eight or more at different angles from the light, in pictures of one heading. `merge`
-    then removes the stray light and adds what the kernel does not explain to u.
+    of a deep dark box, or dark places around a lamp in a dark room. Add luminance_cdm2 for a place
+    that is not black. Eight or more places at different angles from the light are needed, in
+    pictures of one heading. `merge` then subtracts the stray light, and adds what the kernel does
+    not explain to u.
 
     \b
     Example:
@@ -44,5 +45,5 @@ def command(readings_csv: Path, refit: Refit) -> None:
         [found.choice.line],
         figures,
         stray=found.kernel,
-        glare_floor_rel=0.0,  # the kernel's u_rel is its successor
+        glare_floor_rel=0.0,  # the kernel's u_rel replaces it
     )

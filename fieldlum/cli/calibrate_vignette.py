@@ -19,7 +19,7 @@ from fieldlum.cli.options import EXISTING_PATH
     "lens_number",
     type=click.IntRange(min=1),
     default=1,
-    help="Lens of FRAMEs, where the camera has several.",
+    help="Number of the lens that the FRAMEs show, if the camera has several.",
 )
 @calibration_options
 def command(
@@ -29,8 +29,8 @@ def command(
 ) -> None:
     """Fit the loss of light towards the edge, for one aperture.
 
-    READINGS.csv: file, x_px, y_px (and radius_px, reference) of one patch seen at many angles; or
-    angle_deg, value. FRAMEs: pictures of an evenly lit field.
+    READINGS.csv has the columns file, x_px, y_px (optional: radius_px, reference) of one patch seen
+    at many angles; or the columns angle_deg and value. FRAMEs are pictures of an evenly lit field.
 
     \b
     Example:
@@ -41,7 +41,8 @@ def command(
     profile = refit.profile()
     if lens_number > len(profile.lens):
         raise click.UsageError(
-            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)}"
+            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
+            "counted from 1"
         )
     table = len(sources) == 1 and sources[0].suffix.lower() == ".csv"
     if not table:

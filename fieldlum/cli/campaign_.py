@@ -1,4 +1,4 @@
-"""`fieldlum campaign`: many sessions as one."""
+"""`fieldlum campaign`: run a stage for many sessions."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ campaign_argument = click.argument("campaign_file", metavar="CAMPAIGN.toml", typ
 
 @click.group("campaign")
 def command() -> None:
-    """Treat many sessions as one campaign.
+    """Run a stage for all sessions of a campaign.
 
-    CAMPAIGN.toml names the sessions. A room that is missing or broken is reported and skipped.
+    CAMPAIGN.toml names the sessions. A room whose session is missing or broken is reported and
+    skipped.
 
     \b
     Example:
@@ -41,7 +42,7 @@ def command() -> None:
 
 
 def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json: bool) -> None:
-    """Run a stage, print one line a room, exit with 3 if any room was skipped."""
+    """Run a stage and print one line for each room; exit with 3 if any room was skipped."""
     from fieldlum.campaign import read_campaign, run_stage
 
     campaign = read_campaign(campaign_file)
@@ -178,7 +179,9 @@ def report_command(
     from fieldlum.campaign.overview import write_overview
 
     if table is not None and table.suffix not in (".csv", ".parquet"):
-        raise click.UsageError(f"--table {table}: write a .csv or a .parquet file")
+        raise click.UsageError(
+            f"--table {table}: suffix '{table.suffix}'; name a .csv or a .parquet file"
+        )
     campaign = read_campaign(campaign_file)
     with progress("campaign report") as show:
         page, rooms = write_overview(

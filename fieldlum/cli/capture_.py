@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     "grace_s",
     metavar="S",
     type=click.FloatRange(min=0),
-    help="How late a bracket may start, later it is missed; stored in the session. [default: 300]",
+    help="How late a bracket may start, after which its slot is missed; stored in the "
+    "session. [default: 300]",
 )
 @click.option(
     "--log-every",
@@ -47,21 +48,23 @@ if TYPE_CHECKING:
 @click.option(
     "--status-json",
     type=PATH,
-    help="Update this file, for watching from elsewhere.",
+    help="Update this file with the state of the capture, so that it can be watched from "
+    "elsewhere.",
 )
 @click.option(
     "--on-misses",
     metavar="COMMAND",
     default="",
-    help="Run this when two slots in a row gave no bracket. Its environment has FIELDLUM_SLOT, "
-    "FIELDLUM_OUTCOME, FIELDLUM_REASON and FIELDLUM_SESSION.",
+    help="Run this command when two slots in a row gave no bracket. Its environment has "
+    "FIELDLUM_SLOT, FIELDLUM_OUTCOME, FIELDLUM_REASON and FIELDLUM_SESSION.",
 )
 @click.option(
     "--notify",
     metavar="@FILE",
     default="",
-    help="Send faults and a daily summary to the addresses of apprise in FILE, one a line "
-    "(mailto://, ntfy://, tgram:// ...). Or set FIELDLUM_NOTIFY.",
+    help="Send faults and a daily summary to the apprise addresses in FILE, one per line "
+    "(mailto://, ntfy://, tgram:// ...). The variable FIELDLUM_NOTIFY can state them "
+    "instead.",
 )
 @click.option(
     "--notify-picture",
@@ -90,7 +93,7 @@ def command(
 ) -> None:
     """Take the planned brackets and log irradiance.
 
-    It can be stopped and started again at any time: at most one frame is then taken again.
+    You can stop and start it again at any time; at most one frame is then taken twice.
 
     \b
     Example:
@@ -108,7 +111,7 @@ def command(
     session = open_session(session_folder)
     if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
         terminal.say(
-            "note: plan.csv is not the file that session.toml was written for: run fieldlum doctor"
+            "note: plan.csv was changed after session.toml was written: run fieldlum doctor"
         )
     camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
     if not camera_uri:
@@ -167,7 +170,8 @@ def command(
         terminal.say(f"the last aborted bracket: {aborted[-1]}")
     if len(aborted) > outcomes.count("done"):
         raise DeviceError(
-            "more brackets were aborted than taken: run fieldlum doctor, then plan --replan"
+            "more brackets were aborted than taken: run fieldlum doctor, then fieldlum plan "
+            "SESSION --replan"
         )
 
 
@@ -188,5 +192,5 @@ def _heartbeat(option: str) -> str:
 
 
 def _real(*uris: str) -> str:
-    """Return the first device that is neither simulated nor a replay, or an empty text."""
+    """Return the first device that is neither simulated nor a replay; "" if there is none."""
     return next((uri for uri in uris if uri and not uri.startswith(("sim:", "replay:"))), "")

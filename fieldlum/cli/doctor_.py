@@ -58,7 +58,10 @@ def command(
 
 
 def _drawing(session: Session) -> Path | None:
-    """Write room.svg into the session; return None for a session without a box room."""
+    """Write room.svg into the session and return its path.
+
+    None for a session without a box room.
+    """
     from fieldlum.scene.drawing import room_svg
     from fieldlum.session import replacing
 
@@ -69,6 +72,6 @@ def _drawing(session: Session) -> Path | None:
     try:
         with replacing(path, "w", encoding="utf-8") as file:
             file.write(drawing.replace("currentColor", "black"))
-    except OSError:  # a full or read-only disk: a finding of its own
+    except OSError:  # a full or read-only disk is reported by another check
         return None
     return path

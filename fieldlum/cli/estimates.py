@@ -1,4 +1,4 @@
-"""How long a command may take, from measured costs: printed before it starts.
+"""Estimate how long a command will take, from measured costs; printed before it starts.
 
 The costs are CPU seconds of one core of a 2-core x86-64 machine (docs/scale.md). Another computer
 may be three times faster or slower.
@@ -15,7 +15,8 @@ _MERGE_S_PER_BYTE = 4.0 / 250e6
 # at 460 x 230 (docs/scale.md): most of the time goes into the room's own light, for any size.
 _TRANSPORT_FIXED_S = 38.0
 _TRANSPORT_S = 15.0 / (108 * 460 * 230)
-# A line through 30 s for 8 directions at 60 x 30 and 154 s for ten at 460 x 230, from the same.
+# A line through 30 s for 8 directions at 60 x 30 (bench/campaign_rooms.py) and 154 s for ten at 460
+# x 230 (docs/scale.md).
 _YEAR_FIXED_S = 30.0
 _YEAR_S = 124.0 / (460 * 230 * 10)
 # `fieldlum simulate` of the shipped office with 8 hours took 12, 33 and 80 CPU s at 60 x 30
@@ -28,7 +29,7 @@ _HOUR_S = 0.025  # 292 more hours at 60 x 30 took 6.9 CPU s
 _FIT_S_PER_CAPTURE = 0.09
 # The same page: 168 s for a picture of 115 x 58 by rtrace with the paper's options.
 _RADIANCE_S = 168.0 / (115 * 58)
-_STRESS_S = 90.0  # `bench.stress`: a minute or two
+_STRESS_S = 90.0  # `bench.stress` takes one to two minutes
 # `calibrate pixels` took 7 CPU s for 6 raw frames of 21 megapixels, `calibrate response` 7 CPU s
 # for 16 JPEGs of 12 megapixels.
 _FRAME_S_PER_MEGAPIXEL = 0.05
@@ -38,13 +39,16 @@ _LEAST_PRINTED_S = 20.0
 
 
 def merge_s(folders: Iterable[Path]) -> float:
-    """Return the time to merge brackets, from the size of their frames, in s."""
+    """Return the time to merge brackets [s], from the size of their frames."""
     sizes = (f.stat().st_size for folder in folders for f in folder.iterdir() if f.is_file())
     return _MERGE_S_PER_BYTE * sum(sizes)
 
 
 def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
-    """Return the time to train, in s: the complete budget if the dense network is tried."""
+    """Return the time to train [s].
+
+    It is the complete budget if the dense network is tried.
+    """
     if model in ("auto", "dense"):
         return 60.0 * budget_min
     transport = _TRANSPORT_FIXED_S + _TRANSPORT_S * captures * pixels
@@ -52,12 +56,12 @@ def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
 
 
 def predict_s(pixels: int, directions: int) -> float:
-    """Return the time to predict a year, in s."""
+    """Return the time to predict a year [s]."""
     return _YEAR_FIXED_S + _YEAR_S * pixels * directions
 
 
 def simulate_s(quality: str, pixels: int, hours: int) -> float:
-    """Return the time to simulate the hours of a plan, in s."""
+    """Return the time to simulate the hours of a plan [s]."""
     return _SIMULATE_FIXED_S[quality] + _SIMULATE_S[quality] * pixels + _HOUR_S * hours
 
 
@@ -73,10 +77,11 @@ def bench_s(
     render_hours: int,
     with_stress: bool,
 ) -> float:
-    """Return the time of a benchmark, in s.
+    """Return the time of a benchmark [s].
 
-    transport, slow: number of transport models, and trainings of the dense network. folds: fits of
-    a model for the score table. curve_captures: captures of all fits of a learning curve together.
+    transport, slow: number of transport models, and of trainings of the dense network. folds:
+    number of fits of a model for the score table. curve_captures: sum of the captures over all fits
+    of a learning curve.
     """
     quick = transport * _FIT_S_PER_CAPTURE * (folds * captures + curve_captures)
     rendering = render_hours * _RADIANCE_S * pixels
@@ -84,7 +89,7 @@ def bench_s(
 
 
 def frames_s(count: int, pixels: int, *, boards: bool = False) -> float:
-    """Return the time to read frames for a calibration, or to find boards in them, in s."""
+    """Return the time to read frames for a calibration [s], or to detect boards in them."""
     per_megapixel = _BOARD_S_PER_MEGAPIXEL if boards else _FRAME_S_PER_MEGAPIXEL
     return per_megapixel * count * pixels / 1e6
 
@@ -99,8 +104,8 @@ def duration_text(seconds: float) -> str:
 
 
 def estimate_text(seconds: float, processes: int = 1) -> str:
-    """Return a sentence for the start of a command; empty for a short one."""
+    """Return a sentence for the start of a command; "" if the command is short."""
     needed = seconds / max(processes, 1)
     if needed < _LEAST_PRINTED_S:
         return ""
-    return f"this takes {duration_text(needed)}, less if parts were computed before"
+    return f"this takes {duration_text(needed)}, or less if parts were computed before"

@@ -15,7 +15,7 @@ from fieldlum.cli.terminal import emit_json, say, write_csv
 if TYPE_CHECKING:
     from fieldlum.glare.answers import GlareAnswer
 
-# Columns of --csv: a contract, additions only at the end.
+# Columns of --csv, which are a contract: new ones are only added at the end.
 CSV_COLUMNS = (
     "file",
     "t_utc",
@@ -92,9 +92,9 @@ def command(
 ) -> None:
     """Compute glare of panoramas and fisheyes (.exr, .hdr).
 
-    A panorama is judged in ten directions unless --view-azimuth names some; a fisheye in its own
-    direction, on its own pixels. A picture that cannot be read is reported, the others are judged,
-    and the exit code is 3.
+    A panorama is judged in ten directions unless --view-azimuth names some. A fisheye is judged in
+    its own direction, on its own pixels. If a picture cannot be read, it is reported, the others
+    are judged, and the exit code is 3.
 
     \b
     Example:

@@ -23,7 +23,7 @@ def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) 
     found = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
     if not found or int(found[2]) > 14 or int(found[3]) > 59:
         raise click.BadParameter(
-            f"{text} is not a UTC offset: write it like -08:00 (or +05:30:12 with seconds)"
+            f"{text} is not a UTC offset: write, for example, -08:00 (or +05:30:12 with seconds)"
         )
     seconds = int(found[2]) * 3600 + int(found[3]) * 60 + int(found[4] or 0)
     return float(-seconds if found[1] == "-" else seconds)
@@ -40,7 +40,8 @@ def _columns(
         named[quantity] = name
         if quantity not in QUANTITIES or not name:
             raise click.BadParameter(
-                f"{quantity}={name}: write it like ghi_wm2=SlrkW_Avg, with {', '.join(QUANTITIES)}"
+                f"{quantity}={name} is not QUANTITY=COLUMN: write, for example, "
+                f"ghi_wm2=SlrkW_Avg; quantities are {', '.join(QUANTITIES)}"
             )
     return named
 
@@ -67,7 +68,7 @@ def _columns(
     metavar="QUANTITY=NAME",
     multiple=True,
     callback=_columns,
-    help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, where its name is unusual.",
+    help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its name is unusual.",
 )
 def command(
     session_folder: Path,
@@ -79,14 +80,16 @@ def command(
     """Import a card's folder and a logger's file.
 
     Frames are grouped into brackets by their exposures and times, and matched to the plan; frames
-    without a match are listed. The card is not changed, and can be imported again.
+    without a match are listed. The card is not changed, so that it can be imported again.
 
     \b
     Example:
       fieldlum import office-2027 /media/card/DCIM --irradiance CR1000_sky.dat --utc-offset -08:00
     """
     if folder is None and logger is None:
-        raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
+        raise click.UsageError(
+            "no input: name a card's folder, or a logger's file with --irradiance"
+        )
     from fieldlum.capture import import_card
     from fieldlum.session import open_session
 
@@ -106,11 +109,11 @@ def command(
         f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} "
         f"rows of irradiance"
         + (
-            f"; {report.withdrawn} rows that an earlier import of this file added were removed"
+            f"; {report.withdrawn} rows of an earlier import of this file were removed"
             if report.withdrawn
             else ""
         )
-        + (f"; {report.known} brackets were imported before" if report.known else "")
+        + (f"; {report.known} brackets were already imported" if report.known else "")
     )
 
 
@@ -127,12 +130,12 @@ def _summary(report: object) -> list[str]:
         lines.append(f"brackets start {median(report.late_s):+.0f} s from their slots (median)")
     if report.moved:
         lines.append(
-            f"removed from {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again"
+            f"removed from {', '.join(report.moved)}, stored in raw/withdrawn: merge and pair again"
         )
     for what, texts in (("note", report.notes), ("not imported", report.left_out)):
         lines += [f"{what}: {text}" for text in texts[:_SHOWN]]
         if len(texts) > _SHOWN:
-            lines.append(f"{what}: {len(texts) - _SHOWN} more")
+            lines.append(f"{what}: {len(texts) - _SHOWN} more, not shown")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""`fieldlum info`: describe any file of the tool in a few lines."""
+"""`fieldlum info`: describe any file of fieldlum in a few lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LINE = 200  # characters of a value without --json
 @click.argument("files", nargs=-1, required=True, type=PATH)
 @json_lines_option
 def command(files: tuple[Path, ...], as_json: bool) -> None:
-    """Describe a raw, picture, plan, profile or model.
+    """Describe frames, pictures, plans, profiles or models.
 
     \b
     Example:
@@ -47,7 +47,7 @@ def command(files: tuple[Path, ...], as_json: bool) -> None:
 
 
 def _short(value: object) -> str:
-    """Return a value as one readable line; `--json` has all of it."""
+    """Return a value as one readable line, which may be shortened; `--json` has all of it."""
     if isinstance(value, dict):
         return ", ".join(value) if value else "none"
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
@@ -59,7 +59,7 @@ def _short(value: object) -> str:
 
 
 def describe(path: Path) -> Facts:
-    """Return facts about a file, by its kind. Raises InputError for a file of no known kind."""
+    """Return facts about a file, by its kind. Raises InputError for an unknown kind."""
     if path.is_dir():
         return _folder(path)
     if not path.is_file():
@@ -247,6 +247,6 @@ def _folder(path: Path) -> Facts:
 def _year(path: Path) -> Facts:
     from fieldlum.session.files.json_file import read_object
 
-    about = read_object(path / "predict.json", "a predicted year", "predict again")
+    about = read_object(path / "predict.json", "a predicted year", "run fieldlum predict again")
     names = ("model", "width", "height", "hours", "first", "last", "weather", "protection")
     return {"kind": "predicted year", **{name: about.get(name) for name in names}}

@@ -1,4 +1,4 @@
-"""Display of a running capture: a panel on a terminal, lines in a pipe, a JSON file for others."""
+"""Show a running capture: a panel on a terminal, lines in a pipe, a JSON file for others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from fieldlum.session import replacing
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-_JSON_EVERY_S = 10.0  # not measured; small enough for a page that a person looks at
+# seconds between updates of the JSON file; not measured, short enough for a page that somebody
+# watches
+_JSON_EVERY_S = 10.0
 
 
 def countdown(seconds: float | None) -> str:
@@ -89,7 +91,7 @@ def as_json(live: Live) -> JsonTable:
 
 
 class _StatusFile:
-    """Writes a small JSON file at once after a change, and every ten seconds."""
+    """Writes a small JSON file after each change, and every ten seconds."""
 
     def __init__(self, path: Path | None) -> None:
         self._path, self._key, self._at = path, (), None
@@ -113,13 +115,16 @@ class _StatusFile:
         with (
             suppress(OSError),
             replacing(self._path, "w", encoding="utf-8") as file,
-        ):  # a full disk, or a share that is away
+        ):  # the disk is full, or a network share is away
             json.dump(as_json(live), file)
 
 
 @contextmanager
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
-    """Yield a watcher for `run`: a panel on a terminal, else one line per outcome on stderr."""
+    """Yield a function that shows the state of a capture.
+
+    On a terminal it shows a panel; otherwise it prints one line for each outcome on stderr.
+    """
     status_file = _StatusFile(status_json)
     if not terminal.seen():
         plain = _PlainLines()

@@ -14,7 +14,11 @@ from fieldlum.cli.options import session_argument
 @click.command("log")
 @session_argument
 @click.option(
-    "--pyranometer", "uri", metavar="URI", required=True, help="Like serial:/dev/ttyUSB0?kind=spn1."
+    "--pyranometer",
+    "uri",
+    metavar="URI",
+    required=True,
+    help="For example serial:/dev/ttyUSB0?kind=spn1.",
 )
 @click.option(
     "--every",
@@ -29,7 +33,7 @@ from fieldlum.cli.options import session_argument
     "--rows", type=click.IntRange(min=1), help="Stop after this many rows. [default: at Ctrl-C]"
 )
 def command(session_folder: Path, uri: str, every_s: float, rows: int | None) -> None:
-    """Log irradiance without a camera, until stopped.
+    """Log irradiance without a camera, until the command is stopped.
 
     \b
     Example:

@@ -58,10 +58,12 @@ if TYPE_CHECKING:
 @click.option(
     "--fit/--no-fit",
     default=None,
-    help="Estimate exposure ratios from the frames.  [default: raw only]",
+    help="Estimate exposure ratios from the frames. [default: for raw frames only]",
 )
 @click.option(
-    "--drop-moved", is_flag=True, help="Exclude frames from pixels that something moved through."
+    "--drop-moved",
+    is_flag=True,
+    help="Exclude frames from pixels where something moved through the picture.",
 )
 @scheduler_option
 @force_option
@@ -101,7 +103,7 @@ def command(
     if more:
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
-        raise click.UsageError("--camera, --out and --projection are for --frames only")
+        raise click.UsageError("--camera, --out and --projection need --frames")
     scheduler = scheduler_of(scheduler_text)
     height = panorama_height(size) if size else _present_height(session)
     options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
@@ -109,7 +111,7 @@ def command(
 
 
 def _present_height(root: Path) -> int:
-    """Return the height of the session's panoramas, so that a later bracket gets the same size."""
+    """Return the height of the session's panoramas, so that later brackets get the same size."""
     from fieldlum.session import open_session
     from fieldlum.session.files.sidecar import newest_sidecar
 
@@ -128,7 +130,10 @@ def _file_options(
     else:
         width, height = dimensions(size or DEFAULT_FISHEYE_SIZE)
         if width != height:
-            raise click.UsageError(f"--size {size}: a fisheye picture is square")
+            raise click.UsageError(
+                f"--size {size}: a fisheye picture must be square, for "
+                f"example {DEFAULT_FISHEYE_SIZE}"
+            )
     return MergeOptions(height, projection, fit, drop_moved)
 
 

@@ -20,10 +20,10 @@ _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 @click.command("new")
 @click.argument("site_file", metavar="SITE.toml", type=PATH)
 def command(site_file: Path) -> None:
-    """Ask for what a site needs and write its SITE.toml.
+    """Ask questions about a site and write its SITE.toml.
 
-    Each answer is checked at once. With a room it also draws a plan, SITE.svg, which shows a wrong
-    window or azimuth. An existing file is never overwritten.
+    Each answer is checked at once. If you describe the room, a plan SITE.svg is drawn too, which
+    shows a wrong window or azimuth. An existing file is never overwritten.
 
     \b
     Example:
@@ -35,7 +35,7 @@ def command(site_file: Path) -> None:
     from fieldlum.site_toml import load_site
 
     if site_file.exists():
-        raise InputError(site_file, "it exists", "a new file", "choose another name")
+        raise InputError(site_file, "the file exists already", "a new file", "choose another name")
     site = _site()
     camera = _camera()
     setup = SiteFile(site, camera)
@@ -70,8 +70,9 @@ def _site() -> Site:
         off = zone_off_sun_h(site)
         if abs(off) > 4.0:
             raise ValueError(
-                f"its clock differs from the sun at longitude {longitude:g} by {off:+.1f} h; check "
-                f"the sign of the longitude: east is positive, west negative"
+                f"the clock of this zone differs from the sun at longitude {longitude:g} by "
+                f"{off:+.1f} h; check the sign of the longitude: east is positive, west "
+                "negative"
             )
         return site
 
@@ -109,7 +110,7 @@ def _camera() -> CameraSetup:
 
 
 def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
-    """Ask until the room can be built."""
+    """Ask about the room until a room is possible; return the site with it."""
     from fieldlum.scene.geometry import build
 
     while True:
@@ -133,7 +134,7 @@ def _room(camera: CameraSetup) -> Room:
     from_wall = _ask("Camera: distance from that wall", _number(0.0, depth))
     count = int(_ask("How many windows", _number(0, 20), default="1"))
     windows = tuple(_window(k + 1, width, depth, height) for k in range(count))
-    # camera_x_m counts from the other end: seen from outside, x grows to the right
+    # camera_x_m counts from the other end, because x grows to the right as seen from outside
     return Room(
         width_m=width,
         depth_m=depth,
@@ -149,7 +150,10 @@ def _room(camera: CameraSetup) -> Room:
 def _window(number: int, width: float, depth: float, height: float) -> Window:
     def wall(text: str) -> Any:
         if text not in ("south", "west", "north", "east"):
-            raise ValueError("expected south, west, north or east, in the room's own directions")
+            raise ValueError(
+                "expected south, west, north or east, in the room's own "
+                "directions (the main window wall is south)"
+            )
         return text
 
     name = _ask(f"Window {number}: wall (south, west, north, east)", wall, default="south")
@@ -168,7 +172,7 @@ def _window(number: int, width: float, depth: float, height: float) -> Window:
 
 
 def _ask(question: str, reader: Callable[[str], T], default: str | None = None) -> T:
-    """Ask until `reader` accepts the answer."""
+    """Ask a question until `reader` accepts the answer; return what `reader` returns."""
 
     def checked(text: str) -> T:
         try:
@@ -225,7 +229,7 @@ def _known_zone(text: str) -> str:
 
 
 def _own_zone(longitude_deg: float) -> str | None:
-    """Return this computer's time zone if it fits the longitude."""
+    """Return this computer's time zone if it is plausible for the longitude, else None."""
     from fieldlum.sun import zone_off_sun_h
 
     try:

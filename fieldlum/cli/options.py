@@ -1,4 +1,4 @@
-"""Options and arguments of several commands: each has one name, one meaning, one help text."""
+"""Define options and arguments of several commands: one name, one meaning, one help text."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ Decorator = Callable[[Command], Command]
 
 
 class _LocalPath(click.Path):
-    """A path of a file system: a URL would become a folder named "s3:" here."""
+    """A path of the file system.
+
+    URLs are rejected, because one would become a folder named "s3:".
+    """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if "://" in str(value):
             self.fail(
-                f"{value} is a URL; expected a path, since a bucket has no locks; only "
+                f"{value} is a URL; expected a path, because a bucket has no locks; only "
                 "pair --pairs-to and predict --maps-to write to a URL",
                 param,
                 ctx,
@@ -76,10 +79,10 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print the answer as one JSON object."
 )
 json_lines_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object per file, one a line."
+    "--json", "as_json", is_flag=True, help="Print one JSON object for each file, one per line."
 )
 force_option = click.option(
-    "--force", is_flag=True, help="Compute again, even from unchanged inputs."
+    "--force", is_flag=True, help="Compute again, even if the inputs have not changed."
 )
 site_option = click.option(
     "--site",
@@ -124,18 +127,19 @@ def scheduler_of(text: str) -> Scheduler:
 # sizes
 
 DEFAULT_SIZE = "460x230"  # the maps of Liu, Colburn and Inanici 2020
-DEFAULT_FISHEYE_SIZE = "1000x1000"  # evalglare's usual picture is 800 to 1200 pixels across
-_LARGEST_PX = 16384  # a map of 134 million pixels, 0.5 GB in float32
+DEFAULT_FISHEYE_SIZE = "1000x1000"  # evalglare's usual pictures are 800 to 1200 pixels across
+_LARGEST_PX = 16384  # largest width: a map of 134 million pixels, 0.5 GB in float32; chosen
 
 
 def dimensions(size: str) -> tuple[int, int]:
     """Return width and height of WxH [px]. Raises click.UsageError for anything else."""
     width, _, height = size.lower().partition("x")
     if not (width.isdigit() and height.isdigit()):
-        raise click.UsageError(f"--size {size}: write it as {DEFAULT_SIZE}")
+        raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
     if not (8 <= int(width) <= _LARGEST_PX and 8 <= int(height) <= _LARGEST_PX // 2):
         raise click.UsageError(
-            f"--size {size}: a width of 8 to {_LARGEST_PX}, a height of 8 to {_LARGEST_PX // 2}"
+            f"--size {size}: the width must be 8 to {_LARGEST_PX}, the height 8 to "
+            f"{_LARGEST_PX // 2}"
         )
     return int(width), int(height)
 
@@ -144,5 +148,7 @@ def panorama_height(size: str) -> int:
     """Return the height of a panorama's WxH [px]. Raises click.UsageError unless W = 2H."""
     width, height = dimensions(size)
     if width != 2 * height:
-        raise click.UsageError(f"--size {size}: a panorama is twice as wide as high")
+        raise click.UsageError(
+            f"--size {size}: a panorama must be twice as wide as high, for example {DEFAULT_SIZE}"
+        )
     return height

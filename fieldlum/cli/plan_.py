@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     "--start",
     type=click.DateTime(["%Y-%m-%d"]),
     metavar="YYYY-MM-DD",
-    help="First day, local date. [default: the next that fits]",
+    help="First day, local date. [default: the next possible one]",
 )
 @click.option("--year", type=click.IntRange(1950, 2100), help="Plan the events of this year.")
 @click.option(
     "--days",
     type=click.IntRange(1, 366),
-    help="Days of a month (31), or of the window of even and best (365).",
+    help="Number of days of a month (31), or of the period for even and best (365).",
 )
 @click.option(
     "--count", type=click.IntRange(min=1), help="Number of hours, for even (200) and best (50)."
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     "--weather",
     "weather_file",
     type=PATH,
-    help="EPW, TMY3 or CSV: skies and coverage.",
+    help="Weather year (EPW, TMY3 or CSV), for skies and coverage.",
 )
 @out_option("The session folder")
-@click.option("--ics", is_flag=True, help="Also write plan.ics, one event a day.")
-@click.option("--html", is_flag=True, help="Also write plan.html, a printable sheet a day.")
+@click.option("--ics", is_flag=True, help="Also write plan.ics, one event per day.")
+@click.option("--html", is_flag=True, help="Also write plan.html, one printable sheet per day.")
 @click.option(
     "--next",
     "next_",
     is_flag=True,
-    help="Rank the hours of the next two weeks by what they would teach the model.",
+    help="Rank the hours of the next two weeks by how much they would improve the model.",
 )
 @click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
 @json_option
@@ -69,7 +69,7 @@ def command(
 ) -> None:
     """Choose the hours to capture and write the session.
 
-    On a session: list what to capture next, or add make-up slots for missed hours.
+    With a session, list what to capture next, or add make-up slots for missed hours.
 
     \b
     Example:
@@ -87,7 +87,8 @@ def command(
         )
     elif set_ is None or out is None:
         raise click.UsageError(
-            "name --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session"
+            "name --set and --out, for example: fieldlum plan SITE.toml --set 9-day --out "
+            "my-session"
         )
     elif set_ == "best" and weather_file is None:
         raise click.UsageError(
@@ -109,13 +110,13 @@ def command(
 def _meaningless(
     set_: str, start: datetime | None, year: int | None, days: int | None, count: int | None
 ) -> str:
-    """Return why an option would have no effect, or an empty text."""
+    """Return why an option would have no effect; "" if all have one."""
     if start and year:
         return "--start and --year exclude each other: use one of them"
     if count and set_ not in ("even", "best"):
         return f"--count is for even and best; the hours of {set_} follow from its days"
     if days and set_ in ("9-day", "12-day", "4-day"):
-        return f"--days is for month, even and best; {set_} has its own"
+        return f"--days is for month, even and best; {set_} has fixed days"
     return ""
 
 
@@ -155,7 +156,7 @@ def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
 
         weather = synthetic_weather(session.site_file().site)
         terminal.say(
-            "note: no --weather: clear skies with random clouds replace the climate of this place"
+            "note: no --weather: skies of this place are replaced by clear skies with random clouds"
         )
     with terminal.progress("ranking hours") as progress:
         answer = coming.run(session, weather, datetime.now(UTC), progress)

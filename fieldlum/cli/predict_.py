@@ -25,8 +25,8 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
     "weather_path",
     required=True,
     type=PATH,
-    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic: an invented "
-    "year, unfit to judge a place.",
+    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic, for "
+    "an invented year that must not be used to judge a place.",
 )
 @click.option(
     "--label-shift",
@@ -53,7 +53,7 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
     default=10,
     show_default=True,
     type=click.IntRange(1, 360),
-    help="Number of view directions around.",
+    help="Number of view directions, evenly spread around.",
 )
 @click.option(
     "--occupancy",
@@ -66,8 +66,8 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
     "--lamps",
     default="",
     metavar="FILE|off",
-    help="When lamps that are marked in the captures are on: a csv as for --occupancy, or off. "
-    "[default: as in the captures without a mark]",
+    help="When lamps that are marked in the captures are on: a csv as for --occupancy, or "
+    "off. [default: as in captures without a mark]",
 )
 @scheduler_option
 @force_option
@@ -89,7 +89,7 @@ def command(
     """Predict a year of maps and glare from a weather file.
 
     Writes hourly.csv (vertical illuminance, DGP, UGR and more for every hour and direction),
-    predict.json (the meaning by EN 17037, with confidence) and the maps of some typical hours.
+    predict.json (classes by EN 17037, with their confidence) and the maps of some typical hours.
 
     \b
     Example:
@@ -136,7 +136,7 @@ def command(
         azimuth = row.azimuth_deg
         click.echo(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
     if summary.capture_next:
-        click.echo("To decide what is open, capture skies like these:")
+        click.echo("To settle what is open, capture skies like these:")
         for hour in summary.capture_next:
             click.echo(
                 f"  {hour.date} {hour.hour}  DNI {hour.dni_wm2:.0f}, DHI {hour.dhi_wm2:.0f} W/m²"

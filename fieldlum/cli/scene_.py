@@ -1,4 +1,4 @@
-"""`fieldlum scene`: find the room from its own captures."""
+"""`fieldlum scene`: find the geometry of a room from its captures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.group("scene")
 def command() -> None:
-    """Find the room's geometry, north and clock from captures."""
+    """Find the room's geometry, north and clock error from captures."""
 
 
 @command.command()
@@ -32,16 +32,16 @@ def command() -> None:
     type=click.FloatRange(min=0, min_open=True),
     help="Standard uncertainty of the captures' times in minutes; 0.1 for a clock set by NTP.",
 )
-@click.option("--seed", default=0, show_default=True, help="Seed of the drawn pixels.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the randomly chosen pixels.")
 @json_option
 def fit(
     pairs: Path, site: Path | None, out: Path | None, clock_sd: float, seed: int, as_json: bool
 ) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
 
-    Starts at the `[room]` that was measured by tape and changes no file of yours. It writes
-    scene.toml, with values before and after and their uncertainties, and pictures for checking.
-    `train` then uses the session's scene/ unless `--scene none` is set.
+    The fit starts from the `[room]` that was measured by tape. It writes scene.toml, with values
+    before and after the fit and their uncertainties, and pictures for checking; it changes no file
+    of yours. `train` then uses the session's scene/ unless `--scene none` is set.
 
     \b
     Example:

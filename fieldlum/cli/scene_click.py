@@ -53,9 +53,9 @@ def command(
 ) -> None:
     """Describe the room by clicking its corners on a panorama.
 
-    Click corners of floor, ceiling and windows; the box, the windows and the hour's sun patch are
-    drawn over the picture at once. Writes scene/clicked.toml, and the session's [room] if it has
-    none. This room is the start of scene fit.
+    Click corners of floor, ceiling and windows. The box, the windows and the hour's sun patch are
+    drawn over the picture at once. The command writes scene/clicked.toml, and the session's [room]
+    if the session has none. `scene fit` starts from this room.
 
     \b
     Example:
@@ -90,5 +90,9 @@ def command(
     click.echo(f"the south wall faces {table['faces']}; misfit {found.misfit_px:.2f} px rms")
     for note in found.notes:
         terminal.say(f"note: {note}")
-    rest = "the session has this room now" if taken else "the session keeps its room: --replace"
+    rest = (
+        "the session has this room now"
+        if taken
+        else ("the session still has its earlier room: use --replace to replace it")
+    )
     terminal.say(f"written: {path}; {rest}")

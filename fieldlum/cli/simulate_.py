@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     "--troubles",
     "troubles_file",
     type=PATH,
-    help="TOML of troubles: clouds, lamps, a knocked camera ... (docs/simulation.md).",
+    help="TOML file of troubles: clouds, lamps, a knocked camera ... (docs/simulation.md).",
 )
 @click.option(
     "--seed",
@@ -106,24 +106,27 @@ def command(
 ) -> None:
     """Render a box room by Radiance at the hours of a plan.
 
-    Writes a session with sun patches and truth/, which simulated devices photograph.
-    truth/pairs.csv names the true panoramas, for training; pairs.csv is a copy of it until `pair`
-    writes the captures'. Without --weather it uses the paper's year near Seattle; elsewhere it uses
-    a synthetic year and prints a note. With a SESSION, it renders that session's plan.
+    Writes a session with sun patches, and truth/, which simulated devices photograph.
+    truth/pairs.csv lists the true panoramas, for training; pairs.csv is a copy of it until `pair`
+    writes that of the captures. Without --weather the weather is the paper's year near Seattle;
+    elsewhere it is a synthetic year, and a note is printed. With a SESSION, that session's plan is
+    rendered.
 
     \b
     Example:
       fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
     """
     height = panorama_height(size)
-    import_module("pyradiance")  # so that a missing package is reported before anything is written
+    import_module("pyradiance")  # so that a missing package is reported before any file is written
     from fieldlum import simulate
     from fieldlum.session import open_session
     from fieldlum.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:
-        raise click.UsageError("name --out, like: fieldlum simulate office.toml --out office-sim")
+        raise click.UsageError(
+            "name --out, for example: fieldlum simulate office.toml --out office-sim"
+        )
     troubles = None if troubles_file is None else simulate.load_troubles(troubles_file)
     setup = session.site_file() if session is not None else load_site(site)
     weather = simulate.weather_for(setup, weather_file, seed)
@@ -165,8 +168,8 @@ def command(
         return
     dark = f", {made.dark} slots without light" if made.dark else ""
     click.echo(
-        f"{session.root}: {made.rendered} hours rendered, {made.kept} kept{dark}; weather: "
-        f"{made.weather}"
+        f"{session.root}: {made.rendered} hours rendered, {made.kept} unchanged{dark}; "
+        f"weather: {made.weather}"
     )
     click.echo(f"train on the truth:    fieldlum train {session.root}")
     devices = "--camera sim:office --pyranometer sim:office --clock fast"

@@ -1,4 +1,4 @@
-"""Write the text of a SITE.toml, with comments, from answers."""
+"""Write a SITE.toml, with comments, from the answers of `fieldlum new`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fieldlum.records import Room, SiteFile, Window
 
 
 def site_text(setup: SiteFile) -> str:
-    """Return a SITE.toml that `load_site` reads back as `setup`: site, camera and box room."""
+    """Return the text of a SITE.toml with site, camera and box room; `load_site` reads it back."""
     site, camera, room = setup.site, setup.camera, setup.room
     lines = [
         "# Written by fieldlum new. You can edit it; fieldlum plan checks every key.",

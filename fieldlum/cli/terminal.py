@@ -1,4 +1,4 @@
-"""Output shared by all commands: JSON on stdout, notes and progress on stderr."""
+"""Print the output of all commands: JSON on stdout, notes and progress on stderr."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from fieldlum.cli.estimates import duration_text
 from fieldlum.errors import InputError
 from fieldlum.records import Progress
 
-LINE_EVERY_S = 60.0  # between lines of progress in a log
+LINE_EVERY_S = 60.0  # seconds between lines of progress in a log; chosen
 
 
 def _finite(value: Any) -> Any:
-    """Return a value that JSON can hold: null for NaN and infinity, plain numbers for numpy's."""
+    """Return a value that JSON can store: null for NaN and infinity, plain numbers for numpy's."""
     if isinstance(value, dict):
         return {str(k): _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -59,7 +59,7 @@ def say_if(text: str) -> None:
 
 
 def seen() -> bool:
-    """Return whether stderr is a terminal."""
+    """Return whether stderr is a terminal, so that somebody may see it."""
     return sys.stderr.isatty()
 
 
@@ -67,8 +67,8 @@ def seen() -> bool:
 def unattended() -> Iterator[None]:
     """Protect a command that runs for weeks.
 
-    A closed terminal (SIGHUP) does not end it, and SIGTERM ends it like Ctrl-C. Processes started
-    in it, such as a camera's, ignore the closed terminal too.
+    A closed terminal (SIGHUP) does not end the command, and SIGTERM ends it like Ctrl-C. Processes
+    that it starts, such as a camera's, ignore the closed terminal too.
     """
 
     def interrupt(number: int, frame: object) -> None:
@@ -87,7 +87,7 @@ def unattended() -> Iterator[None]:
 
 @contextmanager
 def web_library() -> Iterator[None]:
-    """Guard imports of the web server, an optional part. Raises InputError if it is missing."""
+    """Guard imports of the web server, which is optional. Raises InputError if it is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -100,17 +100,23 @@ def web_library() -> Iterator[None]:
 
 @contextmanager
 def awake() -> Iterator[None]:
-    """Keep the computer awake, or print that nothing does."""
+    """Keep the computer awake; print a note if that is not possible."""
     from fieldlum.devices.awake import kept_awake
 
     with kept_awake() as what:
         if not what:
-            say("note: this command cannot keep the computer awake here: run fieldlum doctor")
+            say(
+                "note: this command cannot keep the computer awake: run fieldlum doctor for "
+                "the reason"
+            )
         yield
 
 
 def _progress_lines(label: str) -> Progress:
-    """Return a progress function for a pipe or a log: a line a minute, none for a short command."""
+    """Return a progress function for a pipe or a log: one line per minute.
+
+    Short work prints no line.
+    """
     started = last = time.monotonic()
 
     def show(done: int, total: int, text: str) -> None:

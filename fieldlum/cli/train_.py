@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     default="auto",
     show_default=True,
     type=click.Choice(["auto", *MODELS]),
-    help="auto tries all and chooses one.",
+    help="auto tries all models and chooses one.",
 )
 @click.option(
     "--patch",
@@ -46,9 +46,11 @@ if TYPE_CHECKING:
     default=10.0,
     show_default=True,
     type=click.FloatRange(min=0, min_open=True),
-    help="Minutes for the complete command.",
+    help="Time limit of the complete command, in minutes.",
 )
-@click.option("--seed", default=0, show_default=True, help="Seed of everything random in training.")
+@click.option(
+    "--seed", default=0, show_default=True, help="Seed of all random numbers in training."
+)
 @scene_option
 @out_option("Model folder", default="models/MODEL in the folder of the pairs")
 @force_option
@@ -67,10 +69,10 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session, a pairs.csv, or the URL that `pair --pairs-to` wrote to. The budget is for
+    PAIRS is a session, a pairs.csv, or a URL to which `pair --pairs-to` wrote. The budget limits
     the complete command: reading, held-out days, the stored model and the learning curve. Two
-    held-out folds of each quick model, and the scan of the setting, are always run. A model of the
-    same captures and options is not trained again.
+    held-out folds of each quick model, and the scan of north and clock, are always run. If captures
+    and options have not changed, the model is not trained again.
 
     \b
     Example:
@@ -113,13 +115,16 @@ def command(
     else:
         _show(answer)
     if answer.get("kept"):
-        say(f"{folder}: same captures and options as before, not trained again (--force does)")
+        say(
+            f"{folder}: captures and options have not changed, so nothing was trained "
+            "(--force trains again)"
+        )
     else:
         say(f"model written to {folder}")
 
 
 def _show(answer: TrainAnswer) -> None:
-    """Print the scores that the choice is based on."""
+    """Print the scores on which the choice is based."""
     click.echo(
         "                 by solid angle, held-out days       DGP MSE, disc of     paper mode"
     )

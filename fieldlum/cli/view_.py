@@ -17,8 +17,8 @@ from fieldlum.cli.terminal import say, write_csv
     "--out",
     type=FILE_PATH,
     metavar="FILE.png|FILE.html",
-    help="False-colour picture, or a page that works offline. [default: FILE-view.html of the "
-    "first picture]",
+    help="False-colour picture (.png), or a page that works offline (.html). [default: "
+    "FILE-view.html of the first picture]",
 )
 @click.option(
     "--region",
@@ -35,7 +35,7 @@ from fieldlum.cli.terminal import say, write_csv
     metavar="FILE",
     help="Write the statistics of the regions.",
 )
-@click.option("--isolines", is_flag=True, help="Draw decades of luminance into the PNG.")
+@click.option("--isolines", is_flag=True, help="Draw lines at 1, 10, 100 ... cd/m2 into the PNG.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -45,10 +45,10 @@ def command(
     csv_path: Path | None,
     isolines: bool,
 ) -> None:
-    """Show pictures (.exr, .hdr) in false colour, with their regions.
+    """Show pictures in false colour, with statistics of regions.
 
-    Several pictures have one scale. A file that cannot be read is reported, the others are shown,
-    and the exit code is 3.
+    FILES are .exr or .hdr. Several pictures share one scale. If a file cannot be read, it is
+    reported, the others are shown, and the exit code is 3.
 
     \b
     Example:
@@ -95,7 +95,7 @@ def command(
 def _print_rows(rows: Sequence[dict[str, float | str | None]]) -> None:
     for row in rows:
         if row["mean_cdm2"] is None:
-            click.echo(f"{row['file']}  {row['region']}: no pixel in it")
+            click.echo(f"{row['file']}  {row['region']}: no pixel in this region")
             continue
         click.echo(
             f"{row['file']}  {row['region']}: mean {row['mean_cdm2']:.4g}, median "

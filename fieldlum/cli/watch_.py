@@ -11,7 +11,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
 from fieldlum.errors import InputError
 
-DEFAULT_PORT = 8765  # chosen: rarely used by another program; scene click has the next one
+DEFAULT_PORT = 8765  # chosen, because other programs rarely use it; scene click has the next number
 
 
 @click.command("watch")
@@ -26,35 +26,35 @@ DEFAULT_PORT = 8765  # chosen: rarely used by another program; scene click has t
 @click.option(
     "--lan",
     is_flag=True,
-    help="Let other devices of this network open the page. It is plain HTTP: anyone who can listen "
-    "to the network can read it.",
+    help="Let other devices of this network open the page. It is plain HTTP: anyone who can "
+    "listen to the network can read it.",
 )
 @click.option(
     "--weather",
     metavar="FILE|synthetic",
     default="synthetic",
     show_default=True,
-    help="Weather year of the answer so far, as for predict.",
+    help="Weather year for the prediction so far, as for predict.",
 )
 @click.option(
     "--compute/--no-compute",
     default=True,
     show_default=True,
-    help="Merge new brackets and compute the answer so far, at lowest priority between slots.",
+    help="Merge new brackets and compute the prediction so far, at lowest priority between slots.",
 )
 @click.option(
     "--control",
     count=True,
-    help="Let the page write notes, mark states, ask for an extra bracket and pause the capture. "
-    "With --lan it is needed twice.",
+    help="Let the page write notes, mark states, request an extra bracket and pause the "
+    "capture. With --lan, state it twice.",
 )
 def command(
     session_folder: Path, port: int, lan: bool, weather: str, compute: bool, control: int
 ) -> None:
     """Show a session as a live page in the browser.
 
-    The first line is the address, with a token that is new in each run. A running capture does not
-    wait for the page: computing for it stops before each slot.
+    The command first prints the page's address, with a token that is new in each run. A running
+    capture does not wait for the page: computing for the page stops before each slot.
 
     \b
     Example:

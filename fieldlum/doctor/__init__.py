@@ -1,4 +1,7 @@
-"""Checks before a campaign of all that could ruin a month of captures, one verdict a line."""
+"""Check, before a campaign, everything that could ruin a month of captures.
+
+One line for each check.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ def run(
     *,
     meter_uri: str = "",
 ) -> list[Finding]:
-    """Run all checks. A check that raises an error is a failed finding, never an exception."""
+    """Run all checks; a check that raises an error becomes a failed finding."""
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
         ("profile", lambda: check_profile(session, now_utc.date())),
@@ -58,9 +61,9 @@ def run(
 
 
 def exit_code(findings: Sequence[Finding]) -> int:
-    """Return 0 if no check failed, or the exit code of the failure.
+    """Return 0 if no check failed, else the exit code of the failure.
 
-    A bad file (3) precedes a device (4): without files the other checks mean nothing.
+    A bad file (3) precedes a device (4), because without files the other checks have no meaning.
     """
     codes = [finding.exit_code for finding in findings if finding.verdict == "fail"]
     return min(codes, default=0)

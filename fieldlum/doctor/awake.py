@@ -1,4 +1,4 @@
-"""The programs that keep this computer awake: the locks of systemd."""
+"""List the programs that keep this computer awake, by the locks of systemd."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fieldlum.devices.awake import kept_awake
 
-# One lock a line: who (may have spaces), uid, user, pid, command, what, why (may have spaces),
+# One lock per line: who (may have blanks), uid, user, pid, command, what, why (may have blanks),
 # mode.
 _LOCK = re.compile(
     r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ "
@@ -24,16 +24,19 @@ _LOCK_BEFORE_240 = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Lock:
-    """A lock that keeps the computer from an action of its own: sleep, idle, handle-lid-switch."""
+    """A lock that prevents the computer from some actions: sleep, idle, handle-lid-switch."""
 
     who: str
     what: frozenset[str]
-    mode: str  # block; delay postpones by some seconds only; block-weak yields to the user
+    mode: str  # block; delay only postpones by some seconds; block-weak yields to the user
 
 
 def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
-    """Return the locks of `systemd-inhibit --list`; None if it is missing, hangs or fails."""
-    # A wide terminal, because cells are cut to its width; English, because words are searched.
+    """Return the locks of `systemd-inhibit --list`.
+
+    None if the program is missing, hangs or fails.
+    """
+    # A wide terminal, because cells are cut to its width; English, because the text is parsed.
     environment = {
         **os.environ,
         "LC_ALL": "C",
@@ -58,7 +61,7 @@ def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
 
 
 def parse_locks(listed: str) -> list[Lock]:
-    """Parse both forms: the table of systemd 240 and later, and the blocks of older versions.
+    """Parse the list of locks: a table in systemd 240 and later, blocks in older versions.
 
     The table may lack its heading.
     """
@@ -74,6 +77,6 @@ def has_lid() -> bool:
 
 
 def lock_to_be_had() -> str:
-    """Return the locks that `capture` will have while it runs."""
+    """Return the locks that `capture` can get while it runs."""
     with kept_awake() as what:
         return what

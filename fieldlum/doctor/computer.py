@@ -1,4 +1,4 @@
-"""Checks of this computer: clock, disk, writing, sleep."""
+"""Check this computer: clock, disk, writing, sleep."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from fieldlum.session import Session
 DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
 
 
-SLOW_FSYNC_S = 0.5  # for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
+# seconds for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
+SLOW_FSYNC_S = 0.5
 
 
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
@@ -28,10 +29,11 @@ _TIME_ERROR = 5
 
 
 def kernel_clock() -> bool | None:
-    """Return whether the kernel reports a synchronised clock (Linux, adjtimex), None if unknown."""
+    """Return whether the kernel reports a synchronised clock (Linux, adjtimex); None if unknown."""
     if not sys.platform.startswith("linux"):
         return None
-    timex = ctypes.create_string_buffer(512)  # struct timex, all zero: modes 0 only reads
+    # struct timex, all zero: with modes 0 the call only reads
+    timex = ctypes.create_string_buffer(512)
     try:
         state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
     except (OSError, AttributeError):
@@ -43,16 +45,22 @@ def check_clock(synchronised: bool | None) -> Finding:
     """Return the finding about this computer's clock."""
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     if synchronised is None:
-        text = f"{now}, and does not report whether it is synchronised: compare it with a server"
+        text = (
+            f"{now}, and it is unknown whether its clock is synchronised: compare it with "
+            "a time server"
+        )
         return Finding("clock", "warn", text)
     if not synchronised:
-        text = f"{now}, not synchronised: switch network time on, or set it by hand today"
+        text = (
+            f"{now}, and its clock is not synchronised: switch network time on, or set "
+            "the clock by hand today"
+        )
         return Finding("clock", "warn", text)
     return Finding("clock", "ok", f"{now}, synchronised by a time server")
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Check the space for the frames of all slots ahead, with a margin."""
+    """Check that the disk has space for the frames of all future slots, with a margin."""
     ahead = owed_slots(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
@@ -66,7 +74,7 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 def _largest_bracket_bytes(session: Session) -> int:
     """Return the size of the largest of the last five brackets.
 
-    The files that the camera writes may differ much from the profile's estimate.
+    The files of a camera may differ much from the profile's estimate.
     """
     taken = [
         folder
@@ -115,7 +123,7 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
     """Check that something keeps this computer awake: a lock, or `own`, the lock of `capture`.
 
     By logind's default a closed lid overrides a lock on sleep; only a lock on handle-lid-switch
-    prevents that.
+    prevents this.
     """
     how = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
@@ -128,7 +136,9 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
         held.append(Lock("capture itself while it runs", frozenset(own.split(":")), "block"))
     by = next((lock.who for lock in held if "sleep" in lock.what), "")
     if not by:
-        return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
+        return Finding(
+            "sleep", "warn", f"nothing keeps this computer awake: start the capture with: {how}"
+        )
     if lid and not any("handle-lid-switch" in lock.what for lock in held):
         text = f"prevented by {by}, but a closed lid would still send it to sleep: {how}"
         return Finding("sleep", "warn", text)

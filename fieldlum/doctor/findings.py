@@ -1,4 +1,4 @@
-"""One line of the doctor's verdict, and the slots that it is about."""
+"""Define a finding, which is one line of the doctor's output."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Zo
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the verdict.
+    """The result of one check.
 
-    exit_code is used if the check failed: 4 for devices and this computer, 3 for files.
+    exit_code counts if the check failed: 4 for devices and this computer, 3 for files.
     """
 
     what: str
@@ -37,10 +37,13 @@ def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
 
 
 def iso_date(text: str) -> date | None:
-    """Return an ISO date, None for an empty text. Raises InputError for another text."""
+    """Return an ISO date; None for an empty text. Raises InputError for any other text."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:
         raise InputError(
-            "camera profile", f"date '{text}'", "a date such as 2027-03-20", "correct the date"
+            "camera profile",
+            f"date '{text}'",
+            "a date such as 2027-03-20",
+            "correct the date in the profile",
         ) from None

@@ -1,4 +1,4 @@
-"""Checks of camera, pyranometer and illuminance meter."""
+"""Check camera, pyranometer and illuminance meter."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ from fieldlum.raw import same_model
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import Session
 
-# Difference of the camera's clock. Import matches frames by time with a measured offset, and slots
-# are an hour apart: above the second limit a wrong slot is possible. Chosen, not measured.
+# Limits of the error of the camera's clock: warning and failure. Import matches frames by time with
+# a measured offset, and slots are an hour apart: above the second limit a wrong slot is possible.
+# Chosen, not measured.
 CAMERA_CLOCK_WARN_S = 5.0
 
 
-CAMERA_CLOCK_FAIL_S = 300.0  # as the default grace of a slot; chosen, not measured
+CAMERA_CLOCK_FAIL_S = 300.0  # the default grace of a slot; chosen, not measured
 
 
 def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
-    """Check that the camera opens; report its name, its clock and the free frames on its card."""
+    """Check that the camera opens; report its name, its clock and the free space of its card."""
     if not uri:
         text = "no camera stated: add --camera URI, or import its card afterwards"
         return [Finding("camera", "warn", text)]
@@ -61,9 +62,9 @@ def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
 
 
 def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
-    """Return a warning if the camera is not the profile's.
+    """Return a warning if the camera is not the one of the profile.
 
-    Frames of another camera cannot be merged, and the planned exposures may not be possible.
+    Frames of another camera cannot be merged, and the planned exposures may be impossible.
     """
     wanted = profile.camera.model
     if (
@@ -74,14 +75,14 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
     ):
         return []
     text = (
-        f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), with which "
-        f"the exposures were planned: use its own profile"
+        f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), for "
+        "which the exposures were planned: use a profile of this camera"
     )
     return [Finding("profile", "warn", text)]
 
 
 def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
-    """Return the count of frames of some slots, over all headings."""
+    """Return the number of frames in some slots, over all headings."""
     return sum(len(slot.exposures) for slot in slots) * max(len(setup.camera.headings), 1)
 
 
@@ -98,7 +99,10 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
         findings.append(_judge_camera_clock(info.clock_offset_s))
     if info.frames_left is not None:
         enough = info.frames_left >= frames
-        text = f"space for {info.frames_left} frames, {frames} are planned"
+        text = (
+            f"space for {info.frames_left} frames, but {frames} are planned: use a larger "
+            "card, or empty this one"
+        )
         findings.append(Finding("camera card", "ok" if enough else "warn", text))
     return findings
 
@@ -142,7 +146,7 @@ def check_meter(uri: str) -> list[Finding]:
     text = f"{who or meter.info.kind} answers: {reading.illuminance_lx:.4g} lx"
     findings = [Finding("meter", "ok", text)]
     if reading.low_battery:
-        findings.append(Finding("meter", "warn", "its battery is low: change it"))
+        findings.append(Finding("meter", "warn", "the meter's battery is low: change it"))
     return findings
 
 
@@ -160,7 +164,7 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
     )
     findings = [Finding("pyranometer", "ok", f"{who} answers: {reading} W/m2")]
     if status := sample.status or info.status:
-        text = f"it reports a fault: {status}: see its manual"
+        text = f"the instrument reports a fault: {status}: see its manual"
         findings.append(Finding("pyranometer", "warn", text))
     altitude = sun.position([sample.t_utc], site).altitude_deg
     limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2([sample.t_utc]))
@@ -179,17 +183,17 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
             findings.append(Finding("pyranometer", "fail", text))
     if info.gives == ("ghi",):
         text = (
-            "it measures global only: direct and diffuse will be derived, with an error of about "
-            "30 % of direct"
+            "the instrument measures only global irradiance: direct and diffuse will be "
+            "derived, with an error of about 30 % of direct"
         )
         findings.append(Finding("pyranometer", "warn", text))
     if info.guard == FORM_ALONE:
         text = (
-            "its lines have no checksum: under moving clouds up to 2 in 100 damaged lines are read "
-            "as another number"
+            "its lines have no checksum: under moving clouds up to 2 of 100 damaged lines "
+            "are read as other numbers"
         )
         remedy = (
-            "let the sketch print a CRC-16 (profile arduino-crc), or at least a line a "
+            "let the sketch print a CRC-16 (profile arduino-crc), or at least one line per "
             "second, three for each row"
         )
         findings.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))

@@ -1,4 +1,4 @@
-"""Checks of plan, camera profile and calendar."""
+"""Check plan, camera profile and calendar."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fieldlum.session import Session, sha256
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
-    """Check that plan.csv is the planned file, and that some of its slots are ahead."""
+    """Check that plan.csv is the planned file, and that some slots are in the future."""
     about = session.table().get("plan", {})
     slots, ahead = session.slots(), owed_slots(session, now_utc)
     findings = []
@@ -25,7 +25,10 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
         )
         findings.append(Finding("plan", "fail", text, 3))
     if not ahead:
-        text = f"none of its {len(slots)} slots is ahead: plan again"
+        text = (
+            f"none of its {len(slots)} slots is in the future: plan again (fieldlum plan "
+            "SESSION --replan)"
+        )
         return [*findings, Finding("plan", "warn", text)]
     zone = ZoneInfo(session.site_file().site.timezone)
     first = ahead[0].t_utc.astimezone(zone)

@@ -1,4 +1,4 @@
-"""Glare in every direction around a panorama, and on single pictures."""
+"""Compute glare in every direction around a panorama, and of single pictures."""
 
 from fieldlum.glare.fisheye import FISHEYE_VIEW, panorama_to_fisheye
 from fieldlum.glare.geometry import Views, panorama_views, position_index, view_azimuths_deg

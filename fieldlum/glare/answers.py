@@ -1,4 +1,4 @@
-"""The parts of an answer that panoramas and single pictures have in common."""
+"""Define the parts of a `glare` answer that panoramas and single pictures share."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ VERDICTS = (
 
 
 class ViewAnswer(TypedDict):
-    """One view direction of `glare --json`; figures of an unseen direction are None.
+    """The figures of one view direction in `glare --json`; None for an unseen direction.
 
-    dgp_low, dgp_high: bounds of a partly seen direction. sources: the strongest glare sources of a
-    single picture. reference: the answer of evalglare.
+    dgp_low, dgp_high: bounds for a partly seen direction. sources: the strongest glare sources of a
+    single picture. reference: the result of evalglare.
     """
 
     azimuth_deg: float
@@ -73,7 +73,7 @@ class GlareAnswer(TypedDict):
 
 
 def verdict(dgp: float) -> str:
-    """Return the grade of a DGP, one of Wienold's four."""
+    """Return the grade of a DGP, one of Wienold's four words."""
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
@@ -85,7 +85,7 @@ def answer_of(
     sun: SunSource | None,
     covered_share: float,
 ) -> GlareAnswer:
-    """Return the answer for one picture, a panorama or a fisheye, from the rows of its views."""
+    """Return the answer for one picture, a panorama or a fisheye, from the figures of its views."""
     panorama = picture.panorama
     known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
     return {
@@ -131,7 +131,7 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
             path,
             f"{bad} pixels are not finite",
             "cd/m2 in every pixel",
-            "merge or render it again",
+            "merge or render the picture again",
         )
     dark = int((pixels < 0).sum())
     np.maximum(pixels, 0.0, out=pixels)
@@ -143,21 +143,26 @@ def picture_warnings(picture: Picture) -> list[str]:
     warnings = list(picture.notes)
     if not picture.directed:
         warnings.append(
-            "its VIEW has no -vd: the glare is right, but the azimuth 0 is an assumption"
+            "the picture's VIEW has no -vd: the glare is right, but its azimuth of 0 is an "
+            "assumption; give the view with --view"
         )
     if not (picture.panorama.luminance_cdm2 > 0).any():
-        warnings.append("the picture has no light: every pixel is 0, the figures mean nothing")
+        warnings.append(
+            "the picture has no light: every pixel is 0, and the figures have "
+            "no meaning; check how it was written"
+        )
     flags = picture.panorama.flags
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:
         warnings.append(
-            f"{clipped} pixels clipped in every frame: luminance there, and DGP, are lower bounds"
+            f"{clipped} pixels are clipped in every frame: their luminance, and DGP, are "
+            "lower bounds; capture shorter exposures"
         )
     return warnings
 
 
 def plain(value: float) -> float | None:
-    """Return a number, or None if it is not finite."""
+    """Return the number, or None if it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 

@@ -1,9 +1,9 @@
-"""Contrast and further figures of a map: RAMMG, window to task, uniformity, melanopic illuminance.
+"""Compute contrast, window to task, uniformity and melanopic illuminance of a map.
 
 RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
-Marini 2004). In the paper's form (cd/m2) it is computed as its authors' code does: five levels,
-halved by OpenCV's bilinear resize, eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2),
-border pixels count as no contrast, no solid angles, no wrap at the seam. The L* form is the same on
+Marini 2004). In the paper's form (cd/m2) it follows the authors' code: five levels, halved by
+OpenCV's bilinear resize; eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2); border
+pixels count as no contrast; no solid angles; no wrap at the seam. The L* form is the same for
 CIELAB lightness, which Rizzi describes.
 """
 
@@ -17,18 +17,23 @@ from fieldlum.projection import FULLY_SEEN_SHARE, equirect_rays, equirect_solid_
 from fieldlum.records import Float
 
 RAMMG_LEVELS = 5  # as the authors' code (Liu, Colburn and Inanici 2020)
-# L* needs a white: the mean of the map counts as a grey of 20 %. Chosen, not measured.
+# The white of L* relative to the map's mean, so that the mean is a grey of 20 %. Chosen, not
+# measured.
 WHITE_OVER_MEAN = 5.0
-# The task is a cone around a desk in front of a level head. Chosen, not measured.
+# The task is a cone around a desk in front of an observer who looks horizontally. Chosen, not
+# measured.
 TASK_ALTITUDE_DEG = -30.0
 TASK_RADIUS_DEG = 15.0
 BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
-WINDOW_CDM2 = 2000.0  # brighter pixels are window; as a glare source, not measured
+WINDOW_CDM2 = 2000.0  # brighter pixels are window, the limit of a glare source; not measured
 MELANOPIC_DER_D65 = 1.0  # CIE S 026:2018, by definition
 
 
 def local_contrast(image: Float) -> NDArray[np.float64]:
-    """Return the weighted mean absolute difference to eight neighbours, 0 on the border, [H, W]."""
+    """Return the weighted mean absolute difference of each pixel to its eight neighbours, [H, W].
+
+    It is 0 on the border.
+    """
     values = np.asarray(image, np.float64)
     out = np.zeros_like(values)
     height, width = values.shape
@@ -48,7 +53,7 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
 def contrast_levels(image: Float) -> NDArray[np.float64]:
     """Return the mean local contrast of each pyramid level, full size first, [RAMMG_LEVELS].
 
-    The paper's Figure 13.
+    It is shown in the paper's Figure 13.
     """
     import cv2
 
@@ -68,11 +73,9 @@ def rammg(luminance_cdm2: Float) -> float:
 
 
 def rammg_lightness(luminance_cdm2: Float) -> float:
-    """Return RAMMG of CIELAB L*, with white at `WHITE_OVER_MEAN` times the map's mean luminance.
+    """Return RAMMG of CIELAB L*, [H, W] map in cd/m2.
 
-    The mean is weighted by solid angle.
-
-    luminance_cdm2 : [H, W], cd/m2.
+    White is `WHITE_OVER_MEAN` times the map's mean luminance, which is weighted by solid angle.
     """
     image = np.asarray(luminance_cdm2, np.float64)
     omega = equirect_solid_angles(*image.shape)
@@ -87,15 +90,16 @@ def lightness(relative: Float) -> NDArray[np.float64]:
 
 
 def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
-    """Estimate the melanopic equivalent daylight illuminance, in lx, in the shape of `ev_lx`.
+    """Return the estimated melanopic equivalent daylight illuminance [lx], in the shape of `ev_lx`.
 
-    Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a blue sky above).
+    It is Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; 1 for D65, more for a
+    blue sky).
     """
     return np.asarray(ev_lx, float) * MELANOPIC_DER_D65
 
 
 class ViewRegions:
-    """The pixels of task, band and bright window for d view directions, for use in every hour."""
+    """The pixels of task, band and bright window for d view directions, used for all hours."""
 
     def __init__(
         self,
@@ -105,7 +109,7 @@ class ViewRegions:
         azimuths_deg: Float,
         seen: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Compute the weights; a region without seen pixels (seen [H, W]) gives NaN."""
+        """Compute the weights; a region without seen pixels (seen [H, W]) has NaN figures."""
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
         omega = equirect_solid_angles(height, width).ravel()
         task, band, half = [], [], []
@@ -123,10 +127,10 @@ class ViewRegions:
     def ratios(self, luminance_cdm2: Float) -> dict[str, NDArray[np.float64]]:
         """Return the figures of n maps [n, H, W], [n, d] each.
 
-        task_cdm2 : mean of a 15-degree cone 30 degrees down. window_to_task : mean of the pixels in
-        view brighter than `WINDOW_CDM2` over that; NaN without such pixels. uniformity : the
-        harmonic over the arithmetic mean of the 40-degree band: 1 if it is uniform, less with dark
-        corners.
+        task_cdm2 : mean of a 15-degree cone 30 degrees below the line of sight. window_to_task :
+        mean of the pixels in view brighter than `WINDOW_CDM2`, over task_cdm2; NaN without such
+        pixels. uniformity : harmonic over arithmetic mean of the 40-degree band: 1 if it is
+        uniform, less with dark corners.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)

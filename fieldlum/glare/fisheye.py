@@ -1,4 +1,4 @@
-"""Fisheye pictures of a panorama: resampled by flux, with the sun added by its energy."""
+"""Resample a panorama to fisheye pictures by flux, and add the sun by its energy."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from fieldlum.projection import direction, equirect_pixel
 from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
-_DISC_SAMPLES = 8  # in each direction of a pixel: its share of the disc is known to 1/64
+# samples in each direction of a pixel, so that its share of the disc is known to 1/64; chosen
+_DISC_SAMPLES = 8
 FISHEYE_VIEW = "-vta -vh 180 -vv 180"
-SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))  # of that solid angle
+# radius of a disc with that solid angle
+SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))
 
 
 def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return rays (right, up, forward) of an equidistant 180-degree picture, and its circle.
 
-    Shapes [N, N, 3] and [N, N], N = size * samples.
+    Shapes are [N, N, 3] and [N, N], with N = size * samples.
     """
     n = size * samples
     axis = ((np.arange(n) + 0.5) / n - 0.5) * np.pi
@@ -50,8 +52,8 @@ def panorama_to_fisheye(
     """Return an equidistant 180-degree picture (`FISHEYE_VIEW`) of a panorama [H, W], [size, size].
 
     Each pixel is the mean of samples of the panorama, which is constant over each of its pixels.
-    The samples are fine enough for both grids, so that flux is kept. The sun's energy is added to
-    the pixels of its disc. Pixels outside the circle are 0.
+    The samples are fine enough for both grids, so that flux is preserved. The sun's energy is added
+    to the pixels of its disc. Pixels outside the circle are 0.
     """
     height, width = luminance_cdm2.shape
     samples = max(2, int(np.ceil(2.0 * height / size)))
@@ -73,7 +75,7 @@ def panorama_to_fisheye(
 
 
 def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float) -> NDArray[np.float32]:
-    """Return the picture with the disc's energy added; a sun behind the view changes nothing."""
+    """Return the picture with the disc's energy added; unchanged for a sun behind the observer."""
     size = len(picture)
     x, y, z = view_frame(azimuth_deg) @ direction(sun.altitude_deg, sun.azimuth_deg)
     if z <= 0 or sun.normal_illuminance_lx <= 0:
@@ -91,9 +93,9 @@ def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float) -> NDArray[np.
 
 
 def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
-    """Return the most covered pixels that together have the disc's solid angle, [N, N].
+    """Return a mask of the most covered pixels, which together have the disc's solid angle, [N, N].
 
-    Energy over half-covered rim pixels would double the solid angle of the source at 800 px, and
+    Energy on half-covered rim pixels would double the solid angle of the source at 800 px, and
     halve its luminance.
     """
     order = np.argsort(share, axis=None)[::-1]

@@ -1,4 +1,4 @@
-"""Pixels in the view of a person: angles to the line of sight, cosine, position index."""
+"""Compute where pixels are for an observer: angle to the line of sight, cosine, position index."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ LARGEST_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
 def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> NDArray[np.float64]:
     """Return `views` horizontal directions at equal steps, the first along the heading, [views].
 
-    In degrees clockwise from north, in [0, 360).
+    They are in degrees clockwise from north, in [0, 360).
     """
     return (heading_deg + np.arange(views) * 360.0 / views) % 360.0
 
 
 def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.float64]:
-    """Return the axes right, up and forward of a level head as rows, [3, 3].
+    """Return the axes right, up and forward of an upright head as rows, [3, 3].
 
     World axes: x east, y north, z up.
     """
@@ -35,8 +35,8 @@ def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.floa
 def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
     """Return the coordinates right and up [rad] of rays [..., 3], and the cosine to the view.
 
-    (right, up) points away from the line of sight by the angle between them, in rad: the
-    coordinates of a -vta picture. Each result has the shape [...].
+    The vector (right, up) points away from the line of sight; its length is the angle between them,
+    in rad. These are the coordinates of a -vta picture. Each result has the shape [...].
     """
     x, y, z = np.moveaxis(rays @ frame.T, -1, 0)
     off = np.hypot(x, y)
@@ -70,10 +70,9 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float6
 class Views:
     """The weights of each panorama pixel for each of d view directions.
 
-    illuminance : [H * W, d] solid angle times cosine, 0 behind, sr.
-    moments : [H * W, 3, d] solid angle in the visible hemisphere, and that times the coordinates
-    right and up.
-    frames : [d, 3, 3] axes right, up and forward.
+    illuminance : [H * W, d] solid angle times cosine, 0 behind, sr. moments : [H * W, 3, d] solid
+    angle in the visible hemisphere, and this times the coordinates right and up. frames : [d, 3, 3]
+    axes right, up and forward.
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -84,11 +83,10 @@ class Views:
 
 
 def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: ArrayLike) -> Views:
-    """Compute the weights of a panorama's pixels, for use in every hour.
+    """Compute the weights of a panorama's pixels, once for all hours.
 
-    Takes 16 bytes for each pixel and direction.
-
-    azimuths_deg : [d] view directions, clockwise from north.
+    They need 16 bytes for each pixel and direction. azimuths_deg : [d] view directions, clockwise
+    from north.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)

@@ -1,9 +1,9 @@
-"""Vertical illuminance, DGP, DGPs, UGR and DGI for all directions around a panorama at once.
+"""Compute vertical illuminance, DGP, DGPs, UGR and DGI for all directions around a panorama.
 
 Vertical illuminance of all hours and directions is one matrix product with exact solid angles.
 Glare sources are grouped once for each hour (see `sources`) and summed for all directions by small
-products. The sun is never a pixel: it is a separate source with its direction, its normal
-illuminance at the lens and its solid angle.
+products. The sun is never part of a pixel: it is a separate source with a direction, a normal
+illuminance at the lens and a solid angle.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
 MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
 _VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
-YOUNG_AGE = 25.0  # years, of the first of the two veiling luminances
-OLD_AGE = 70.0  # years, of the second
+YOUNG_AGE = 25.0  # age in years for the first of the two veiling luminances
+OLD_AGE = 70.0  # age in years for the second
 _LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
 
-# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with these
-# digits; so does fieldlum, so that both agree.
+# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with the
+# digits here, and so does fieldlum, so that both agree.
 DGP_EV = 5.87e-5
 DGP_CONTRAST = 0.092
 DGP_BASE = 0.159
@@ -33,8 +33,8 @@ DGP_BASE = 0.159
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
     """Return daylight glare probability, at most 1 (Wienold and Christoffersen 2006).
 
-    Without low-light correction (evalglare's default since 2.14). ev_lx : [...], lx; contrast :
-    [...], the sum of L2 omega / P2 over sources.
+    There is no low-light correction, as in evalglare by default since 2.14. ev_lx : [...], lx;
+    contrast : [...], the sum of L2 omega / P2 over sources.
     """
     ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
     glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)
@@ -59,7 +59,7 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
     """Return 10 log10 of the sum over sources, [...] (Hopkinson 1972, with P for windows).
 
-    NaN without a source.
+    It is NaN without a source.
     """
     total = np.asarray(source_sum, float)
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
@@ -68,9 +68,7 @@ def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
     """Return 0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014).
 
-    NaN without a source.
-
-    Arguments and result have one shape [...]; background_cdm2 : cd/m2.
+    It is NaN without a source. Arguments and result have one shape [...]; background_cdm2 : cd/m2.
     """
     return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
 
@@ -78,9 +76,8 @@ def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArray[np.float64]:
     """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L2 omega / P2) (Einhorn 1979).
 
-    Ed is the illuminance by the sources. NaN without a source.
-
-    Arguments and result have one shape [...], illuminances in lx.
+    Ed is the illuminance from the sources. The result is NaN without a source. Arguments and result
+    have one shape [...], illuminances in lx.
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
@@ -90,8 +87,8 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArr
 def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64]:
     """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2, [...].
 
-    Age-adjusted Stiles-Holladay (CIE 146:2002). veiling_sum : over sources, lx/deg2, with angles of
-    at least 1 degree off the line of sight.
+    This is the age-adjusted Stiles-Holladay formula (CIE 146:2002). veiling_sum : over sources,
+    lx/deg2, with angles of at least 1 degree from the line of sight.
     """
     return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
 
@@ -132,7 +129,7 @@ def glare_directions(
 def sun_per_lx(
     sun_direction: Float, views: Views
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return Ev and contrast of a disc of 1 lx, [n, d] each.
+    """Return Ev and contrast due to a disc of 1 lx, [n, d] each.
 
     A disc of E lx adds E times the first to Ev, and E squared times the second to the contrast; see
     `glare_directions`.
@@ -146,9 +143,9 @@ def sun_per_lx(
 def dgp_with_disc(
     parts: dict[str, NDArray[np.float64]], per_lx: tuple[Float, Float], disc_lx: Float
 ) -> NDArray[np.float64]:
-    """Return DGP with another disc than the one in `parts`, [..., n, d].
+    """Return DGP with a disc of another illuminance than in `parts`, [..., n, d].
 
-    parts : of `glare_directions`; per_lx : of `sun_per_lx`; disc_lx : [..., n].
+    parts : result of `glare_directions`; per_lx : result of `sun_per_lx`; disc_lx : [..., n].
     """
     disc = np.asarray(disc_lx, float)[..., None]
     ev = parts["ev_lx"] - parts["sun_ev_lx"] + disc * per_lx[0]
@@ -157,13 +154,13 @@ def dgp_with_disc(
 
 
 def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
-    """Return (right, up, cosine) of n suns in d views, [n, d] each."""
+    """Return right, up and cosine of n suns in d views, [n, d] each."""
     angles = [angles_from_view(sun, frame) for frame in views.frames]
     return tuple(np.stack([part[k] for part in angles], axis=1) for k in range(3))  # type: ignore[return-value]
 
 
 def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
-    """Return `sums_of_sources` of the map's sources for d views, [4, d]."""
+    """Return `sums_of_sources` of a map's sources for d views, [4, d]."""
     groups = sources_of(image)
     if not groups:
         return np.zeros((4, len(views.azimuths_deg)))
@@ -210,7 +207,7 @@ def sums_of_sources(
 
 
 def _glare_angle_deg(right_rad: Float, up_rad: Float) -> NDArray[np.float64]:
-    """Return the angle off the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
+    """Return the angle from the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
     return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _LEAST_GLARE_ANGLE_RAD))
 
 
@@ -225,7 +222,7 @@ def combine(
 ) -> dict[str, NDArray[np.float64]]:
     """Add the sun to the other sources and return all figures, [n, d] each.
 
-    sums : [n, 4, d] of `sums_of_sources`; all other arguments [n, d].
+    sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d].
     """
     ev = map_ev + sun_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)

@@ -1,4 +1,4 @@
-"""Glare of a single fisheye or perspective picture on its own pixels."""
+"""Compute the glare of a single fisheye or perspective picture on its own pixels."""
 
 from __future__ import annotations
 
@@ -16,21 +16,23 @@ from fieldlum.projection import direction
 from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
-# Rows of the panorama of directions on which bright pixels are grouped: 0.25 degrees, a
-# twentieth of the distance within which they are one source.
+# Rows of a panorama of directions on which bright pixels are grouped: 0.25 degrees, a twentieth of
+# the distance within which they form one source.
 _DIRECTION_ROWS = 720
 _WINDOW_CDM2 = 2000.0  # brighter pixels are a window, as in `contrast.ViewRegions.ratios`
-_LEAST_COVERED_SHARE = 0.95  # of task cone and band; less gives NaN. Chosen, not measured.
-BAND_SR = 2.0 * np.pi * float(np.sin(np.radians(20.0)))  # front half of the 40-degree band
-TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(15.0)))  # of the 15-degree task cone
+# share of task cone and band that must be covered; with less the figure is NaN. Chosen, not
+# measured.
+_LEAST_COVERED_SHARE = 0.95
+BAND_SR = 2.0 * np.pi * float(np.sin(np.radians(20.0)))  # front half of the 40-degree band, sr
+TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(15.0)))  # 15-degree task cone, sr
 
 
 @dataclass(frozen=True, slots=True)
 class GlareSources:
-    """Glare sources of one view, [s] each, the strongest first.
+    """The s glare sources of one view, [s] each, the strongest first.
 
-    right_rad, up_rad : equidistant coordinates of the centre. contrast : L2 omega / P2.
-    label : [H, W] number of each pixel's source, from 1 in this order; 0 elsewhere.
+    right_rad, up_rad : equidistant coordinates of the centre. contrast : L2 omega / P2. label : [H,
+    W] number of each pixel's source, from 1 in this order; 0 elsewhere.
     """
 
     mean_cdm2: NDArray[np.float64]
@@ -50,7 +52,8 @@ def glare_of_pixels(
 ) -> tuple[dict[str, float], GlareSources]:
     """Return the figures of `glare_directions` for the picture's own view, and its sources.
 
-    luminance_cdm2 : [H, W] without negative or missing values; sun : a disc that the pixels lack.
+    luminance_cdm2 : [H, W] without negative or missing values; sun : a disc that is not in the
+    pixels.
     """
     ev = weighted_sum(luminance_cdm2, grid.illuminance)
     sources = glare_sources(luminance_cdm2, grid)
@@ -89,7 +92,10 @@ def weighted_sum(values: Float, weights: Float) -> float:
 
 
 def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float, float, float]:
-    """Return right and up [rad], cosine, and normal illuminance [lx] of a separate sun."""
+    """Return right and up [rad], cosine, and normal illuminance [lx] of a separate sun.
+
+    The sun is separate if it is a source of its own and not in the pixels.
+    """
     if sun is None:
         return 0.0, 0.0, 1.0, 0.0
     ray = direction(sun.altitude_deg, sun.azimuth_deg)
@@ -98,7 +104,7 @@ def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float
 
 
 def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
-    """Return the luminance that puts a separate sun's energy on the pixels of its disc, [H, W]."""
+    """Return the luminance to add so that the disc's pixels have the sun's energy, [H, W]."""
     from fieldlum.glare.fisheye import SUN_RADIUS_RAD
 
     height, width = grid.solid_angle.shape
@@ -162,7 +168,7 @@ def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> Gla
 def _numbered(
     right: Float, up: Float, forward: Float, peak: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Return the source number of each bright pixel, from 0, [k]; peaks are separate sources."""
+    """Return the source index of each bright pixel, from 0, [k]; peaks are separate sources."""
     rows, columns = _DIRECTION_ROWS, 2 * _DIRECTION_ROWS
     altitude = np.arcsin(np.clip(up, -1.0, 1.0))
     row = np.clip(((0.5 - altitude / np.pi) * rows).astype(int), 0, rows - 1)
@@ -183,9 +189,7 @@ def _numbered(
 def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
     """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`).
 
-    NaN for a region that the picture does not cover.
-
-    luminance_cdm2 : [H, W], cd/m2.
+    A region that the picture does not cover has NaN. luminance_cdm2 : [H, W], cd/m2.
     """
     totals = np.zeros(7)
     height, width = luminance_cdm2.shape

@@ -1,4 +1,4 @@
-"""Weights of a single picture's own pixels, so that it is judged without resampling."""
+"""Weight a single picture's own pixels, so that it is judged without resampling."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from fieldlum.glare.contrast import BAND_DEG, TASK_ALTITUDE_DEG, TASK_RADIUS_DEG
 from fieldlum.glare.picture_view import PictureView, picture_rays
 from fieldlum.records import Float
 
-_BLOCK_PIXELS = 250_000  # pixels in work at a time: about 40 MB of temporary arrays
-# Solid angles are exact to 1e-4 with this many samples along an edge of the picture.
+_BLOCK_PIXELS = 250_000  # pixels processed at a time: about 40 MB of temporary arrays; chosen
+# Samples along an edge of the picture, which make solid angles exact to 1e-4.
 _FINE_SAMPLES = 400
-# Samples along an edge of a pixel at the edge of the hemisphere; chosen, not measured.
+# Samples along an edge of a pixel that the hemisphere's edge crosses; chosen, not measured.
 _RIM_SAMPLES = 8
-_GRAZING_COSINE = 0.1  # below, the solid angle of a -vth pixel varies within the pixel
+# below this cosine, the solid angle of a -vth pixel varies within the pixel; chosen
+_GRAZING_COSINE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class PictureGrid:
     """The weights of each pixel of a view, [H, W] each; 0 behind the observer.
 
-    solid_angle : sr; illuminance : solid angle times cosine, sr; task, band : pixels within the
-    task cone and the horizontal band (see `contrast`).
+    solid_angle : sr; illuminance : solid angle times cosine, sr; task, band : masks of the pixels
+    within the task cone and the horizontal band (see `contrast`).
     """
 
     view: PictureView
@@ -41,7 +42,7 @@ class PictureGrid:
 
 
 def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
-    """Return the weights of a picture's pixels, 10 bytes for each."""
+    """Return the weights of a picture's pixels, which need 10 bytes each."""
     solid_angle = np.zeros((height, width), np.float32)
     illuminance = np.zeros((height, width), np.float32)
     task, band = np.zeros((height, width), bool), np.zeros((height, width), bool)
@@ -82,7 +83,7 @@ def _weights(
     shape: tuple[int, int],
     samples: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return solid angle, and that times the cosine, of the part of each pixel in front, in sr."""
+    """Return solid angle, and solid angle times cosine, of each pixel's part in front, in sr."""
     height, width = shape
     steps = (np.arange(samples) + 0.5) / samples - 0.5
     solid_angle, illuminance = np.zeros(1), np.zeros(1)
@@ -99,7 +100,7 @@ def _weights(
 def _rim(
     view: PictureView, x: NDArray[np.float64], y: NDArray[np.float64], shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Return the pixels that the edge of the hemisphere crosses, and grazing -vth ones, [k, W]."""
+    """Return a mask [k, W] of pixels on the edge of the hemisphere, and of grazing -vth ones."""
     height, width = shape
     corner_y = np.append(y[:, 0] + 0.5 / height, y[-1, 0] - 0.5 / height)[:, None]  # [k + 1, 1]
     corner_x = np.append(x[0] - 0.5 / width, x[0, -1] + 0.5 / width)[None, :]  # [1, W + 1]
@@ -114,7 +115,11 @@ def _rim(
 
 
 def _regions(up: Float, forward: Float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the pixels of the task cone and of the band, relative to the line of sight."""
+    """Return two masks: pixels in the task cone, and pixels in the 40-degree horizontal band.
+
+    The task cone is 30 degrees below the line of sight. up, forward : components of each pixel's
+    direction along the axes of the view.
+    """
     below = np.radians(TASK_ALTITUDE_DEG)
     to_task = up * np.sin(below) + forward * np.cos(below)
     task = to_task > np.cos(np.radians(TASK_RADIUS_DEG))

@@ -1,7 +1,7 @@
-"""Radiance's view options: the view direction of a picture, and its pixels' directions.
+"""Parse Radiance's view options: the view direction of a picture, and its pixels' directions.
 
-The mappings are those of Radiance's viewray (src/common/image.c): x and y run from -1/2 to 1/2
-over the picture, plus shift (-vs) and lift (-vl) in picture widths and heights.
+The mappings are those of Radiance's viewray (src/common/image.c): x and y run from -1/2 to 1/2 over
+the picture, plus shift (-vs) and lift (-vl) in picture widths and heights.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ HOW = f'give --view "{EXAMPLE_VIEW}" (a 180-degree fisheye that looks south)'
 # Angles that Radiance accepts for each type, and the numbers after each view option (rpict -v).
 _LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
-# The solid angle of -vth is infinite at its rim; the part beyond this cosine is 0.1 % of the
+# The solid angle of -vth is infinite at its rim; directions with a smaller cosine are 0.1 % of the
 # hemisphere.
 _LEAST_COSINE = 1e-3
-_SAME_PROPORTION = 0.02  # -vh and -vv are often rounded to degrees
+_SAME_PROPORTION = 0.02  # relative; -vh and -vv are often rounded to degrees; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class PictureView:
 
 @dataclass(frozen=True, slots=True)
 class PictureRays:
-    """Directions in the frame of the view and their density.
+    """Directions in the frame of the view, and their density.
 
     right, up, forward : components of unit vectors. density : solid angle per unit of x times y
     [sr]; 0 where the mapping has no direction.
@@ -86,7 +86,7 @@ class PictureRays:
 
 
 def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
-    """Return the directions of places [...] of the picture; x right, y up, -1/2 to 1/2 each."""
+    """Return the directions of points [...] of the picture; x right, y up, -1/2 to 1/2 each."""
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
     across = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
     upwards = (np.asarray(y, float) + view.lift) * 2.0 * reach[1]
@@ -111,7 +111,7 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
 
 
 def _reach(kind: str, angle_deg: float) -> float:
-    """Return the radius of half an angle in a mapping of focal length 1."""
+    """Return the radius of half an angle in a mapping with focal length 1."""
     half = np.radians(angle_deg) / 2.0
     return float(
         {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind]
@@ -121,7 +121,7 @@ def _reach(kind: str, angle_deg: float) -> float:
 def check_proportion(
     view: PictureView, height: int, width: int, pixel_aspect: float, source: Path
 ) -> None:
-    """Raise InputError if the picture's proportion is not that of its angles.
+    """Raise InputError if the picture's proportions contradict its angles.
 
     pixel_aspect : height over width of a pixel, from the header's PIXASPECT lines.
     """
@@ -141,17 +141,20 @@ def check_proportion(
 
 
 def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
-    """Parse Radiance's view options; of a repeated option the last counts.
+    """Parse Radiance's view options; if an option is repeated, the last one counts.
 
-    Without -vd the view is level and faces `heading_deg` (Radiance's own default is north). Raises
-    InputError for an impossible type or angle.
+    Without -vd the view is horizontal and faces `heading_deg` (Radiance's own default is north).
+    Raises InputError for an impossible type or angle.
     """
     options = _options(text, source)
     kind = options.get("vt", "")
     if kind not in VIEW_TYPES:
         if kind:
             raise InputError(
-                source, f"view type -vt{kind}", "-vta, -vth, -vts or -vtv", "render it with -vta"
+                source,
+                f"view type -vt{kind}",
+                "-vta, -vth, -vts or -vtv",
+                "render the picture with -vta",
             )
         raise InputError(source, "a VIEW without a type", "-vta, -vth, -vts or -vtv", HOW)
     forward = (
@@ -177,7 +180,10 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
 
 
 def _options(text: str, source: Path) -> dict[str, str]:
-    """Return options by name: vt = "a" for -vta, vd = "x y z" for -vd x y z; ignore others."""
+    """Return options by name; ignore unknown ones.
+
+    For example vt = "a" for -vta, and vd = "x y z" for -vd x y z.
+    """
     try:
         words = shlex.split(text)
     except ValueError as error:

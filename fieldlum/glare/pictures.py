@@ -1,8 +1,8 @@
-"""Any luminance picture on disk, with its view direction.
+"""Read any luminance picture with its view direction.
 
-A picture states its view: `VIEW=` with Radiance's options in a .hdr, the attribute `view` in an
-.exr, or that it is a panorama. A missing or contradictory statement is an error that names the
-option that helps.
+A picture states its view: by `VIEW=` with Radiance's options in a .hdr, by the attribute `view` in
+an .exr, or by a mark that it is a panorama. For a missing or contradictory view, the error names
+the option that helps.
 """
 
 from __future__ import annotations
@@ -31,16 +31,19 @@ from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 HOW_PANORAMA = "a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
-_INHERITED = "its VIEW is inherited from an input picture: it is wrong if that one was cropped"
+_INHERITED = (
+    "the picture inherited its VIEW from an input picture: the VIEW is wrong if "
+    "that picture was cropped"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """Luminance on the picture's own pixels, rows from the top.
+    """A picture's luminance on its own pixels, rows from the top.
 
     panorama : the pixels; its heading_deg is the azimuth of the view for a fisheye. view : None for
-    a panorama. directed : whether the file states a view direction; else the azimuth is Radiance's
-    default, north. notes : warnings of the reader.
+    a panorama. directed : whether the file states a view direction; if not, the azimuth is
+    Radiance's default, north. notes : warnings of the reader.
     """
 
     panorama: Panorama
@@ -50,12 +53,17 @@ class Picture:
 
 
 def read_picture(path: Path, view_options: str = "") -> Picture:
-    """Read a .hdr or .exr picture. `view_options` replace the view that the file states.
+    """Read a .hdr or .exr picture. If `view_options` are given, they replace the file's view.
 
     Raises InputError for a missing or contradictory view.
     """
     if not path.is_file():
-        raise InputError(path, "no such file", "a luminance picture .hdr or .exr", "check the path")
+        raise InputError(
+            path,
+            "no such file",
+            "a luminance picture .hdr or .exr",
+            "check the path of the picture",
+        )
     with path.open("rb") as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     return _read_exr(path, view_options) if is_exr else _read_hdr(path, view_options)
@@ -77,20 +85,22 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
 
 
 def _check_views(header: RadianceHeader, path: Path) -> None:
-    """Raise InputError for views of different types, or for a panorama that has a view too."""
+    """Raise InputError for views of different types, or for a panorama with a view."""
     if header.heading_deg is not None and header.views:
         shown = f"a panorama and VIEW= {header.view[:80]}"
-        raise InputError(path, shown, "one of the two", "remove one of the two lines")
+        raise InputError(
+            path, shown, "one of the two", "remove one of the two lines from the header"
+        )
     types = {word for text in header.views for word in text.split() if word.startswith("-vt")}
     if len(types) > 1:
         shown = f"views {', '.join(sorted(types))}"
-        raise InputError(path, shown, "one VIEW", "give the true one with --view")
+        raise InputError(path, shown, "one VIEW", "give the true view with --view")
     if not header.view and header.inherited_views:
         raise InputError(
             path,
-            "different views inherited from its input pictures",
+            "different VIEW lines inherited from its input pictures",
             "one VIEW",
-            "give the true one with --view",
+            "give the true view with --view",
         )
 
 

@@ -1,7 +1,7 @@
-"""The reference for fieldlum's glare: the program evalglare of pyradiance, run as a process.
+"""Run evalglare of pyradiance as a process, as the reference for fieldlum's glare.
 
 evalglare is by J. Wienold, EPFL and Fraunhofer ISE. Its version and flags are reported with every
-figure, because both change the answer: the threshold in 2.05, the low-light correction in 2.14 and
+figure, because both change the result: the threshold in 2.05, the low-light correction in 2.14 and
 3.05, the position index in 2.12 to 3.02.
 """
 
@@ -23,7 +23,10 @@ FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light c
 
 @dataclass(frozen=True, slots=True)
 class ReferenceGlare:
-    """evalglare's figures of one picture; it prints no contrast. sources : count of sources."""
+    """evalglare's figures of one picture, without contrast, which it does not print.
+
+    sources : number of glare sources.
+    """
 
     dgp: float
     ev_lx: float
@@ -35,7 +38,7 @@ class ReferenceGlare:
     flags: str
     ugp: float = float("nan")
     cgi: float = float("nan")
-    veiling_cdm2: float = float("nan")  # Lveil_cie: Stiles-Holladay without age
+    veiling_cdm2: float = float("nan")  # Lveil_cie: Stiles-Holladay without the age
 
 
 @lru_cache(maxsize=1)
@@ -54,7 +57,7 @@ def reference_version() -> str:
 def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
     """Return evalglare's figures for a picture [H, W], by default an equidistant 180-degree one.
 
-    Raises FieldlumError if evalglare prints none.
+    Raises FieldlumError if evalglare prints no figures.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
@@ -63,7 +66,7 @@ def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> Referen
 
 
 def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
-    """Return evalglare's figures for a picture on disk that has a VIEW; flags must have -d."""
+    """Return evalglare's figures for a picture on disk that has a VIEW; flags must include -d."""
     done = subprocess.run(
         [radiance_program("evalglare"), *flags, str(path)],
         capture_output=True,
@@ -74,7 +77,7 @@ def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> Refer
 
 
 def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
-    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the count of sources."""
+    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources."""
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
     names, _, figures = line.partition(":")
     row = dict(zip(names.split(","), figures.split(), strict=False))

@@ -1,4 +1,4 @@
-"""Glare of one picture on disk, as plain numbers for a terminal or a pipe."""
+"""Compute the glare of one picture on disk, as plain numbers for a terminal or a pipe."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from fieldlum.sun_disc import find_disc, without_disc
 
 
 def _bounds_verdict(low: float, high: float) -> str:
-    """Return one grade, or both ends if the unseen part decides."""
+    """Return one grade, or two if the unseen part decides between them."""
     least, most = verdict(low), verdict(high)
     return least if least == most else f"{least} to {most}"
 
@@ -47,10 +47,10 @@ def picture_glare(
     view_options: str = "",
     measured_ev_lx: float | None = None,
 ) -> GlareAnswer:
-    """Return file, views (one dict each), contrast of a panorama, and warnings.
+    """Return the figures of each view, the contrast of a panorama, and warnings.
 
     view_options : replace the view that the file states. measured_ev_lx : scale the picture so that
-    the vertical illuminance of its first view is this. Raises InputError for an unusable picture.
+    its first view has this vertical illuminance. Raises InputError for an unusable picture.
     """
     picture = read_picture(path, view_options)
     judge = _panorama_answer if picture.view is None else single_picture_glare
@@ -58,7 +58,12 @@ def picture_glare(
         return judge(picture, path, azimuths_deg, reference, 1.0)
     ev = judge(picture, path, azimuths_deg, False, 1.0)["views"][0]["ev_lx"]
     if not ev or ev <= 0.0:
-        raise InputError(path, "no light in the view", "a picture to scale", "check the picture")
+        raise InputError(
+            path,
+            "no light in the view",
+            "light in the first view, so that it can be scaled",
+            "check the view direction, or omit the measured illuminance",
+        )
     factor = measured_ev_lx / ev
     answer = judge(picture, path, azimuths_deg, reference, factor)
     answer["calibration_factor"] = factor
@@ -66,7 +71,7 @@ def picture_glare(
 
 
 def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> GlareAnswer:
-    """Return the same as `picture_glare` for a panorama in memory; its `file` is "".
+    """Return the same as `picture_glare`, for a panorama in memory; its `file` is "".
 
     Raises InputError for a map that is not twice as wide as high, or not finite.
     """
@@ -144,20 +149,19 @@ def _view_rows(
 
 def _unseen_text(seen: np.ndarray) -> str:
     return (
-        f"{100 * (~seen).mean():.0f} % of the panorama was seen by no lens: directions that "
-        f"include it have no result, or bounds for an unseen part from 0 cd/m2 up to the "
-        f"luminance of the brightest hundredth of the seen part"
+        f"no lens saw {100 * (~seen).mean():.0f} % of the panorama: directions that include "
+        "this part have no result, or bounds for an unseen part from 0 cd/m2 up to the "
+        "luminance of the brightest hundredth of the seen part"
     )
 
 
 def take_out_sun(
     luminance_cdm2: Float, heading_deg: float, recorded: SunSource | None
 ) -> tuple[Float, SunSource | None]:
-    """Return a map without the disc that a rendering left in it, and the disc as a source.
+    """Return a map without a sun disc in its pixels, and the disc as a source.
 
-    A sun that the picture records is returned unchanged: such a map has no disc.
-
-    luminance_cdm2 : [H, W = 2H], cd/m2.
+    Renderings can have the disc in their pixels. If the picture records a sun separately, that sun
+    is returned and the map is unchanged. luminance_cdm2 : [H, W = 2H], cd/m2.
     """
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:

@@ -1,4 +1,4 @@
-"""The answer of `fieldlum glare` for a fisheye or perspective picture, on its own pixels."""
+"""Compute the answer of `fieldlum glare` for a fisheye or perspective picture."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ from fieldlum.glare.pictures import Picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.projection import FULLY_SEEN_SHARE, seen_words, signed_angle_deg
 
-SHOWN_SOURCES = 20  # listed one by one, because a noisy picture can have thousands
+# most sources that are listed, because a noisy picture can have thousands; chosen
+SHOWN_SOURCES = 20
 
 
 def single_picture_glare(
@@ -36,7 +37,7 @@ def single_picture_glare(
 ) -> GlareAnswer:
     """Judge a picture in its own view direction, with its luminance times `factor`.
 
-    Raises InputError for other directions and for pixels that are not finite.
+    Raises InputError for other directions, and for pixels that are not finite.
     """
     view = picture.view
     assert view is not None
@@ -67,7 +68,7 @@ def single_picture_glare(
 
 
 def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:
-    """Return the weights of the pixels, 0 for those that no lens saw."""
+    """Return the weights of the pixels; 0 for pixels that no lens saw."""
     assert picture.view is not None
     grid = picture_grid(picture.view, height, width)
     seen = seen_pixels(picture.panorama)
@@ -82,14 +83,14 @@ def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> N
     if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
         raise InputError(
             path,
-            f"--view-azimuth for a fisheye with view direction {azimuth_deg:.1f} deg",
-            "a panorama",
+            f"--view-azimuth for a fisheye, whose view direction is {azimuth_deg:.1f} deg",
+            "a panorama with --view-azimuth",
             "remove --view-azimuth",
         )
 
 
 def _source_rows(sources: GlareSources) -> list[dict[str, float]]:
-    """Return the strongest sources as numbers."""
+    """Return the figures of the strongest sources."""
     return [
         {
             "mean_cdm2": float(sources.mean_cdm2[i]),

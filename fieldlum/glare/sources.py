@@ -1,11 +1,11 @@
-"""Glare sources: groups of bright pixels.
+"""Group bright pixels into glare sources.
 
-A pixel brighter than 2 000 cd/m2 belongs to a source. Pixels closer to each other than 0.1 rad (5.7
-degrees) belong to the same source, so that the panes of a window are one source; its position is
-its luminance-weighted centre. Pixels from 50 000 cd/m2 on are removed from their source and form
-sources of their own. These are evalglare's defaults (-b 2000, -r 0.2 with its own definition of the
-search angle, -Y 50000). An additive sum over pixels, which needs no grouping, is higher for windows
-with bright and dark panes (docs/results/glare.md, "Glare").
+A pixel brighter than 2 000 cd/m2 belongs to a source. Pixels closer than 0.1 rad (5.7 degrees) to
+each other belong to the same source, so that the panes of a window are one source. The position of
+a source is its luminance-weighted centre. Pixels from 50 000 cd/m2 on are removed from their source
+and form sources of their own. These are evalglare's defaults (-b 2000, -r 0.2 with its own
+definition of the search angle, -Y 50000). An additive sum over pixels, which needs no grouping, is
+higher for windows with bright and dark panes (docs/results/glare.md, "Glare").
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ REACH_RAD = 0.1
 
 
 def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
-    """Return all pixels of a panorama within an angle of a pixel of `mask`, [H, W].
+    """Return a mask of all pixels within an angle of a pixel of `mask`, [H, W].
 
-    Continues across the seam of the panorama.
+    It continues across the seam of the panorama.
     """
     height, width = mask.shape
     rows = np.flatnonzero(mask.any(axis=1))
@@ -40,7 +40,8 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
     columns = np.arange(width, 2 * width)
     for row in range(first, last):
         near = np.arange(max(rows[0], row - reach), min(rows[-1], row + reach) + 1)
-        # Haversine: half the width in columns of the small circle where it meets the other row.
+        # Haversine formula: half the width, in columns, of the small circle where it meets the
+        # other row.
         rest = np.sin(radius_rad / 2) ** 2 - np.sin((altitude[near] - altitude[row]) / 2) ** 2
         near, rest = near[rest >= 0], rest[rest >= 0]
         share = rest / (np.cos(altitude[near]) * np.cos(altitude[row]))
@@ -52,7 +53,7 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
 
 
 def group_pixels(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the number of each pixel's source, from 1, [H, W]; 0 outside of `mask`.
+    """Return the number of each pixel's source, from 1, [H, W]; 0 outside `mask`.
 
     Pixels closer than `REACH_RAD` belong to one source.
     """
@@ -66,7 +67,7 @@ def group_pixels(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    """Join sources that meet across the panorama's seam, or at a pole."""
+    """Join sources that meet across the panorama's seam, or at the zenith or nadir."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -83,7 +84,7 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
 def sources_of(luminance_cdm2: Float) -> list[NDArray[np.int64]]:
     """Return the flat pixel indices of each source of a panorama [H, W].
 
-    First the sources without their peaks, then the peaks.
+    Sources without their peaks come first, then the peaks.
     """
     bright = luminance_cdm2 > SOURCE_CDM2
     if not bright.any():

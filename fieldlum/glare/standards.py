@@ -1,4 +1,4 @@
-"""Glare protection by EN 17037, with the confidence that the model's uncertainty allows.
+"""Classify glare protection by EN 17037, with the confidence that the uncertainty allows.
 
 A class is reached if DGP exceeds its limit in at most 5 % of the occupied hours (EN 17037:2018,
 annex A.5 and table A.7): 0.45 minimum, 0.40 medium, 0.35 high. Dark occupied hours count as hours
@@ -20,18 +20,19 @@ CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # EN 17037:2018
 # From here on glare is "disturbing" (Wienold 2009, Building Simulation, table 2).
 DISTURBING_DGP = 0.40
 NO_CLASS = "none"
-NOT_SEEN_CLASS = NOT_SEEN  # no class, because no lens saw enough of that direction
+NOT_SEEN_CLASS = NOT_SEEN  # the class of a direction of which no lens saw enough
 EXCEEDED_SHARE = 0.05  # EN 17037:2018, annex A.5
-# Share of the error's variance that is common to all hours, because a model is often wrong in the
+# Share of the error's variance that all hours have in common, because a model is often wrong in the
 # same way. Chosen, not measured; the intervals covered 99.8 % of drawn rooms (docs/accuracy.md).
 COMMON_ERROR = 0.5
-DRAWS = 400  # years drawn for an interval: its ends are the 10th and the 390th
+DRAWS = 400  # years drawn for an interval, whose ends are the 10th and the 390th value; chosen
 
 
 def disturbed_share(dgp: Float) -> NDArray[np.float64]:
-    """Return the share of view directions with disturbing glare, 0 to 1, [n].
+    """Return, for each hour, the share of its view directions with disturbing glare, 0 to 1, [n].
 
-    dgp : [n, d], NaN for directions that no lens saw, which do not count. NaN without a direction.
+    Disturbing means a DGP above `DISTURBING_DGP`. dgp : [n, d], NaN for directions that no lens
+    saw; these do not count. The result is NaN for an hour in which no direction counts.
     """
     known = np.isfinite(dgp)
     over = (np.where(known, dgp, 0.0) > DISTURBING_DGP).sum(axis=1)
@@ -41,12 +42,13 @@ def disturbed_share(dgp: Float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Protection:
-    """Glare protection in d directions; low and high bound the 95 % interval of dgp_exceeded.
+    """Glare protection in d directions.
 
-    dgp_exceeded [d] : the DGP that 5 % of the occupied hours exceed; hours_over [d, 3] : hours
-    above .35, .40, .45; low, high [d] : None if the model has no uncertainty; classes [d];
-    certain [d] : whether the interval is within one class; seen [d] : "seen", "partly seen" or "not
-    seen". A direction that was not seen has NaN figures and the class "not seen".
+    dgp_exceeded [d] : the DGP that is exceeded in 5 % of the occupied hours; hours_over [d, 3] :
+    hours above .35, .40, .45; low, high [d] : ends of the 95 % interval of dgp_exceeded, None if
+    the model has no uncertainty; classes [d]; certain [d] : whether the interval is within one
+    class; seen [d] : "seen", "partly seen" or "not seen". A direction that was not seen has NaN
+    figures and the class "not seen".
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -61,7 +63,7 @@ class Protection:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """The directions that have a class, [d]."""
+        """Mask [d] of the directions that have a class."""
         return np.array([name != NOT_SEEN_CLASS for name in self.classes])
 
     def sentence(self, i: int) -> str:
@@ -83,7 +85,7 @@ class Protection:
         )
         if self.certain[i]:
             return f"{text} ({between})"
-        return f"cannot tell yet: {text} is the most likely ({between})"
+        return f"cannot tell yet: {text} is the most likely class ({between})"
 
 
 def class_of(dgp_exceeded: float) -> str:
@@ -92,11 +94,11 @@ def class_of(dgp_exceeded: float) -> str:
 
 
 def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
-    """Return the DGP that `EXCEEDED_SHARE` of the occupied hours exceed, [..., d].
+    """Return the DGP that is exceeded in `EXCEEDED_SHARE` of the occupied hours, [..., d].
 
-    dgp : [..., n, d] of the lit hours; the other occupied hours are dark and count. The result is
-    the (k + 1)th largest value, k = floor(EXCEEDED_SHARE * hours): exactly k hours may exceed the
-    limit.
+    dgp : [..., n, d] of the lit hours; the other occupied hours are dark and count too. The result
+    is the (k + 1)th largest value, with k = floor(EXCEEDED_SHARE * hours): exactly k hours may
+    exceed the limit.
     """
     lit = dgp.shape[-2]
     rank = int(np.floor(EXCEEDED_SHARE * occupied_hours + 1e-9))
@@ -110,9 +112,10 @@ def dgp_uncertainty(
 ) -> NDArray[np.float64]:
     """Return the standard uncertainty of DGP, [n, d].
 
-    ev_relative, source_relative : relative uncertainties of Ev and of the luminance of sources.
-    First order. Ev's error in the Ev term and in the contrast term is one error. The sources' error
-    is independent of it, so that errors that would cancel do not reduce the result.
+    ev_relative, source_relative : relative uncertainties of Ev and of the luminance of sources. The
+    propagation is of first order. The error of Ev is the same in the Ev term and in the contrast
+    term. The sources' error is independent of it, so that errors which might cancel do not reduce
+    the result.
     """
     ratio = contrast / np.maximum(ev_lx, 1e-6) ** 1.87
     slope = DGP_CONTRAST / np.log(10.0) * ratio / (1.0 + ratio)
@@ -122,11 +125,11 @@ def dgp_uncertainty(
 
 @dataclass(frozen=True, slots=True)
 class GlareDoubt:
-    """Further uncertainty of the DGP of n hours and d directions, besides the model's own error.
+    """Further uncertainty of the DGP of n hours in d directions, besides the model's own error.
 
     seen [d] : "seen", "partly seen" or "not seen"; least, most [n, d] : DGP with the least and the
     most light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as k possible
-    rooms show it, or None if the room is certain.
+    rooms show it, None if the room is certain.
     """
 
     seen: tuple[str, ...]
@@ -135,7 +138,7 @@ class GlareDoubt:
     drawn: Float | None = None
 
     def hours(self, rows: NDArray[np.bool_]) -> GlareDoubt:
-        """Return the same for some of the hours; rows : [n] mask."""
+        """Return the uncertainty of some of the hours; rows : mask [n]."""
         drawn = None if self.drawn is None else self.drawn[:, rows]
         return GlareDoubt(self.seen, self.least[rows], self.most[rows], drawn)
 
@@ -151,10 +154,9 @@ def protection(
     """Return the classes of d directions.
 
     dgp, u_dgp : [n, d] of the lit occupied hours, with the model's own standard uncertainty. The
-    interval comes from `DRAWS` years with normal errors that have `COMMON_ERROR` of their variance
-    in common: the model's answer is the mean, and the truth is around it. Each drawn year takes the
-    sun's disc from one of the drawn rooms; its unseen parts are dark for the lower end and bright
-    for the upper end.
+    interval comes from `DRAWS` years with normal errors around the model's DGP; `COMMON_ERROR` of
+    their variance is common to all hours. Each drawn year takes the sun's disc from one of the
+    drawn rooms. Unseen parts are dark for the lower end and bright for the upper end.
     """
     azimuths = np.asarray(azimuths_deg, float)
     doubt = doubt or GlareDoubt((SEEN,) * len(azimuths), dgp, dgp)
@@ -184,7 +186,7 @@ def protection(
 def _interval(
     dgp: Float, u_dgp: Float, occupied_hours: int, rng: np.random.Generator, doubt: GlareDoubt
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the 95 % interval of the exceeded DGP of each direction, [d] each."""
+    """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each."""
     lows, highs = [], []
     all_seen = bool(np.array_equal(doubt.least, doubt.most, equal_nan=True))
     for k in range(DRAWS):
@@ -207,9 +209,9 @@ def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.
 def hours_to_capture(
     dgp: Float, u_dgp: Float, undecided: NDArray[np.bool_], limits: Float
 ) -> NDArray[np.float64]:
-    """Return how much each hour's uncertainty keeps directions undecided, [n].
+    """Return how much each hour's uncertainty keeps classes of directions undecided, [n].
 
-    The hours with the largest values are worth capturing. For each undecided direction it is the
+    Capture the hours with the largest values. For each undecided direction the value is the
     variance of "this hour is above the limit", p (1 - p) with normal p.
     """
     from scipy.special import ndtr

@@ -1,8 +1,8 @@
-"""Bounds of DGP where a part of the view was seen by no lens.
+"""Bound the DGP of views of which no lens saw a part.
 
-Unseen is not dark. The unseen part of the view gets one luminance, from 0 up to the brightest that
-is likely; the bounds are the least and the largest DGP of these. More light on the eye can lower
-DGP (the contrast term falls with Ev), so the lower bound is not always at 0 cd/m2.
+An unseen part is not dark. It gets one luminance, from 0 up to the brightest that is likely; the
+bounds are the least and the largest DGP over these luminances. More light on the eye can lower DGP
+(the contrast term falls with Ev), so the lower bound is not always at 0 cd/m2.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.projection import NOT_SEEN, SEEN, equirect_solid_angles, seen_words
 from fieldlum.records import Float
 
-# The brightest likely luminance is exceeded by this share of the seen solid angle: a window pane
-# has more, a single pixel of a reflection less. Chosen, not measured.
+# Share of the seen solid angle that is brighter than the brightest likely luminance: a window pane
+# is larger, a single bright pixel of a reflection smaller. Chosen, not measured.
 BRIGHTEST_SHARE = 0.01
-_LEVELS = 12  # luminances tried between 1 cd/m2 and the brightest
-_THIN = 4  # every fourth row and column suffices for a percentile; speed only
+_LEVELS = 12  # number of luminances between 1 cd/m2 and the brightest; chosen
+_THIN = 4  # use every fourth row and column, which suffices for a percentile; only for speed
 
 
 @dataclass(frozen=True, slots=True)
 class ViewCoverage:
     """The seen and unseen parts of d view directions.
 
-    seen_share [d] : of the illuminance of a uniform field; unseen_illuminance [d] : solid angle
-    times cosine of the unseen pixels, sr; unseen_sources [d] : their solid angle over the square of
-    the position index, sr.
+    seen_share [d] : share of the illuminance of a uniform field; unseen_illuminance [d] : solid
+    angle times cosine of the unseen pixels, sr; unseen_sources [d] : their solid angle over the
+    square of the position index, sr.
     """
 
     seen_share: NDArray[np.float64]
@@ -45,12 +45,12 @@ class ViewCoverage:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """The directions that have figures, [d]."""
+        """Mask [d] of the directions that have figures."""
         return np.array([word != NOT_SEEN for word in self.words])
 
     @property
     def partly(self) -> NDArray[np.bool_]:
-        """The directions that have bounds only, [d]."""
+        """Mask [d] of the directions that only have bounds."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 
@@ -65,7 +65,8 @@ def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
     omega, right, up = np.moveaxis(views.moments[blind].astype(float), 1, 0)  # [k, d] each
     ahead = np.maximum(omega, 1e-30)
     apart = (omega / position_index(right / ahead, up / ahead) ** 2).sum(axis=0)
-    # One source of all unseen pixels has the index of its centre, which may be the smaller one.
+    # A single source of all unseen pixels has the position index of its centre, which may be the
+    # smaller one.
     area = np.maximum(omega.sum(axis=0), 1e-30)
     centre = position_index(right.sum(axis=0) / area, up.sum(axis=0) / area)
     together = omega.sum(axis=0) / centre**2
@@ -73,7 +74,7 @@ def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
 
 
 def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the luminance that the brightest hundredth of the seen solid angle exceeds, [n].
+    """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
 
     luminance_cdm2 : [n, H, W].
     """

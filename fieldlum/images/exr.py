@@ -39,7 +39,7 @@ def calibration_mark(profile: CameraProfile) -> dict[str, str]:
     """
     p = profile
     parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
-    if p.stray.angle_deg:  # absent otherwise, so that earlier pictures keep their digest
+    if p.stray.angle_deg:  # absent without it, so that earlier pictures have the same digest
         parts.append(plain(p.stray))
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     return {"camera": p.camera.name, "k": f"{p.scale.k:.8g}", "calibration": digest[:16]}
@@ -57,7 +57,10 @@ _DISK_ERRNOS = (
 
 
 def _disk_error(path: Path, error: RuntimeError) -> Exception:
-    """Return what OpenEXR reports of a disk as an OSError with its number; else `error` itself."""
+    """Return a disk error that OpenEXR reported, as an OSError with its number.
+
+    Else `error` itself.
+    """
     for number in _DISK_ERRNOS:
         if os.strerror(number).lower() in str(error).lower():
             return OSError(number, os.strerror(number), str(path))
@@ -67,8 +70,8 @@ def _disk_error(path: Path, error: RuntimeError) -> Exception:
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
     """Write a float32 EXR with channels Y, u, flags (and R, G, B).
 
-    Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view : the view options of
-    Radiance for a picture that is no panorama.
+    Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view : Radiance's view
+    options, for a picture that is not a panorama.
     """
     import OpenEXR
 
@@ -136,7 +139,7 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
         view = str(header.get("view", ""))
     except (ValueError, TypeError, AttributeError) as error:
-        # OpenEXR returns a damaged attribute as bytes of an unknown type.
+        # OpenEXR returns a damaged attribute as bytes of unknown type.
         raise InputError(
             path,
             f"attribute {error}",
@@ -153,7 +156,7 @@ def _header(path: Path) -> dict[str, Any]:
     """Return the attributes of the first part. Raises InputError for a file that is no EXR."""
     import OpenEXR
 
-    # OpenEXR prints to stderr by itself, so check the first bytes before it reads the file.
+    # Check the first bytes before OpenEXR reads the file, because OpenEXR prints to stderr.
     with path.open("rb") as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
             raise InputError(
@@ -173,7 +176,10 @@ def _broken(path: Path, error: Exception) -> InputError:
 
 
 def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int] | None:
-    """Return left, top, width and height of a window, in px, or None if it is not in the header."""
+    """Return left, top, width and height of a window [px].
+
+    None if the header has no such window.
+    """
     try:
         (x0, y0), (x1, y1) = header[name]
         return int(x0), int(y0), int(x1) - int(x0) + 1, int(y1) - int(y0) + 1
@@ -227,7 +233,7 @@ def _channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any
 def _chosen_layer(names: list[str]) -> dict[str, str]:
     """Return the names of the channels to read, each with its plain name.
 
-    Plain channels are preferred; else the only layer with Y or R, G, B.
+    Plain channels are preferred; otherwise the only layer with Y or R, G, B is used.
     """
     kept = ("Y", "R", "G", "B", "u", "flags")
     if {"Y"} <= set(names) or set("RGB") <= set(names):
@@ -260,7 +266,7 @@ def _luminance(
             path,
             f"channels {shown}",
             "a channel Y in cd/m2, or R, G and B, of one layer",
-            "write that layer alone",
+            "write only that layer",
         )
     try:
         stated = header.get("chromaticities")
@@ -270,7 +276,7 @@ def _luminance(
             path,
             f"attribute chromaticities ({error})",
             "x and y of R, G, B and white",
-            "write the picture again with that attribute, or without it",
+            "write the picture again with a correct attribute, or without it",
         ) from None
     luminance = np.zeros_like(channels["R"])
     for name, weight in zip("RGB", weights * scale, strict=True):

@@ -1,4 +1,4 @@
-"""Panoramas on disk: fieldlum's own EXR, or a Radiance picture twice as wide as high."""
+"""Read panoramas: fieldlum's own EXR, or a Radiance picture that is twice as wide as high."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ def read_panorama(path: Path) -> Panorama:
     broken file, and for other kinds and shapes.
     """
     if not path.is_file():
-        raise InputError(path, "no such file", "a panorama .exr or .hdr", "check the path")
+        raise InputError(
+            path, "no such file", "a panorama .exr or .hdr", "check the path of the panorama"
+        )
     panorama = read_exr(path)[0] if path.suffix.lower() == ".exr" else _read_hdr_panorama(path)
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:

@@ -1,4 +1,4 @@
-"""The programs of Radiance, which the wheel of pyradiance contains."""
+"""Find the programs of Radiance in the wheel of pyradiance."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Radiance pictures: RGBE and XYZE are read through Radiance's own pvalue, RGBE is written.
+"""Read Radiance pictures (RGBE, XYZE) through Radiance's own pvalue, and write RGBE.
 
 pvalue decodes flat, new and old run-length scanlines. It runs as a separate process, so that a
-damaged file cannot crash this one. It gets the pixels behind a plain header: exposure, primaries
-and orientation are applied here (`radiance_header`).
+damaged file cannot crash this one. It receives the pixels behind a plain header: exposure,
+primaries and orientation are applied here (`radiance_header`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fieldlum.images.radiance_header import (
 )
 from fieldlum.records import Float
 
-# Brighter pixels are damage. Infinity is written as 1e30, and single precision ends at 3e38.
+# Brighter pixels are damaged. Infinity is written as 1e30, and single precision ends at 3e38.
 # [W/sr/m2]
 _BRIGHTEST = 2e30
 _BLOCK_PIXELS = 500_000  # decoded at a time: limits memory to 6 MB
@@ -42,7 +42,7 @@ class RadianceImage:
     """A Radiance picture with its colours.
 
     rgb : [H, W, 3] W/sr/m2, upright, with EXPOSURE and COLORCORR undone, in the file's own
-    primaries (XYZE: in Radiance's). header : its lines. view : the text after VIEW=, or "".
+    primaries (for XYZE, in Radiance's). header : its lines. view : the text after VIEW=, or "".
     heading_deg : stated by a header line of a panorama. cdm2_per_unit : [3] luminance of one unit
     of R, G and B.
     """
@@ -92,7 +92,7 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
 def read_radiance_luminance(path: Path) -> tuple[NDArray[np.float32], RadianceHeader]:
     """Read the luminance [H, W] in cd/m2 and the header of a Radiance picture.
 
-    Needs 4 bytes for each pixel. Raises InputError for any other file.
+    This needs 4 bytes for each pixel. Raises InputError for any other file.
     """
     with _open(path) as file:
         header = read_header(file, path)
@@ -113,18 +113,23 @@ def _open(path: Path) -> BinaryIO:
     """Open a regular file. Raises InputError for any other, or an unreadable one."""
     try:
         if path.exists() and not path.is_file():
-            raise InputError(path, "no regular file", "a Radiance .hdr picture", "check the path")
+            raise InputError(
+                path, "no regular file", "a Radiance .hdr picture", "check the path of the picture"
+            )
         return path.open("rb")
     except OSError as error:
         raise InputError(
-            path, error.strerror or str(error), "a readable file", "check the path"
+            path,
+            error.strerror or str(error),
+            "a readable file",
+            "check the path and the permissions of the picture",
         ) from None
 
 
 def _decoded_rows(
     file: BinaryIO, header: RadianceHeader, path: Path
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """Yield (first scanline, values [scanlines, pixels, 3]) in file order, before exposure.
+    """Yield the first scanline and values [scanlines, pixels, 3], in file order, before exposure.
 
     Raises InputError if the pixels are damaged or end early.
     """
@@ -150,7 +155,7 @@ def _decoded_rows(
                     path,
                     f"the pixels are damaged or end after {first} of {scanlines} scanlines",
                     f"{scanlines} scanlines of Radiance pixels",
-                    "the file is cut short: copy it again",
+                    "copy the file again, because it is cut short",
                 )
             rows = np.frombuffer(data, np.float32).reshape(count, width, 3)
             _check_brightness(rows, brightest, path)
@@ -178,7 +183,7 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
             path,
             f"a stored value of {largest:.3g}",
             f"at most {brightest:.3g}",
-            "the file is damaged: copy it again",
+            "copy the file again, because it is damaged",
         )
 
 
@@ -187,7 +192,7 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
 
 
 def encode_rgbe(rgb: Float) -> NDArray[np.uint8]:
-    """Return pixels with a shared exponent (RGBE), [..., 3] to [..., 4].
+    """Return pixels with a shared exponent (RGBE): [..., 3] becomes [..., 4].
 
     Mantissas are truncated, because Radiance decodes (mantissa + .5) / 256.
     """
@@ -212,7 +217,7 @@ def write_radiance_hdr(
 ) -> None:
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] as flat RGBE with one EXPOSURE and one VIEW.
 
-    view : view options of Radiance, such as "-vta -vh 180 -vv 180"; heading_deg marks a panorama
+    view : view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
     instead.
     """
     values = np.asarray(pixels)

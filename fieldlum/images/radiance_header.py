@@ -1,4 +1,4 @@
-"""The header of a Radiance picture: format, exposure, primaries, view, orientation."""
+"""Parse the header of a Radiance picture: format, exposure, primaries, view, orientation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RADIANCE_Y = (0.265, 0.670, 0.065)
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
 # 12 bytes a pixel: 1.9 GB. The largest pictures in use, panoramas of 16k x 8k, have 134 million.
 MAX_PIXELS = 160_000_000
-# A longer header is no header. A year of pcomb and pcompos lines has a few thousand bytes.
+# A longer header is damaged: a year of pcomb and pcompos lines has a few thousand bytes.
 _MAX_HEADER_BYTES = 4_000_000
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _FORMATS = ("32-bit_rle_rgbe", "32-bit_rle_xyze")
@@ -66,10 +66,10 @@ class Resolution:
 class RadianceHeader:
     """The content of a picture's header.
 
-    exposure : [3] divide the decoded channels by it. chromaticities : x, y of red, green, blue and
-    white, [8]. views : the picture's own VIEW lines in order; inherited_views : those of its input
-    pictures. pixel_aspect : height over width of a pixel. start : position of the first byte of
-    pixels.
+    exposure : [3], by which the decoded channels must be divided. chromaticities : x, y of red,
+    green, blue and white, [8]. views : the picture's own VIEW lines in order; inherited_views :
+    those of its input pictures. pixel_aspect : height over width of a pixel. start : position of
+    the first byte of pixels.
     """
 
     lines: tuple[str, ...]
@@ -85,7 +85,7 @@ class RadianceHeader:
 
     @property
     def view(self) -> str:
-        """The picture's view, or the only one that it inherited, or an empty text."""
+        """The picture's view, or the only view that it inherited, or ""."""
         if self.views:
             return " ".join(self.views)
         return self.inherited_views[0] if len(set(self.inherited_views)) == 1 else ""
@@ -99,7 +99,7 @@ class RadianceHeader:
     def cdm2_per_unit(self) -> NDArray[np.float64]:
         """Luminance of one unit of each decoded channel, [3], in cd/m2.
 
-        XYZE has Y in cd/m2: ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
+        XYZE has Y in cd/m2, because ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
         """
         if self.xyze:
             return np.array([0.0, 1.0, 0.0]) / self.exposure
@@ -173,7 +173,7 @@ def _resolution(line: bytes, path: Path) -> Resolution:
             path,
             f"resolution line {shown!r}",
             "two axes and their pixels, such as -Y 800 +X 800",
-            "the file is damaged: copy it again",
+            "copy the file again, because it is damaged",
         )
     counts = (int(match[3]), int(match[6]))
     if not 0 < counts[0] * counts[1] <= MAX_PIXELS:

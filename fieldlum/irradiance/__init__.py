@@ -1,4 +1,4 @@
-"""Turn the day files of a session into one quality-checked series, irradiance/clean.csv."""
+"""Convert the day files of a session to one quality-checked series, irradiance/clean.csv."""
 
 from __future__ import annotations
 
@@ -21,16 +21,19 @@ from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.session.files.json_file import from_json, write_object
 from fieldlum.session.provenance import made_from
 
-STUCK_S = 600.0  # the same daylight figure for this long is a faulty reading; not measured
-_SEGMENT_GAP_S = 1800.0  # DIRINT uses neighbouring minutes, never across a longer gap
+STUCK_S = 600.0  # seconds; the same daylight value for this long is a faulty reading; not measured
+# seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
+_SEGMENT_GAP_S = 1800.0
 SPIKE_WM2 = 20.0  # a smaller deviation is never a spike; not measured
 # The next four are tested by bench/damaged_series.py: spikes found, and false alarms.
-SPIKE_OVER_NEIGHBOURS = 8.0  # deviation over the difference of the two neighbours
-SPIKE_OVER_USUAL = 3.0  # deviation over the usual step around it
+SPIKE_OVER_NEIGHBOURS = 8.0  # least deviation, over the difference of the two neighbours
+SPIKE_OVER_USUAL = 3.0  # least deviation, over the usual step around the row
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
-_SPIKE_RANK = 9  # rank of the usual step, so that four other spikes in the window do not hide one
-_BLOCK_ROWS = 20_000  # rows processed at a time, where a copy of all would need much memory
-_RECIPE = 7  # raise it when the arithmetic changes: clean.csv is then computed again
+# rank of the usual step, so that four other spikes in the window do not hide one; chosen
+_SPIKE_RANK = 9
+# rows processed at a time, where a copy of all rows would need much memory; chosen
+_BLOCK_ROWS = 20_000
+_RECIPE = 7  # Increase it when the arithmetic changes: clean.csv is then computed again.
 
 
 # ----------------------------------------------------------------------------------------------
@@ -50,7 +53,7 @@ def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
 
 
 def check(series: Series, altitude: Array, top: Array) -> Series:
-    """Mark impossible values, and complete GHI, DHI or DNI by closure where two are measured.
+    """Mark impossible values, and compute the third of GHI, DHI and DNI if two are measured.
 
     altitude, top [n]: from `sky_geometry`.
     """
@@ -86,9 +89,9 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
 
 
 def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
-    """Return rows in a run of equal values over ten minutes of daylight, in a moving sun.
+    """Return a mask of rows in a run of equal values over ten minutes of daylight.
 
-    The sun must have moved enough to change the value. In integers of W/m2, a clear noon is
+    The sun must have moved enough to change the value: in integers of W/m2, a clear noon is
     constant for up to half an hour.
     """
     if len(ghi) < 3:
@@ -100,7 +103,7 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
     highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
     digit = steps[steps > 0.0].min(
         initial=np.inf
-    )  # the smallest step in the log; without any step, all rows are stuck
+    )  # the smallest step in the log; if there is no step, all rows are stuck
     with np.errstate(invalid="ignore"):
         due = (
             (ghi[starts] <= 0.0)
@@ -113,7 +116,9 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
 
 
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
-    """Return rows [n] that deviate from both neighbours, to the same side, far more than usual.
+    """Return a mask [n] of rows that deviate from both neighbours far more than usual.
+
+    They deviate to the same side.
 
     The usual step is the ninth largest of the other steps within 120 rows on each side. Where the
     light changes often, as under broken clouds, no row is a spike (bench/damaged_series.py). Rows
@@ -131,7 +136,7 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
         far = (departure > SPIKE_WM2) & (
             departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right)
         )
-    # Steps around candidate row k + 1, without its own two (k and k + 1).
+    # Steps around the candidate row k + 1, without its own two steps (k and k + 1).
     around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
     size = np.abs(np.nan_to_num(step))
     candidates = np.flatnonzero(far)
@@ -152,10 +157,12 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
 
 
 def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
-    """Return means by UTC minute: centres [m] (unix s), means [m], and each row's minute [n].
+    """Return means by UTC minute: centres [m] (unix s), means [m], each row's minute [n].
 
-    For more than half an hour without a row, insert one minute without a value, so that minutes
-    next to each other in the result are also neighbours in time. The row's minute is an index.
+    The row's minute is an index.
+
+    In a gap of more than half an hour one minute without a value is inserted, so that adjacent
+    minutes of the result are also adjacent in time.
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
@@ -174,9 +181,9 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
 
 
 def derive(series: Series, altitude: Array, site: Site) -> Series:
-    """Return DNI and DHI from global irradiance alone, by DIRINT on minute means.
+    """Return DNI and DHI derived from global irradiance by DIRINT on minute means.
 
-    Each row gets its share of its minute. altitude : of the sun, [n] deg.
+    The rows of a minute share its result in proportion. altitude : of the sun, [n] deg.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
@@ -199,7 +206,7 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
 
 
 def _without_neighbours(value: Float) -> NDArray[np.bool_]:
-    """Return [m]: values without a value directly before or after.
+    """Return a mask [m] of values without a value directly before or after.
 
     DIRINT uses the change of the light, so it has no result there.
     """
@@ -212,13 +219,13 @@ def _without_neighbours(value: Float) -> NDArray[np.bool_]:
 
 
 def mark_text(marks: int) -> str:
-    """Return marks in words, such as ``low-sun gap``; empty for a row without a mark."""
+    """Return marks as text, such as ``low-sun gap``; "" for a row without a mark."""
     shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
     return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
 
 
 def clean_of(series: Series) -> CleanIrradiance:
-    """Return the content of clean.csv: values, their source, and the marks in words."""
+    """Return the content of clean.csv: values, their source, and the marks as text."""
     texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
     flags = np.array([texts[int(m)] for m in series.marks], object)
@@ -230,7 +237,7 @@ def clean_of(series: Series) -> CleanIrradiance:
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
     """Write irradiance/clean.csv and irradiance/health.json, unless both are up to date.
 
-    Raises NotEnoughDataError if nothing was logged.
+    Raises NotEnoughDataError if no irradiance was logged.
     """
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
@@ -241,7 +248,8 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     raw, broken = _read(files, progress)
     if len(raw) == 0:
         raise NotEnoughDataError(
-            f"{session.irradiance}: no irradiance was logged; log some, or import a logger file"
+            f"{session.irradiance}: no irradiance was logged; run fieldlum log, or fieldlum "
+            "import with a logger's file"
         )
     site = session.site_file().site
     altitude, top = sky_geometry(raw.t_unix_s, site)
@@ -255,7 +263,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
 
 
 def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
-    """Read all day files; only one day's samples at a time are Python objects."""
+    """Read all day files; only the samples of one day at a time are Python objects."""
     days, broken = [], 0
     for done, path in enumerate(files, start=1):
         samples, harmed = read_day(path)

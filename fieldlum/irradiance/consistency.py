@@ -1,10 +1,9 @@
-"""Check whether three components, a clear sky and the days before agree.
+"""Check whether three components, a clear sky and earlier days agree.
 
-The checks are closure, k-indices, a tracker that points elsewhere, a shaded horizon, and a
-sensitivity that changed. pvlib has none of them; pvanalytics has QCRad's limits and closure,
-without the average that broken clouds require. Limits of k-indices and the tracker test:
-Forstinger et al. 2021, Expert quality control of solar radiation ground data sets (ISES SWC 2021;
-IEA PVPS Task 16).
+The checks are closure, k-indices, a tracker that points elsewhere, a shaded horizon, and a changed
+sensitivity. pvlib has none of these. pvanalytics has QCRad's limits and closure, but without the
+average that broken clouds require. Limits of k-indices and the tracker test: Forstinger et al.
+2021, Expert quality control of solar radiation ground data sets (ISES SWC 2021; IEA PVPS Task 16).
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ from fieldlum.records import Site
 
 Rows = NDArray[np.bool_]
 DAY_S = 86400.0  # by definition
-_CLEAR_GRID_S = 300.0  # a clear sky changes by 2 % in five minutes near sunrise, else less
-# Under broken clouds instruments a few metres or a time constant apart differ by over 8 % in 4 % of
-# the sunny minutes of a good station (bench/station_qc.py); a fault lasts.
+_CLEAR_GRID_S = 300.0  # seconds; a clear sky changes by at most 2 % in five minutes, near sunrise
+# Seconds. Under broken clouds, instruments with some distance or different time constants differ by
+# over 8 % in 4 % of the sunny minutes of a good station (bench/station_qc.py), but a fault lasts.
 CLOSURE_WINDOW_S = 1800.0
 
 # Limits of the k-indices, all from Forstinger et al. 2021.
@@ -33,33 +32,43 @@ _KT_MOST = 1.35
 _KD_MOST, _KD_MOST_LOW_SUN, _KD_ALTITUDE_DEG = 1.05, 1.10, 15.0
 _KD_CLEAR, _KT_CLEAR, _CLEAR_LEAST_WM2, _CLEAR_ALTITUDE_DEG = 0.96, 0.6, 150.0, 5.0
 _KN_TOP_WM2, _KN_PER_M = 1100.0, 0.03
-# A cloud's edge crosses two instruments one after the other; a fault lasts longer. Not measured.
+# Seconds. A cloud's edge passes two instruments one after the other, but a fault lasts longer. Not
+# measured.
 _K_LASTS_S = 900.0
 
-# Forstinger's 0.2 for global and 5 degrees mark bright overcast hours; the monthly turbidity gives
-# a clear sky's global within 18 %.
+# With Forstinger's 0.2 for global and 5 degrees, bright overcast hours would be marked; the monthly
+# turbidity gives a clear sky's global within 18 %.
 _TRACKER_GHI, _TRACKER_DNI, _TRACKER_ALTITUDE_DEG = 0.1, 0.95, 10.0
 
 _HORIZON_DEG = 20.0  # higher obstructions are visible in the scene; not measured
 _BIN_AZIMUTH_DEG, _BIN_ALTITUDE_DEG = 4.0, 1.0
 _BLOCKED, _FREE = 0.05, 0.5  # of the clear sky's DNI; not measured
-_FREE_WITHIN_S = 2700.0  # the sun was free within this time before or after
-_BLOCKED_DAYS = 4  # days that agree; clouds at one place of the horizon on four such days are rare
+_FREE_WITHIN_S = 2700.0  # seconds before or after within which the sun must be free; chosen
+# number of days that must agree; clouds at one place of the horizon on four such days are rare;
+# chosen
+_BLOCKED_DAYS = 4
 
 _STEP_ALTITUDE_DEG, _STEP_DNI_WM2 = 20.0, 300.0
-_STEADY, _STEADY_WINDOW_S = 0.05, 600.0  # DNI against its mean over these seconds
-_DAY_STEADY_S = 1800.0  # minimum steady sun of a day whose median is used; not measured
+# relative deviation of DNI from its mean, and seconds of that mean; chosen
+_STEADY, _STEADY_WINDOW_S = 0.05, 600.0
+_DAY_STEADY_S = 1800.0  # least seconds of steady sun on a day whose median is used; not measured
 # A day's scatter is (1 + this / steady seconds)^0.5 times that of an endless clear day: an hour of
-# steady sun between clouds scatters by 1.3 %, seven hours by 0.5 % (three months at Lyngby).
+# steady sun between clouds scatters by 1.3 %, seven hours scatter by 0.5 % (three months at
+# Lyngby).
 _FULL_DAY_S = 28800.0
-# Times the day-to-day scatter; a split reaches it in 2 % of 20-day records without a step.
+# Least step, in multiples of the day-to-day scatter; without a step, 2 % of 20-day records reach
+# it.
 _STEP_SIGMA = 4.0
-_STEP_DAYS = 3  # minimum on each side; chosen, not measured
-_LEAST_SCATTER = 0.001  # of daily medians: no instrument repeats better from day to day
+_STEP_DAYS = 3  # least number of days on each side; chosen, not measured
+# least scatter of daily medians: no instrument repeats better from day to day; chosen
+_LEAST_SCATTER = 0.001
 
 
 def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the mean and the number of finite rows in a window around each row [n]; NaN if 0."""
+    """Return the mean and the number of finite rows in a window around each row [n].
+
+    The mean is NaN without a finite row.
+    """
     good = np.isfinite(value)
     total = np.r_[0.0, np.cumsum(np.where(good, value, 0.0))]
     count = np.r_[0, np.cumsum(good)]
@@ -73,16 +82,23 @@ def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, 
 
 
 def lasting(t_unix_s: Array, marked: Rows, window_s: float) -> Rows:
-    """Return marked rows [n] with at least half of the rows of a window around them marked too."""
+    """Return a mask [n] of marked rows with mostly marked neighbours.
+
+    In the window around such a row at least half of the rows are marked.
+    """
     share, _ = window_mean(t_unix_s, marked.astype(float), window_s)
     return marked & (share >= 0.5)
 
 
 def closure_fails(t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array) -> Rows:
-    """Return rows [n] that fail QCRad's closure: 8 % above 15 degrees of sun, 15 % below.
+    """Return a mask [n] of the rows that contradict global = diffuse + direct.
 
-    A row fails if at least half of the half hour around it fails too. It is not testable under
-    50 W/m2, or with two components only.
+    This is QCRad's closure test.
+
+    The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
+    degrees, and by 15 % if it is lower. A row is only in the mask if at least half of the testable
+    rows in the half hour around it differ by more. Rows below 50 W/m2, or with only two components,
+    are not testable. altitude: of the sun [n] deg.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     allowed = np.where(altitude > 15.0, 0.08, 0.15)
@@ -105,7 +121,9 @@ def k_index_fails(
     top: Array,
     altitude_m: float = 0.0,
 ) -> Rows:
-    """Return rows [n] whose clearness, diffuse share or beam transmittance is impossible for long.
+    """Return a mask [n] of rows with an impossible k-index for long.
+
+    The k-indices are clearness, diffuse share and beam transmittance.
 
     top: irradiance above the atmosphere on a plane normal to the sun [n] W/m2. The test cannot
     decide which of two contradicting components is wrong.
@@ -125,7 +143,7 @@ def k_index_fails(
 def tracker_off(
     t_unix_s: Array, ghi: Array, dni: Array, altitude: Array, clear: sun.Irradiance
 ) -> Rows:
-    """Return rows [n] with a clear sky's global but almost no direct for half an hour.
+    """Return a mask [n] of rows with a clear sky's global but almost no direct for half an hour.
 
     The tracker points elsewhere, or the pyrheliometer is covered.
     """
@@ -140,9 +158,9 @@ def tracker_off(
 def shaded_horizon(
     t_unix_s: Array, dni: Array, altitude: Array, azimuth: Array, clear_dni: Array
 ) -> Rows:
-    """Return rows [n] in a part of the low sky in which the sun is never seen.
+    """Return a mask [n] of rows in parts of the low sky where the sun is always hidden.
 
-    A part is 4 x 1 degrees, under 20 degrees of altitude. The sun must be hidden there on at least
+    A part is 4 x 1 degrees, below 20 degrees of altitude. The sun must be hidden there on at least
     four days on which it is free shortly before or after.
     """
     out = np.zeros(len(t_unix_s), bool)
@@ -172,10 +190,10 @@ def shaded_horizon(
 
 @dataclass(frozen=True, slots=True)
 class SensitivitySteps:
-    """Days from which the ratio of global to diffuse + direct is another one.
+    """Days on which the ratio of global to diffuse + direct changed.
 
-    steps: day and relative change. smallest: the smallest change that would be found in the middle
-    of the record. days: number of days compared.
+    steps: day and relative change. smallest: the smallest change that would be detected in the
+    middle of the record. days: number of days compared.
     """
 
     steps: tuple[tuple[date, float], ...]
@@ -186,11 +204,11 @@ class SensitivitySteps:
 def sensitivity_steps(
     t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array
 ) -> SensitivitySteps:
-    """Find days at which one of three instruments changed its sensitivity, or was exchanged.
+    """Find days on which one of three instruments changed its sensitivity, or was exchanged.
 
-    t_unix_s [n] s; ghi, dhi, dni [n] W/m2; altitude of the sun [n] deg.
-    Each day's value is the median closure ratio while the direct sun was steady. Closure cannot
-    show which of the three changed. Fewer than six such days give no result.
+    t_unix_s [n] s; ghi, dhi, dni [n] W/m2; altitude of the sun [n] deg. The value of a day is the
+    median closure ratio while the direct sun was steady. Closure cannot show which of the three
+    instruments changed. Fewer than six such days give no result.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     mean, _ = window_mean(t_unix_s, dni, _STEADY_WINDOW_S)
@@ -224,16 +242,19 @@ def _level(value: Array, spread: Array) -> tuple[float, float]:
 
 
 def _scatter(value: Array, spread: Array) -> float:
-    """Return the scatter of a clear day's value, from neighbouring differences.
+    """Return the scatter of a clear day's value, estimated from neighbouring differences.
 
-    A step affects it little.
+    A step has little effect on it.
     """
     differences = np.abs(np.diff(value)) / np.hypot(spread[1:], spread[:-1])
     return max(float(np.median(differences)) * 1.4826, _LEAST_SCATTER)
 
 
 def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
-    """Return indices before which the level changes: largest contrast first, then in both parts."""
+    """Return the indices at which the level changes, largest contrast first.
+
+    After each change, both parts are searched again.
+    """
     n = len(value)
     if n < 2 * _STEP_DAYS:
         return []
@@ -249,7 +270,7 @@ def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
 
 
 def _contrast(value: Array, spread: Array, k: int) -> float:
-    """Return the difference of the levels before and from index k on, in unit standard errors."""
+    """Return the difference of the levels before index k and from k on, in unit standard errors."""
     (before, u_before), (after, u_after) = (
         _level(value[:k], spread[:k]),
         _level(value[k:], spread[k:]),
@@ -260,7 +281,7 @@ def _contrast(value: Array, spread: Array, k: int) -> float:
 def _smallest(
     value: Array, spread: Array, parts: list[tuple[int, int]], levels: list[float]
 ) -> float | None:
-    """Return the relative step in the middle of the record that would reach the limit."""
+    """Return the smallest relative step in the middle of the record that would be detected."""
     n = len(value)
     if n < 2 * _STEP_DAYS:
         return None
@@ -272,7 +293,7 @@ def _smallest(
 
 
 def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[np.int64]:
-    """Return marks [n] of rows that a clear sky or their own k-indices contradict.
+    """Return marks [n] of rows that contradict a clear sky or their own k-indices.
 
     No value is deleted. altitude, top [n]: from `sky_geometry`.
     """
@@ -293,7 +314,7 @@ def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[n
 
 
 def _clear_sky(t_unix_s: Array, site: Site) -> tuple[Array, sun.Irradiance]:
-    """Return azimuth [n] deg and clear-sky irradiance [n] W/m2, interpolated in five minutes."""
+    """Return azimuth [n] deg and clear-sky irradiance [n] W/m2, from a five-minute grid."""
     step = np.floor(t_unix_s / _CLEAR_GRID_S)
     grid = _CLEAR_GRID_S * np.unique(np.r_[step, step + 1.0])
     times = [datetime.fromtimestamp(t, UTC) for t in grid]

@@ -1,4 +1,4 @@
-"""One small chart of irradiance for each day: gaps, shade and a wrong clock show at a glance."""
+"""Draw a small chart of irradiance for each day, which shows gaps, shade and a wrong clock."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.clean_csv import CleanIrradiance
 
 Array = NDArray[np.floating[Any]]
-COLUMNS = 4  # chosen for a page in portrait
-MOST_DAYS = 64  # a sheet of 16 rows; of a longer log, the days with captures come first
-BIN_S = 120.0  # 720 points a day are more than a small chart shows
+COLUMNS = 4  # charts in a row; chosen for a page in portrait
+# most days on a sheet of 16 rows; of a longer log, days with captures are preferred; chosen
+MOST_DAYS = 64
+BIN_S = 120.0  # seconds of a bin; 720 points a day are more than a small chart shows
 _CURVES = (("ghi", AMBER), ("dni", BLUE), ("dhi", GREEN))
 
 
@@ -58,7 +59,10 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
 
 
 def chosen_days(days: NDArray[np.int64], captured: set[int]) -> list[int]:
-    """Return at most `MOST_DAYS` of days [n] in order of time; days with captures are preferred."""
+    """Return at most `MOST_DAYS` of the days [n], in order of time.
+
+    Days with captures are preferred.
+    """
     wanted = sorted(map(int, days), key=lambda day: (day not in captured, day))
     return sorted(wanted[:MOST_DAYS])
 

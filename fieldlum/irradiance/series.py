@@ -1,4 +1,4 @@
-"""Rows of a pyranometer as arrays, each with marks for what may be wrong with it."""
+"""Hold rows of a pyranometer as arrays, each row with marks for possible faults."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ _BLOCK = 64  # rows over which the usual time between rows is computed; not meas
 
 
 class Mark(IntFlag):
-    """What may be wrong with a row. IMPOSSIBLE and STATUS set its values to NaN."""
+    """Possible faults of a row. IMPOSSIBLE and STATUS set its values to NaN."""
 
     IMPOSSIBLE = 1  # outside BSRN's physically possible limits
     EXTREME = 2  # outside BSRN's extremely rare limits
-    CLOSURE = 4  # for half an hour global is not diffuse + direct, where all three are measured
+    CLOSURE = 4  # for half an hour global differs from diffuse + direct, if all three are measured
     DIFFUSE = 8  # diffuse above global
     STUCK = 16  # the same value for over ten minutes of daylight
     STATUS = 32  # the instrument reported an error
-    LOW_SUN = 64  # sun under 5 degrees: DNI from horizontal readings is inaccurate
+    LOW_SUN = 64  # sun under 5 degrees, where DNI from horizontal readings is inaccurate
     GAP = 128  # the first row after a gap
-    DISORDER = 256  # the row is later in the file than its time
+    DISORDER = 256  # the row is later in the file than its time requires
     DERIVED = 512  # DNI and DHI are from a model, not from an instrument
-    # one reading alone deviates from both neighbours: a damaged line, a bird, a very small cloud
+    # one reading deviates from both neighbours: a damaged line, a bird, a very small cloud
     SPIKE = 1024
     DOUBLE = 2048  # another row of the same time has other values; the first one is used
-    K_INDEX = 4096  # clearness, diffuse share or beam transmittance that is impossible for so long
-    TRACKER = 8192  # a clear sky's global without direct sun: the tracker points elsewhere
-    HORIZON = 16384  # a part of the low sky where the sun is never seen
+    # clearness, diffuse share or beam transmittance that is impossible for that long
+    K_INDEX = 4096
+    TRACKER = 8192  # a clear sky's global without direct sun, because the tracker points elsewhere
+    HORIZON = 16384  # a part of the low sky where the sun is always hidden
 
 
 UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
@@ -61,7 +62,7 @@ def poll_period_s(t_unix_s: Array) -> float:
 def local_period_s(t_unix_s: Array) -> Array:
     """Return the usual time between two rows around each row [n] s.
 
-    One session can have several loggers.
+    It varies because one session can have several loggers.
     """
     step = np.diff(t_unix_s, prepend=t_unix_s[:1] - poll_period_s(t_unix_s))
     blocks = [step[first : first + _BLOCK] for first in range(0, len(step), _BLOCK)]
@@ -72,7 +73,7 @@ def local_period_s(t_unix_s: Array) -> Array:
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Return samples as arrays in order of time, the first one of each time.
+    """Return samples as arrays in order of time; of several samples of one time, the first.
 
     STATUS, DISORDER and DOUBLE are marked.
     """
@@ -94,7 +95,10 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
 
 
 def _mark_of_status(status: str) -> Mark:
-    """Return the mark of a status: STATUS makes a reading unusable, DIFFUSE is only a doubt."""
+    """Return the mark of an instrument's status.
+
+    STATUS makes a reading unusable; DIFFUSE only makes it doubtful.
+    """
     if not status:
         return Mark(0)
     return Mark.DIFFUSE if status == "total below diffuse" else Mark.STATUS

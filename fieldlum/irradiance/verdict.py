@@ -1,4 +1,4 @@
-"""Report how an instrument and its logger worked, and what to do about faults."""
+"""Report how an instrument and its logger worked, and how to correct faults."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from fieldlum.records import Site
 
 NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
-NIGHT_LIGHT_WM2 = 20.0  # larger than any instrument's offset; not measured
+NIGHT_LIGHT_WM2 = 20.0  # W/m2, larger than any instrument's offset; not measured
 MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """State of the instrument and its logger, for the person responsible."""
+    """State of the instrument and its logger.
+
+    marks: number of rows with each mark. Other fields are explained at their definitions.
+    """
 
     rows: int
     broken_lines: int
@@ -28,15 +31,17 @@ class Health:
     every_s: float
     gaps: int
     longest_gap_s: float
-    # median of the global with the sun under -6 degrees; never subtracted
+    # median of the global while the sun is under -6 degrees; it is never subtracted
     night_offset_wm2: float | None
-    closure_pass: float | None  # share of testable rows, where direct is measured too
-    # from the light itself (`light_clock`); None without a complete day, dark before and after
+    closure_pass: float | None  # share of testable rows that agree, if direct is measured too
+    # determined from the light itself (`light_clock`); None without a complete day between two
+    # nights
     clock_off_s: float | None
     marks: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     sensitivity_steps: tuple[tuple[str, float], ...] = ()  # first day of the step, relative change
-    smallest_step: float | None = None  # that would be found; None: too few days
+    # smallest step that would be detected; None for too few days
+    smallest_step: float | None = None
 
 
 def health(
@@ -61,8 +66,8 @@ def health(
     warnings: list[str] = []
     if offset is not None and offset > NIGHT_LIGHT_WM2:
         warnings.append(
-            f"{offset:.0f} W/m2 in the middle of the night: check for a lamp, the logger's clock, "
-            f"its --utc-offset, and longitude_deg"
+            f"{offset:.0f} W/m2 in the middle of the night: check for a lamp, and check the "
+            "logger's clock, its --utc-offset, and longitude_deg"
         )
     elif offset is not None and abs(offset) >= NIGHT_OFFSET_WARN_WM2:
         warnings.append(
@@ -71,8 +76,8 @@ def health(
     warnings += _by_day(clean, altitude, top)
     if passed is not None and passed < 0.8:
         warnings.append(
-            f"global = diffuse + direct is true for only {100 * passed:.0f} % of the rows: check "
-            f"clock and tilt"
+            f"global = diffuse + direct is true in only {100 * passed:.0f} % of the rows: "
+            "check the clock and the tilt of the instruments"
         )
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
     if clock_off is not None and abs(clock_off) > CLOCK_WARN_S:
@@ -96,7 +101,10 @@ def health(
         for day, change in steps.steps
     ]
     if broken:
-        warnings.append(f"{broken} broken lines in the day files were skipped")
+        warnings.append(
+            f"{broken} damaged lines in the day files were skipped: check the "
+            "disk, and do not edit day files"
+        )
     usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
     longest = float(gaps.max()) if len(gaps) else 0.0
     return Health(
@@ -119,12 +127,20 @@ def health(
 _FAULTS = {
     Mark.IMPOSSIBLE: "are physically impossible: check units, columns and clock",
     Mark.EXTREME: "are extremely rare: check units, columns and clock",
-    Mark.DIFFUSE: "have more diffuse than global: check whether the two are exchanged",
-    Mark.K_INDEX: "have an impossible ratio of global, diffuse and direct: check which is wrong",
-    Mark.TRACKER: "have a clear sky's global without direct sun: check whether the tracker follows",
-    Mark.HORIZON: "are in a part of the sky that never shows the sun: something shades the sensor",
-    Mark.STUCK: "were constant for over ten minutes: check the instrument",
-    Mark.STATUS: "have an error of the instrument",
+    Mark.DIFFUSE: (
+        "have more diffuse than global irradiance: check whether the two columns are exchanged"
+    ),
+    Mark.K_INDEX: (
+        "have an impossible ratio of global, diffuse and direct: check which instrument is wrong"
+    ),
+    Mark.TRACKER: (
+        "have a clear sky's global without direct sun: check whether the tracker follows the sun"
+    ),
+    Mark.HORIZON: (
+        "are in a part of the sky that never shows the sun: check what shades the sensor"
+    ),
+    Mark.STUCK: "were constant for over ten minutes: check the instrument and its cable",
+    Mark.STATUS: "have an error reported by the instrument: see its manual",
     Mark.SPIKE: "are isolated spikes: check the cable",
     Mark.DOUBLE: "repeat a time with other values (the first is used): check for a clock that "
     "was set back, or a second instrument",
@@ -132,7 +148,7 @@ _FAULTS = {
 
 
 def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
-    """Return a sentence for each mark that too many rows have while the sun is well up."""
+    """Return a sentence for each fault that too many rows have while the sun is well up."""
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return []
@@ -145,13 +161,14 @@ def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
         weak = float(np.mean(sun.too_weak(clean.ghi_wm2, altitude, top)[up]))
     if weak > MOST_BY_DAY:
         said.append(
-            f"{100 * weak:.0f} % of the rows by day have less light than under any sky: check "
-            f"whether they are in kW/m2"
+            f"{100 * weak:.0f} % of the rows by day have less light than the darkest "
+            "overcast sky: check whether they are in kW/m2"
         )
     lone = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
     if lone > MOST_BY_DAY:
         said.append(
-            f"{100 * lone:.0f} % of the rows by day have global only, and no neighbour within half "
-            "an hour: direct irradiance cannot be derived from them"
+            f"{100 * lone:.0f} % of the rows by day have only global irradiance and no "
+            "neighbouring row within half an hour: direct irradiance cannot be derived from "
+            "them; log at least every minute"
         )
     return said

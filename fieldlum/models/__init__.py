@@ -33,17 +33,17 @@ Patch = Literal["absolute", "gain", "none"]
 """How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
 
 
-# What reading and rebuilding a damaged or hostile model raises.
+# Errors that reading and rebuilding a damaged or hostile model can raise.
 _BROKEN = (ValueError, KeyError, IndexError, TypeError, EOFError, ArithmeticError, MemoryError)
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Maps without the sun's disc, and their uncertainty.
+    """Predicted maps without the sun's disc, and their uncertainty.
 
-    luminance_cdm2: [n, H, W] float32; log10_sd: standard deviation of log10 L where the model gives
-    one [n, H, W]; expected_mse: the model's own estimate of each map's weighted log10 MSE [n] (NaN:
-    unknown); trusted: [n].
+    luminance_cdm2: [n, H, W] float32; log10_sd: standard deviation of log10 L [n, H, W], None if
+    the model gives none; expected_mse: the model's own estimate of each map's weighted log10 MSE
+    [n] (NaN: unknown); trusted: whether the model vouches for each hour [n].
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -56,30 +56,30 @@ class Prediction:
 class ModelState:
     """The content of a model folder.
 
-    config: keys of config.json, for JSON; a state that is read has the keys of all models too.
-    arrays: plain arrays of weights.npz by name.
+    config: keys of config.json; after reading, also the keys that all models share. arrays: plain
+    arrays of weights.npz by name.
     """
 
     config: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
 
 
-# An hour that the model itself expects to be wrong by more is not trusted. Measured on the office's
-# nine days: no hour of clean days is beyond it; with a lamp on, a camera displaced by 1 px on three
+# An hour is not trusted if the model expects a larger error factor. Measured on the office's nine
+# days: no hour of clean days is beyond it; with a lamp on, a camera displaced by 1 px on three
 # days, snow, or four days only, 5 to 77 % of the hours are (docs/models.md).
 TRUSTED_FACTOR = 1.2
 TRUSTED_MSE = float(np.log10(TRUSTED_FACTOR) ** 2)
 
 
-# In a warning of `train`: every hour of such a model is untrusted.
+# Part of a warning of `train`: every hour of a model with this warning is untrusted.
 POOR_WORDS = "do not trust single maps of this model"
 
 
 def trusted_hours(prediction: Prediction) -> NDArray[np.bool_]:
-    """Return which hours are trusted, [n].
+    """Return a mask [n] of the trusted hours.
 
-    Their light is like captured light, and their expected error is below a factor of
-    `TRUSTED_FACTOR` (rms over the map).
+    Their light is like captured light, and their expected error (rms over the map) is below a
+    factor of `TRUSTED_FACTOR`.
     """
     return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
 
@@ -88,18 +88,20 @@ class Fitted(Protocol):
     """A trained model.
 
     `state` may add a key `with_patch` to config.json: whether `predict` requires sun patches.
-    Without it they are required unless the model was trained with patch "none".
+    Without this key they are required unless the model was trained with patch "none".
     """
 
     name: str
     parameters: int  # number of stored values: smaller models are tried first
-    # [n] weighted log10 MSE of each training map, predicted without its day; or None
+    # Weighted log10 MSE [n] of each training map, predicted by a fit without its day; None if not
+    # computed.
     held_out_mse: NDArray[np.float64] | None
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps of the n hours of `light`; patch_cdm2: direct sun alone [n, H, W].
+        """Predict maps of the n hours of `light`.
 
-        Memory grows with the number of hours, so predict in chunks.
+        Patch_cdm2: luminance of direct sun only [n, H, W]. Memory grows with the number of hours,
+        so predict in chunks.
         """
         ...
 
@@ -109,7 +111,7 @@ class Fitted(Protocol):
 
 
 def fit(name: str, data: Dataset, **options: Any) -> Fitted:
-    """Fit the model of a name. Raises KeyError for an unknown one."""
+    """Fit the model with a name of `MODELS`. Raises KeyError for an unknown name."""
     kind = MODELS[name]
     return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
 
@@ -131,20 +133,26 @@ def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
 
 
 def read_config(folder: Path) -> ModelConfig:
-    """Read config.json. Raises InputError for another folder, or an unknown model."""
+    """Read config.json.
+
+    Raises InputError for a folder without a model, or for an unknown model.
+    """
     config = ModelConfig.read(folder)
     if config.model not in MODELS:
         raise InputError(
             folder / "config.json",
             "an unknown model",
             f"one of {', '.join(MODELS)}",
-            "train the model again",
+            "train the model again (fieldlum train)",
         )
     return config
 
 
 def seen_of(folder: Path) -> NDArray[np.bool_] | None:
-    """Return the pixels that the camera saw, [H, W]; None where a model of 0.1.0 has no mask."""
+    """Return a mask [H, W] of the pixels that the camera saw.
+
+    None for models of 0.1.0 without it.
+    """
     try:
         with (folder / "weights.npz").open("rb") as file:
             stored = np.load(file, allow_pickle=False)
@@ -154,7 +162,7 @@ def seen_of(folder: Path) -> NDArray[np.bool_] | None:
 
 
 def load(folder: Path) -> Fitted:
-    """Return the model of a folder. Raises InputError for a broken one; never unpickles."""
+    """Return the model in a folder. Raises InputError for a broken one; never unpickles."""
     config = read_config(folder)
     path = folder / "weights.npz"
     try:
@@ -163,5 +171,8 @@ def load(folder: Path) -> Fitted:
     except (OSError, *_BROKEN, zipfile.BadZipFile) as error:
         found = f"weights that cannot be used ({error})".replace("\n", " ")
         raise InputError(
-            path, found, "the arrays of config.json", "train the model again"
+            path,
+            found,
+            "the arrays that config.json describes",
+            "train the model again (fieldlum train)",
         ) from None

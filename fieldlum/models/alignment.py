@@ -1,6 +1,6 @@
 """Align captures to the pose that most of them share, when pairs are read.
 
-The turns are stored in a table next to the csv; no picture is changed.
+The turns are stored in a table next to the csv of pairs; no picture is changed.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ def find_turns(
     heading_deg: float,
     progress: Progress,
 ) -> CameraTurns:
-    """Return how each capture's camera was turned, from the table next to `pairs` or by comparison.
+    """Return how each capture's camera was turned.
 
-    pictures: names as in the csv; maps, has_value: in the order of time [n, H, W]. Write a new
-    table if the folder is writable.
+    The turns are read from the table next to `pairs`; missing ones are found by comparison, and a
+    new table is written if the folder is writable. pictures: names as in the csv; maps, has_value:
+    in the order of time [n, H, W].
     """
     path = alignment_path(pairs)
     digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
@@ -70,7 +71,8 @@ def find_turns(
                 strict=True,
             )
         ]
-        with contextlib.suppress(OSError):  # a read-only folder: compare each time
+        # in a read-only folder the pictures are compared each time
+        with contextlib.suppress(OSError):
             write_alignment(path, table)
     return turns
 
@@ -106,7 +108,7 @@ def shown_place(
 
 
 def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
-    """Return a line for each pose that was corrected, and one for captures that are not used.
+    """Return a note on each pose that was corrected, and one on captures that are not used.
 
     days: local date of each capture [n]; table: name of the file with the turns.
     """

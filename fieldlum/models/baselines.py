@@ -1,4 +1,4 @@
-"""Baselines: the mean map, and the nearest captured hour scaled by irradiance."""
+"""Provide two baselines: the mean map, and the nearest captured hour scaled by irradiance."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
-LEAST_SHARE = 0.02  # of a pixel's light that stays when its sun patch is subtracted; not measured
+# share of a pixel's light that remains at least when its sun patch is subtracted; not measured
+LEAST_SHARE = 0.02
 
 
 class MeanFitted:
-    """The same map for every hour: the mean of log10 L of each pixel."""
+    """A model that predicts the same map for every hour: the mean of log10 L of each pixel."""
 
     name = "mean"
     held_out_mse: NDArray[np.float64] | None = None
@@ -51,15 +52,17 @@ def fit_mean(
 ) -> MeanFitted:
     """Fit the mean of log10 L of each pixel."""
     log10 = np.zeros(data.shape)
-    for luminance in data.luminance_cdm2:  # one by one: the logarithm of all doubles the memory
+    # one by one, because the logarithm of all maps would double the memory
+    for luminance in data.luminance_cdm2:
         log10 += np.log10(np.maximum(luminance, LEAST_CDM2)) / len(data)
     return MeanFitted(log10.astype(np.float32), captured(data.light))
 
 
 class NearestFitted:
-    """The captured hour with the most similar sun and sky, scaled by horizontal illuminance.
+    """A model that predicts the captured hour with the most similar sun and sky.
 
-    Its sun patch is replaced by the patch of the predicted hour.
+    The map is scaled by horizontal irradiance, and its sun patch is replaced by that of the
+    predicted hour.
     """
 
     name = "nearest"
@@ -97,10 +100,10 @@ class NearestFitted:
 
 
 def light_features(light: Light) -> NDArray[np.float64]:
-    """Return what hours are compared by, [n, 5].
+    """Return the features by which hours are compared, [n, 5].
 
-    These are the sun's direction (weighted by its share of the light), that share, and the
-    clearness of the sky.
+    These are the sun's direction (three values, weighted by the sun's share of the light), that
+    share, and the clearness of the sky.
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -109,7 +112,7 @@ def light_features(light: Light) -> NDArray[np.float64]:
 
 
 def outside(light: Light) -> NDArray[np.float64]:
-    """Return the scale of an hour's light: global horizontal irradiance [n] W/m2."""
+    """Return the scale of an hour's light, its global horizontal irradiance [n] W/m2."""
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
     return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
 
@@ -133,7 +136,7 @@ def fit_nearest(
 
 
 def from_state(state: ModelState) -> Fitted:
-    """Return the baseline that its `state` described."""
+    """Return the baseline that `state` described."""
     config, arrays = state.config, state.arrays
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":

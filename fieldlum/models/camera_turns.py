@@ -1,10 +1,11 @@
-"""Estimate how each capture's camera was turned relative to the majority: heading, tilt and roll.
+"""Estimate the turn of each capture's camera relative to most captures: heading, tilt and roll.
 
-Edges of the room are in the same place in every picture; shadows and sun patches move. The median
-over captures of the derivatives of ln L therefore has the room's edges only (Weiss, "Deriving
-intrinsic images from image sequences", ICCV 2001). Each capture's derivatives are compared with it
-by least squares on the sphere (Lucas and Kanade 1981) with robust weights; the captures are turned
-back and the median is computed again. The pose that most captures share is zero.
+Edges of the room are at the same place in every picture, but shadows and sun patches move.
+Therefore the median over captures of the derivatives of ln L contains only the room's edges (Weiss,
+"Deriving intrinsic images from image sequences", ICCV 2001). The derivatives of each capture are
+compared with this median by least squares on the sphere (Lucas and Kanade 1981) with robust
+weights. Then the captures are turned back and the median is computed again. The pose that most
+captures share is zero.
 """
 
 from __future__ import annotations
@@ -24,40 +25,43 @@ from fieldlum.statistics import MAD_TO_SIGMA
 
 Array = NDArray[Any]
 
-LEAST_CAPTURES = 5  # fewer have no clear majority; not measured
+LEAST_CAPTURES = 5  # fewer captures have no clear majority; not measured
 LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
-_WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows, smaller ones stay
-_FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: below it edges are noise
-# Coarse to fine: the first corrects turns of five pixels, the last is as wide as an edge in a
-# rendering. Office of Liu et al. with three days rolled by one pixel: the days' medians are right
-# to 0.012 px with it, to 0.04 px if 1 px is the last.
+_WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows; chosen
+_FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: in darker places edges are noise
+# Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
+# as an edge in a rendering. In the office of Liu et al. with three days rolled by one pixel, the
+# days' medians are right to 0.012 px with these values, to 0.04 px if 1 px is the last.
 _SMOOTH_PX = (3.0, 1.5, 1.0, 1.0, 0.7, 0.7)
-_ROBUST_ROUNDS = 4  # not measured
+_ROBUST_ROUNDS = 4  # rounds of turning back and computing the median again; not measured
 _TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
-_HIGHEST_DEG = 70.0  # higher, columns are very narrow; lower than -70, the tripod is in the picture
+# above it columns are very narrow; below -70 the tripod is in the picture; chosen
+_HIGHEST_DEG = 70.0
 _EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
-_MOST_PIXELS = 6000  # bounds the time; not measured
+_MOST_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
 # Light from another direction moves edges a little: daily medians of the office's clean captures
 # scatter by 0.003 px in heading and roll, 0.05 px (at most 0.10) in tilt.
 _LIGHT_PX = 0.05
-# A pose of n captures is corrected if it differs by LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n).
-# Single clean captures of the office and of eight simulated rooms differ by up to 0.6 px from their
-# light alone.
+# A pose of n captures is corrected if it differs by LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n). The
+# light alone makes single clean captures of the office and of eight simulated rooms differ by up to
+# 0.6 px.
 LEAST_TURN_PX, SINGLE_TURN_PX = 0.25, 0.5
-# px2: for a separate pose one capture must differ by 0.8 px, twelve by 0.22 px.
+# px2. A single capture must differ by 0.8 px to count as a separate pose, twelve captures by 0.22
+# px. Chosen.
 MOVE_COST = 0.3
-# Correlation of the edges of a capture that was turned back with the room's. Clean captures have
-# 0.24 (darkest hours) to 1, those of a camera turned by 30 px 0.10 to 0.16.
+# Least correlation of the edges of a turned-back capture with the room's edges. Clean captures have
+# 0.24 (darkest hours) to 1; those of a camera turned by 30 px have 0.10 to 0.16.
 LEAST_LIKENESS = 0.2
 MOST_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class CameraTurns:
-    """Turn of each capture's camera relative to the majority's, zero where it was not turned.
+    """Turn of each capture's camera relative to most captures; zero if it was not turned.
 
     angles_deg: heading (clockwise), tilt (up) and roll (clockwise) [n, 3]; u_deg: standard
-    uncertainties [n, 3]; aligned: whether turning the picture back makes its edges the room's [n].
+    uncertainties [n, 3]; aligned: whether the picture, turned back, has its edges where the room's
+    edges are [n].
     """
 
     angles_deg: Array
@@ -66,7 +70,7 @@ class CameraTurns:
 
     @property
     def turned(self) -> NDArray[np.bool_]:
-        """Captures that must be turned back, [n]."""
+        """Mask [n] of the captures that must be turned back."""
         return self.aligned & self.angles_deg.any(axis=1)
 
 
@@ -75,7 +79,7 @@ class CameraTurns:
 
 
 def _axes(heading_deg: float) -> Array:
-    """Return the axes about which the camera's view turns clockwise, up and clockwise, [3, 3]."""
+    """Return the three axes of a turn: heading clockwise, tilt up, roll clockwise, [3, 3]."""
     a = np.radians(heading_deg)
     right = np.array([np.cos(a), -np.sin(a), 0.0])
     forward = np.array([np.sin(a), np.cos(a), 0.0])
@@ -83,7 +87,7 @@ def _axes(heading_deg: float) -> Array:
 
 
 def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return where the picture of a turned camera shows the directions `rays`, [..., 3]."""
+    """Return the directions at which a turned camera's picture shows `rays`, [..., 3]."""
     vector = -np.radians(angles_deg) @ _axes(heading_deg)
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
 
@@ -95,10 +99,10 @@ def _angles_deg(rays: Array) -> tuple[Array, Array]:
 
 
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return a map [H, W] of a turned camera as the majority's camera shows it.
+    """Return a turned camera's map [H, W] as an unturned camera would show it.
 
-    Interpolate linearly between pixels. Pass ln L, so that a bright window does not spread over its
-    frame.
+    Interpolation is linear between pixels. Pass ln L, so that a bright window does not spread over
+    its frame.
     """
     height, width = maps.shape
     rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
@@ -109,7 +113,7 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 
 
 def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
-    """Return how many pixels (row, column) a turn of one degree moves a picture, [3, 2, H, W]."""
+    """Return how far a turn of one degree moves each pixel (row, column), [3, 2, H, W]."""
     height, width = shape
     rays = equirect_rays(height, width, heading_deg)
     moves = []
@@ -138,7 +142,11 @@ def _edges_of(logs: Array, smooth_px: float) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True)
 class _Solved:
-    """turn [3]; rest, weights [2 m]; columns [2 m, 3]; inverse [3, 3] of the normal matrix."""
+    """A solved comparison of edges.
+
+    turn: [3] deg; rest: residuals [2 m]; weights: [2 m]; columns: derivatives by the turn [2 m, 3];
+    inverse: of the normal matrix [3, 3].
+    """
 
     turn: Array
     rest: Array
@@ -148,7 +156,7 @@ class _Solved:
 
 
 class _RoomEdges:
-    """The room's edges at the pixels with the strongest ones, and their change by a turn."""
+    """The room's edges at the pixels where they are strongest, and how a turn changes them."""
 
     def __init__(self, edges: Array, seen: NDArray[np.bool_], motion_px: Array) -> None:
         height, width = seen.shape
@@ -159,22 +167,24 @@ class _RoomEdges:
         self.values = self.at_pixels(edges)  # [2 m]
         row, column = np.divmod(self.pixels, width)
         tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
-        both = np.concatenate((tile, tile + tile.max() + 1))  # each derivative has its contrast
+        # each derivative of a tile has its own contrast
+        both = np.concatenate((tile, tile + tile.max() + 1))
         self.tiles = np.unique(both, return_inverse=True)[1]  # [2 m]
         self.count = int(self.tiles.max()) + 1
         slopes = [np.stack(np.gradient(edge)) for edge in edges]  # [2, H, W] each
         changes = [[-(slope * move).sum(axis=0) for slope in slopes] for move in motion_px]
         self.changes = np.stack([self.at_pixels(np.stack(c)) for c in changes], axis=1)  # [2 m, 3]
-        # Edges of high contrast move with the light: a bright window spreads over its frame.
+        # Less weight for edges of high contrast, which move with the light: a bright window spreads
+        # over its frame.
         usual = np.median(np.abs(self.values))
         self.weights = 1.0 / (self.values**2 + 4.0 * usual**2)
 
     def at_pixels(self, edges: Array) -> Array:
-        """Return [2 m] of maps [2, H, W]."""
+        """Return the values [2 m] of maps [2, H, W] at the chosen pixels."""
         return edges.reshape(2, -1)[:, self.pixels].ravel().astype(float)
 
     def turn(self, edges: Array) -> tuple[Array, Array, float]:
-        """Return the turn that maps the room's edges to a capture's.
+        """Return the turn that moves the room's edges to those of a capture.
 
         These are the turn [3] deg, its standard errors [3] deg, and the correlation of the edges.
         """
@@ -200,7 +210,7 @@ class _RoomEdges:
         return _Solved(turn, target - columns @ turn, weights, columns, inverse)
 
     def _without_contrast(self, values: Array, weights: Array) -> Array:
-        """Return the residual of `values` when each tile's edges may be stronger or weaker."""
+        """Return the residual of `values` after fitting one contrast of edges in each tile."""
         along = np.bincount(self.tiles, weights * self.values * values, self.count)
         norm = np.bincount(self.tiles, weights * self.values**2, self.count)
         return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
@@ -227,10 +237,10 @@ def camera_turns(
     *,
     progress: Progress = quiet,
 ) -> CameraTurns:
-    """Return how the camera of each capture [n, H, W], in the order of time, was turned.
+    """Return how the camera of each capture [n, H, W] was turned; captures in the order of time.
 
-    seen: pixels with a value [H, W]. Captures of one pose in sequence get its median. No camera is
-    turned for fewer than LEAST_CAPTURES captures or LEAST_ROWS rows.
+    seen: pixels with a value [H, W]. Consecutive captures of one pose get the median turn. With
+    fewer than LEAST_CAPTURES captures or LEAST_ROWS rows all turns are zero.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))

@@ -1,6 +1,6 @@
-"""Check whether the rows of a pairs.csv can be of one room under one sun.
+"""Check whether the rows of a pairs.csv can be from one room under one sun.
 
-The checks find errors of edited or joined tables.
+The checks detect errors in edited or joined tables.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.records import Site
 
-# Radiance's own sun differs by up to 1.1 from SPA; a wrong hour by 15, a wrong half hour by 7.
+# Radiance's own sun differs from SPA by up to 1.1 degrees; a time wrong by an hour moves the sun by
+# 15, by half an hour by 7.
 MOST_SUN_DEG = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Columns of the usable rows, [n]; angles that are absent from the csv are NaN."""
+    """Columns of the usable rows, [n]; angles that the csv does not have are NaN."""
 
     lines: Sequence[int]
     t_utc: Sequence[datetime]
@@ -35,9 +36,9 @@ class Stated:
 
 
 def check_plausible(path: Path, rows: Stated, site: Site) -> None:
-    """Raise InputError with the line for rows that contradict each other or the sun.
+    """Raise InputError, naming the line, for rows that contradict each other or the sun.
 
-    These are a time or a picture that occurs twice, a wrong sun position, and wrong units.
+    Detected are a repeated time or picture, a wrong sun position, and wrong units.
     """
     _check_once(path, rows.lines, rows.t_utc, "the same t_utc")
     _check_once(
@@ -55,7 +56,7 @@ def _check_once(
     for line, value in zip(lines, values, strict=True):
         if value in first:
             found = f"lines {first[value]} and {line}: {said}"
-            raise InputError(path, found, "every bracket once", "remove one of them, or set ok = 0")
+            raise InputError(path, found, "each bracket once", "remove one of them, or set ok = 0")
         first[value] = line
 
 
@@ -75,8 +76,8 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
     )
     expected = f"{found.altitude_deg[k]:.1f}, {found.azimuth_deg[k]:.1f} at t_utc in {site.name}"
     remedy = (
-        "check t_utc, the sign of the longitude and the order of the rows, or empty both sun "
-        "columns"
+        "check t_utc, the sign of the longitude and the order of the rows, or clear both "
+        "sun columns"
     )
     raise InputError(path, said, expected, remedy)
 
@@ -90,18 +91,18 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
     for wrong, said, remedy in (
         (
             rows.dhi_wm2 > limits.dhi_wm2[1],
-            "more diffuse light than under any sky",
-            "check whether it is the global irradiance",
+            "more diffuse light than any sky gives",
+            "check whether the column contains global irradiance",
         ),
         (
             rows.dni_wm2 > limits.dni_wm2[1],
             "more direct light than above the atmosphere",
-            "correct that row",
+            "correct the irradiance of that row, or set ok = 0",
         ),
         (
             weak,
             "less light than in any storm",
-            "check whether it is in kW/m2; otherwise set ok = 0",
+            "check whether the values are in kW/m2; otherwise set ok = 0",
         ),
     ):
         if (wrong & up).any():

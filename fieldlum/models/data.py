@@ -1,4 +1,4 @@
-"""Training data: pairs.csv and its pictures, read strictly, with the sun's disc separated."""
+"""Read training data: pairs.csv and its pictures, with the sun's disc separated."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from fieldlum.site_toml import load_site, site_table
 if TYPE_CHECKING:
     from fieldlum.light import Light
 
-_NAMED = 3  # slots in a note
+_NAMED = 3  # number of slots that a note names
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """Captured hours with their light. Maps have no sun disc; its energy is in disc_lx.
+    """Captured hours with their light. The maps have no sun disc: disc_lx has its illuminance.
 
     luminance_cdm2: [n, H, W]; patch_cdm2: direct sun only [n, H, W], or None; disc_lx: illuminance
     of the visible disc at the lens, normal to the sun [n]; days: local standard dates [n]; slots:
     ids [n]; seen: pixels that the camera saw [H, W]; steadiness: relative change of the light
-    during the bracket (0 if unknown) [n]; notes: for the user.
+    during the bracket (0 if unknown) [n]; notes: sentences for the user.
     """
 
     light: Light
@@ -55,7 +55,7 @@ class Dataset:
     source: str = ""
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
-    scene: UsedScene | None = None  # of `scene_fit.with_scene`
+    scene: UsedScene | None = None  # the fitted scene, set by `scene_fit.with_scene`
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -67,16 +67,16 @@ class Dataset:
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Solid angle of the seen pixels, of mean 1 over them; 0 where nothing was seen, [H, W]."""
+        """Solid angle of the seen pixels, divided by its mean; 0 where nothing was seen, [H, W]."""
         weights = np.where(self.seen, equirect_solid_angles(*self.shape), 0.0)
         return weights / weights[self.seen].mean()
 
     def digest(self) -> str:
-        """Return the SHA-256 of everything a model can learn from, without the csv's path."""
+        """Return the SHA-256 of everything from which a model can learn, without the csv's path."""
         return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
-        """Return the rows of an index [k] or a boolean array [n]."""
+        """Return the hours that an index [k] or a boolean array [n] selects."""
         rows = np.asarray(index)
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
         return replace(
@@ -94,7 +94,7 @@ class Dataset:
     def thin(self, height: int) -> Dataset:
         """Return the same hours at every f-th pixel, f odd, with at least `height` rows.
 
-        Noise and sharp edges stay.
+        Pixels are not averaged, so that noise and sharp edges remain.
         """
         rows = self.shape[0]
         odd = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
@@ -129,18 +129,26 @@ class Dataset:
 
 
 def _usable_rows(pairs: PairsFile) -> list[PairRow]:
-    """Return rows with ok, in the order of time. Raises InputError for a missing picture."""
+    """Return the rows with ok = 1, in the order of time.
+
+    Raises InputError for a missing picture.
+    """
     for row in pairs.usable:
         for name in (row.panorama, row.sunpatch):
             picture = pairs.path.parent / name
             if name and not picture.is_file():
                 found = f"line {row.line}: no file {picture}"
-                raise InputError(pairs.path, found, "an existing picture", "copy it, or set ok = 0")
+                raise InputError(
+                    pairs.path,
+                    found,
+                    "an existing picture",
+                    "copy the picture there, or set ok = 0",
+                )
     return sorted(pairs.usable, key=lambda row: row.t_utc)
 
 
 def _find_setup(path: Path, site: Path | None) -> SiteFile:
-    """Return place and heading: of --site, else of the session, else of site.toml with the csv."""
+    """Return the site: that of --site, else of the session, else of site.toml next to the csv."""
     if site is not None:
         return load_site(site)
     if (path.parent / "session.toml").is_file():
@@ -151,9 +159,9 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
         return load_site(path.parent / "site.toml")
     raise InputError(
         path,
-        "no site for it",
-        "site.toml next to it or --site SITE.toml",
-        "write one with [site]",
+        "the csv has no site",
+        "site.toml next to the csv, or --site SITE.toml",
+        "write SITE.toml with: fieldlum new",
     )
 
 
@@ -162,8 +170,8 @@ def load_pairs(
 ) -> Dataset:
     """Read a pairs.csv (or a session's) with all its pictures, in the order of time.
 
-    Rows with ok = 0 are not used; a cell that cannot be read raises InputError with its line. Sun
-    columns are used as recorded. Raises NotEnoughDataError if no row is usable.
+    Rows with ok = 0 are not used. Sun columns are used as recorded. Raises InputError, naming the
+    line, for an unreadable cell; NotEnoughDataError if no row is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():
@@ -181,10 +189,13 @@ def load_pairs(
     if dark:
         more = f" and {len(dark) - _NAMED} more" if len(dark) > _NAMED else ""
         named = ", ".join(Path(row.panorama).stem for row in dark[:_NAMED])
-        notes.append(f"not used, no irradiance: {named}{more}")
+        notes.append(f"not used because irradiance is missing: {named}{more}")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
-        raise NotEnoughDataError(f"{path}: no usable row")
+        raise NotEnoughDataError(
+            f"{path}: no usable row; read the column why, correct the "
+            "cause and run fieldlum pair again"
+        )
     return _assemble(path, rows, setup, notes, progress)
 
 
@@ -200,8 +211,8 @@ def _assemble(
     pictures = read_pictures(path, rows, setup, progress)
     if pictures.bounds:
         notes.append(
-            f"the sun of {pictures.bounds} maps clipped and is only a lower bound: "
-            "run fieldlum pair, and read its cautions"
+            f"the sun of {pictures.bounds} maps is clipped and only a lower bound: run "
+            "fieldlum pair, and read its cautions"
         )
     heading = pictures.heading_deg
     names = [row.panorama for row in rows]
@@ -218,7 +229,7 @@ def _assemble(
     notes += turn_notes(turns, days, alignment_path(path).name)
     seen, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
-        notes.append(f"{filled} single pixels without a value were set to their own median")
+        notes.append(f"{filled} single pixels without a value were set to the median of that pixel")
     if not seen.all():
         notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")
     times = [row.t_utc for row in rows]
@@ -261,9 +272,10 @@ def _stated(path: Path, rows: list[PairRow]) -> Stated:
 
 
 def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
-    """Return the room's state of each row, from the csv's column and the marks in the journal.
+    """Return the room's state in each row, from the csv's column and the marks in the journal.
 
-    Return None if the room is as usual in all rows. Raises InputError for an unknown word.
+    Return None if the room is in its usual state in all rows. Raises InputError for an unknown
+    word.
     """
     marked = marks(Session(path.parent))
     states = []
@@ -279,21 +291,26 @@ def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
 
 
 def _refraction(path: Path, rows: list[PairRow]) -> bool:
-    """Return whether pictures show the sun raised by the atmosphere.
+    """Return whether the pictures show the sun as raised by refraction.
 
-    Raises InputError for a csv that mixes such pictures with others.
+    Raises InputError for a csv in which only some pictures do.
     """
     other = [row.line for row in rows if row.refraction != rows[0].refraction]
     if other:
-        found = f"line {other[0]}: another refraction than the rows before"
-        raise InputError(path, found, "one value in all rows", "use a csv for each kind")
+        found = f"line {other[0]}: the column refraction differs from the rows before"
+        raise InputError(
+            path,
+            found,
+            "the same refraction in all rows",
+            "write captures and renderings into separate csv files",
+        )
     return rows[0].refraction
 
 
 def _sun_columns(
     rows: list[PairRow], setup: SiteFile
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return altitude and azimuth [deg] of the csv; computed by SPA where it has none."""
+    """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none."""
     altitude = np.array([row.sun_altitude_deg for row in rows])
     azimuth = np.array([row.sun_azimuth_deg for row in rows])
     blank = np.isnan(altitude) | np.isnan(azimuth)

@@ -1,4 +1,4 @@
-"""The paper's network as a fitted model; see `dense_network` and `dense_training`."""
+"""Provide the paper's network as a model; see `dense_network` and `dense_training`."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models.data import Dataset
 
-PREDICT_PIXELS = 16384  # a chunk that fits into the processor's cache; not measured
+PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache; not measured
 
 
 class DenseFitted:
-    """A trained network with everything needed to predict."""
+    """A trained network with everything that its prediction needs."""
 
     name = "dense"
     held_out_mse: NDArray[np.float64] | None = None
@@ -65,7 +65,7 @@ class DenseFitted:
     def _encoded(
         self, light: Light, patch_cdm2: NDArray[np.float32] | None
     ) -> Iterator[NDArray[np.float32]]:
-        """Yield the encoded map [H W] of one hour after the other."""
+        """Yield the encoded map [H W] of each hour."""
         at = hours(light, self.shape).to(self._device)
         pixels = torch.arange(self._canvas.fixed.shape[0], device=self._device)  # [H W]
         direct = torch.zeros(len(pixels), 1, device=self._device)
@@ -82,7 +82,8 @@ class DenseFitted:
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict maps, [n, H, W].
 
-        The network has no variance; `trusted` is whether the hour's light is like captured light.
+        The network has no variance, so `trusted` only means that the hour's light is like captured
+        light.
         """
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
@@ -151,7 +152,7 @@ def fit(
     progress: Progress = quiet,
     **options: Any,
 ) -> DenseFitted:
-    """Train on `data`.
+    """Train the network on `data`.
 
     options: fields of `Shape` and of `TrainingPlan`, and the path of a checkpoint.
     """

@@ -1,9 +1,10 @@
-"""The paper's network: two dense branches over pixel position, sun, irradiance, sky and sun patch.
+"""Define the paper's network: two dense branches.
 
-Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building
-Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule as in the paper; where the
-authors' code differs from their text, as in the text. This module has the network, its inputs and
-its outputs; `dense_training` the loop, `dense_schedule` batches and rates, `dense` the fit.
+Their inputs are pixel position, sun, irradiance and sky, and the sun patch. Source: Liu, Colburn,
+Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building Performance
+Simulation 13(5), 2020. Inputs, sizes, loss and schedule follow the paper; where the authors' code
+differs from their text, the text is followed. This module has the network, its inputs and outputs;
+`dense_training` has the loop, `dense_schedule` batches and rates, `dense` the fit.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The network's form. The defaults are the paper's final one, the others its ablations.
+    """The network's form; the defaults are the final one in the paper, others are its ablations.
 
     See the paper's Table 1 and Figure 8.
     """
 
     width: int = 600
     depth: int = 4  # layers of branch one
-    patch_width: int = 400  # branch two; the CNN form has 200
+    patch_width: int = 400  # width of branch two; the CNN form has 200
     sky_map: bool = True
     # cnn: convolutions with kernel 1, so batches are complete images
     form: Literal["dense", "cnn"] = "dense"
@@ -51,7 +52,10 @@ class Shape:
 
 
 def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Return luminance [cd/m2] as [0, 1]: floor 1, (log10 L / 9.2)^(1/1.5) or (L/1.6e9)^(1/10)."""
+    """Return luminance [cd/m2], at least 1, encoded to 0 to 1.
+
+    The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L / 1.6e9)^(1/10).
+    """
     floored = np.maximum(luminance_cdm2, 1.0)
     if curve == "gamma":
         return ((floored / 10.0**LOG_TOP) ** (1.0 / GAMMA)).astype(np.float32)
@@ -59,7 +63,7 @@ def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float
 
 
 def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Return the luminance [cd/m2] of `encode`.
+    """Return the luminance [cd/m2] of encoded values, as the inverse of `encode`.
 
     Outputs of the network outside [0, 1] are clipped, which bounds every prediction.
     """
@@ -74,7 +78,10 @@ def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
 
 
 class Net(nn.Module):
-    """1 688 601 parameters with seven inputs in branch one, 1 689 201 with the sky map."""
+    """The paper's network of two branches.
+
+    It has 1 688 601 parameters with seven inputs in branch one, 1 689 201 with the sky map.
+    """
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
@@ -93,7 +100,7 @@ class Net(nn.Module):
         x = F.relu(self.merge(x))
         with torch.autocast(
             x.device.type, enabled=False
-        ):  # the last sum in full precision, as it is the result
+        ):  # compute the last sum in full precision, because it is the result
             return self.out(x.float()).squeeze(1)
 
 
@@ -108,21 +115,25 @@ def parameter_count(net: nn.Module) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """Inputs that depend on the pixel only.
+    """Inputs of P pixels that do not depend on the hour.
 
-    fixed: px, py, average [P, 3]; sky_patch: nearest sky patch, -1 below the horizon [P].
+    fixed: x, y and average of each pixel [P, 3]; sky_patch: nearest sky patch, -1 below the horizon
+    [P].
     """
 
     fixed: Tensor
     sky_patch: Tensor
 
     def to(self, device: torch.device) -> Canvas:
-        """Return a copy on a device."""
+        """Return a copy on another device."""
         return Canvas(self.fixed.to(device), self.sky_patch.to(device))
 
 
 def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
-    """Return the inputs of pixels. average_log10: mean of log10 L over training images [H, W]."""
+    """Return the inputs of all pixels.
+
+    Average_log10: mean of log10 L over training images [H, W].
+    """
     from fieldlum.sky import reinhart_patches
 
     height, width = average_log10.shape
@@ -140,22 +151,22 @@ def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
 
 @dataclass(frozen=True, slots=True)
 class HourInputs:
-    """Inputs that depend on the hour only.
+    """Inputs of n hours that do not depend on the pixel.
 
-    sun: altitude, azimuth, DNI, DHI [n, 4]; sky: encoded sky [n, 2306]. The last sky column is 0
-    and is for directions below the horizon.
+    sun: altitude, azimuth, DNI, DHI [n, 4]; sky: encoded sky [n, 2306], whose last column is 0 and
+    serves directions below the horizon.
     """
 
     sun: Tensor
     sky: Tensor | None
 
     def to(self, device: torch.device) -> HourInputs:
-        """Return a copy on a device."""
+        """Return a copy on another device."""
         return HourInputs(self.sun.to(device), None if self.sky is None else self.sky.to(device))
 
 
 def hours(light: Light, shape: Shape) -> HourInputs:
-    """Return the inputs of hours."""
+    """Return the inputs of all hours."""
     from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,
@@ -183,14 +194,14 @@ def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor)
 
 
 def pick_device() -> torch.device:
-    """Return this process's GPU (torchrun numbers them), else the processor."""
+    """Return this process's GPU (torchrun numbers the processes), else the processor."""
     if not torch.cuda.is_available():
         return torch.device("cpu")
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
 
 def bfloat16_pays(device: torch.device) -> bool:
-    """Return whether the hardware has bfloat16 products: emulated, they are slower than float32."""
+    """Return whether the hardware has bfloat16 products; emulated ones are slower than float32."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     told = torch.backends.cpu.get_cpu_capability()

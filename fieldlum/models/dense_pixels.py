@@ -1,4 +1,4 @@
-"""Training pixels of the dense network: pairs of an hour and a pixel that the camera saw."""
+"""Provide training pixels of the dense network: pairs of an hour and a seen pixel."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PixelSampler:
-    """All (hour, seen pixel) pairs of some hours, on the device.
+    """All pairs of an hour and a seen pixel, on the device.
 
-    The number of a pair is hour * P + index in `seen`.
+    The index of a pair is hour * P + index of its pixel in `seen`.
     """
 
     canvas: Canvas
@@ -29,13 +29,16 @@ class PixelSampler:
     target: Tensor  # [n, P]
     patch: Tensor | None  # [n, P]
     weight: Tensor  # [P]
-    seen: Tensor  # [P] pixel numbers
+    seen: Tensor  # pixel indices [P]
 
     def __len__(self) -> int:
         return self.target.numel()
 
     def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return scene inputs [b, 7 or 8], patch [b, 1], target [b] and weight [b] of pairs [b]."""
+        """Return the inputs and targets of the pairs with indices `numbers` [b].
+
+        These are scene inputs [b, 7 or 8], patch [b, 1], target [b] and weight [b].
+        """
         hour = numbers // len(self.seen)
         place = numbers - hour * len(self.seen)
         scene = scene_inputs(self.canvas, self.hours, hour, self.seen[place])

@@ -1,7 +1,7 @@
-"""Schedules of the dense network's training: the paper's, and a short one that fits a budget.
+"""Define two schedules of the dense network's training: the paper's, and a short one for a budget.
 
-The paper's has three stages of batches; its rate falls when the validation error does not. The
-short one has as many steps as the time allows, with a rate that falls to zero.
+The paper's schedule has three stages of batches, and its rate falls when the validation error does
+not. The short schedule has as many steps as the time allows, with a rate that falls to zero.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from fieldlum.models.dense_pixels import PixelSampler
 STAGES = (6, 3, 1)  # batch in images' worth of pixels (paper)
 STAGE_EPOCHS = 30  # paper
 PATIENCE_EPOCHS = 2  # paper
-LEAST_RATE = 1e-10  # below it the next stage begins; not measured
+LEAST_RATE = 1e-10  # at a lower rate the next stage begins; not measured
 VALIDATION_SHARE = 0.1  # of the images; not measured
-SHORT_EPOCHS = 25  # validations of the short schedule; not measured
-SHORT_VALIDATION_PIXELS = 60_000  # not measured
-SHORT_STEPS = 3000  # target of a short schedule before its batches grow; not measured
+SHORT_EPOCHS = 25  # number of validations in the short schedule; not measured
+SHORT_VALIDATION_PIXELS = 60_000  # pixels that are validated in the short schedule; not measured
+SHORT_STEPS = 3000  # steps to reach before the short schedule enlarges its batches; not measured
 SHORT_BATCH = (512, 8192)  # smallest and largest batch of the short schedule [px]; not measured
-_WARM_SHARE = 0.03  # of the short schedule, in which the rate rises; not measured
+_WARM_SHARE = 0.03  # share of the short schedule in which the rate rises; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingPlan:
-    """Schedule of a training.
+    """The schedule of a training.
 
-    paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, with a rate
-    that falls to 0.
+    With "paper", the training has epochs over all pixels, at most `epochs`. With "short", it has
+    `steps` of `batch_pixels`, with a rate that falls to 0.
     """
 
     schedule: Literal["paper", "short"] = "paper"
@@ -49,7 +49,7 @@ class TrainingPlan:
 
 @dataclass(slots=True)
 class Run:
-    """Everything in a checkpoint besides the tensors."""
+    """The progress of a training: everything in a checkpoint besides the tensors."""
 
     epoch: int = 0
     step: int = 0
@@ -68,7 +68,7 @@ def affordable_plan(
 ) -> TrainingPlan:
     """Return the paper's schedule if it fits in the budget, else a short one.
 
-    count: training pixels of all hours. The short one has as many steps as the measured speed
+    count: training pixels of all hours. The short schedule has as many steps as the measured speed
     allows.
     """
     affordable = pixels_per_s * budget_s
@@ -84,9 +84,9 @@ def affordable_plan(
 
 
 def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row numbers of n images for training [k] and for validation [n - k].
+    """Return the indices of images for training [k] and for validation [n - k].
 
-    A tenth of the images validates, at least one; a single image validates itself.
+    A tenth of the images, but at least one, is for validation; a single image is used for both.
     """
     order = np.random.default_rng(seed).permutation(n)
     cut = max(1, round(VALIDATION_SHARE * n))
@@ -94,7 +94,10 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
-    """Return all validation pixels [b]; in the short schedule a fixed random part of them."""
+    """Return the indices of the validation pixels [b].
+
+    In the short schedule they are a fixed random part of all pixels.
+    """
     if plan.schedule == "paper" or total <= SHORT_VALIDATION_PIXELS:
         return torch.arange(total)
     order = torch.randperm(total, generator=torch.Generator().manual_seed(seed))
@@ -104,10 +107,10 @@ def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
 def epoch_batches(
     pixels: PixelSampler, plan: TrainingPlan, run: Run, shape: Shape, seed: int
 ) -> Iterator[Tensor]:
-    """Yield the numbers of each batch's pairs [b], for one epoch.
+    """Yield the training pairs of each batch of one epoch, as indices [b] of `PixelSampler`.
 
-    They depend on (seed, epoch) alone, so that a resumed training repeats nothing. The form "cnn"
-    takes complete images.
+    The order depends only on `seed` and `run.epoch`, so that a resumed training continues with the
+    same batches. In the form "cnn" a batch consists of complete images.
     """
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
     images, per_image = pixels.target.shape
@@ -128,7 +131,7 @@ def epoch_batches(
 
 
 def _all_pixels(group: Tensor, per_image: int) -> Tensor:
-    """Return the numbers of all pixels of a group of images."""
+    """Return the indices of the pairs of all pixels in a group of images."""
     return (group[:, None] * per_image + torch.arange(per_image)).reshape(-1)
 
 
@@ -137,9 +140,9 @@ def _all_pixels(group: Tensor, per_image: int) -> Tensor:
 
 
 def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """Return the rate: a short warm-up, then a cosine to zero over the steps or the time.
+    """Return the learning rate: a short warm-up, then a cosine that falls to zero.
 
-    The time counts if it ends first.
+    It falls over the steps, or over the time if the time ends first.
     """
     warm = min(1.0, (run.step + 1) / (_WARM_SHARE * plan.steps + 1))
     done = min(_done_share(plan, run, budget_s), 1.0)
@@ -147,9 +150,9 @@ def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
 
 
 def update_paper_rate(run: Run, improved: bool) -> None:
-    """Halve the rate after two epochs without gain.
+    """Halve the rate after two epochs without improvement.
 
-    Take the next stage's batch after 30 epochs, or when the rate is below `LEAST_RATE`.
+    Begin the next stage after 30 epochs, or when the rate is below `LEAST_RATE`.
     """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1
@@ -161,12 +164,12 @@ def update_paper_rate(run: Run, improved: bool) -> None:
 
 
 def passes(plan: TrainingPlan, run: Run, count: int) -> float:
-    """Return how often each of `count` training pixels was used on average."""
+    """Return how often, on average, each of `count` training pixels was used."""
     return run.step * plan.batch_pixels / count if plan.schedule == "short" else float(run.epoch)
 
 
 def finished(plan: TrainingPlan, run: Run, budget_s: float | None) -> bool:
-    """Return whether the budget, the steps, or the epochs and stages are used up."""
+    """Return whether the budget, the steps, or all epochs and stages are used up."""
     if budget_s and run.elapsed_s >= budget_s:
         return True
     if plan.schedule == "short":
@@ -175,12 +178,15 @@ def finished(plan: TrainingPlan, run: Run, budget_s: float | None) -> bool:
 
 
 def thousandths(plan: TrainingPlan, run: Run, budget_s: float | None) -> int:
-    """Return how much of the training is done, 0 to 1000."""
+    """Return the progress of the training from 0 to 1000."""
     return min(1000, int(1000 * _done_share(plan, run, budget_s)))
 
 
 def _done_share(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """Return the share of steps or epochs, or of the time if that ends first; it can exceed 1."""
+    """Return the completed share of steps or epochs, or of the time if it ends first.
+
+    May exceed 1.
+    """
     short = plan.schedule == "short"
     done = run.step / max(plan.steps, 1) if short else run.epoch / max(plan.epochs, 1)
     return max(done, run.elapsed_s / budget_s) if budget_s else done

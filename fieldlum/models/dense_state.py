@@ -1,4 +1,4 @@
-"""Checkpoints of the dense network's training: weights, optimiser, plan and progress."""
+"""Write and read checkpoints of a training: weights, optimiser, plan and progress."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def keep(
     mark: str,
     best: dict[str, Tensor],
 ) -> None:
-    """Write a checkpoint atomically; mark: the digest of the training data."""
+    """Write a checkpoint atomically; mark: the SHA-256 of the training data."""
     state = {
         "net": net.state_dict(),
         "best": best,
@@ -43,18 +43,19 @@ def keep(
 def restore(
     path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape, mark: str
 ) -> tuple[TrainingPlan, dict[str, Tensor]]:
-    """Continue from a checkpoint.
+    """Continue from a checkpoint; return its plan and its best weights.
 
-    Raises InputError for one that does not fit, or contains anything but tensors and numbers.
+    Raises InputError for a checkpoint of another training, or with anything but tensors and
+    numbers.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # torch warns before it rejects files of other programs
             state = torch.load(path, map_location=pick_device(), weights_only=True)
         if state["shape"] != asdict(shape):
-            raise KeyError("another network's checkpoint")
+            raise KeyError("the checkpoint of another network")
         if state.get("data", mark) != mark:
-            raise KeyError("of other pictures, irradiance or seed")
+            raise KeyError("a checkpoint of other pictures, other irradiance or another seed")
         net.load_state_dict(state["net"])
         optimiser.load_state_dict(state["optimiser"])
         for name, value in state["run"].items():
@@ -70,4 +71,6 @@ def restore(
         AttributeError,
     ) as error:
         found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
-        raise InputError(path, found, "one of this training", "delete it to start again") from None
+        raise InputError(
+            path, found, "a checkpoint of this training", "delete the file to start again"
+        ) from None

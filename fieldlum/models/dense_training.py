@@ -1,9 +1,9 @@
 """Train the dense network: by the paper's schedule if there is time, else by a short one.
 
 The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``. Both parts depend on
-the network through S = sum(w e^2) alone. So micro-batches (and the ranks of torchrun) add up the
-gradient of S, and one factor at the end makes it the exact gradient of the batch's loss. Memory is
-that of one micro-batch.
+the network only through S = sum(w e^2). Therefore micro-batches (and the ranks of torchrun) add up
+the gradient of S, and one factor at the end makes it the exact gradient of the batch's loss. The
+memory needed is that of one micro-batch.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
-_MICRO_PIXELS = {"cpu": 8192, "cuda": 131_072}  # of a micro-batch; not measured
-_TIMED_BATCHES = 3  # micro-batches whose time decides between the schedules; not measured
+_MICRO_PIXELS = {"cpu": 8192, "cuda": 131_072}  # pixels of a micro-batch; not measured
+_TIMED_BATCHES = 3  # number of micro-batches whose time decides between the schedules; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class TrainingRecord:
 
 
 class TrainedNet(NamedTuple):
-    """Result of `train`: best weights, mean of log10 L over the images [H, W], and a record."""
+    """A trained network: best weights, mean of log10 L over the images [H, W], and a record."""
 
     net: Net
     average_log10: NDArray[np.float64]
@@ -114,9 +114,9 @@ def _step(
     micro: int,
     half: bool,
 ) -> float:
-    """Update once with the exact gradient of the batch's loss; return the loss.
+    """Update the weights once by the exact gradient of the batch's loss; return the loss.
 
-    A loss of NaN means that there was no update.
+    If the loss is NaN, the weights did not change.
     """
     optimiser.zero_grad(set_to_none=False)
     parts = _loss_parts(net, pixels, numbers, micro, half, learn=True)
@@ -148,11 +148,11 @@ def train(
     bfloat16: bool | None = None,
     progress: Progress = quiet,
 ) -> TrainedNet:
-    """Train; return the network with the best validation weights.
+    """Train the network; return it with the weights of the best validation.
 
-    plan: None uses the paper's schedule if it fits in the budget, else a short one measured to fit.
-    checkpoint: written after each epoch; an existing one is continued. stop_after_epochs: end
-    early, as a kill would.
+    plan: None uses the paper's schedule if it fits in the budget, else a short one by measured
+    speed. checkpoint: written after each epoch; an existing one is continued. stop_after_epochs:
+    end early, as an interruption would.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()
@@ -228,7 +228,7 @@ def _weights(net: Net) -> dict[str, Tensor]:
 
 
 def _make_plan(net: Net, pixels: PixelSampler, budget_s: float | None, half: bool) -> TrainingPlan:
-    """Return the paper's schedule if there is no budget or it fits in, else a short one."""
+    """Return the paper's schedule if it fits in the budget or there is none, else a short one."""
     micro = _MICRO_PIXELS[pixels.target.device.type]
     if budget_s is None:
         return TrainingPlan(micro_pixels=micro)
@@ -237,7 +237,7 @@ def _make_plan(net: Net, pixels: PixelSampler, budget_s: float | None, half: boo
 
 
 def _pixels_per_second(net: Net, pixels: PixelSampler, micro: int, half: bool) -> float:
-    """Return the measured speed of training; the first batch also compiles and allocates."""
+    """Return the measured speed of training; the first batch is not timed, as it also compiles."""
     numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device)
     numbers = numbers.repeat(distributed.world())
     start_s = 0.0

@@ -1,7 +1,7 @@
-"""Estimate how much of the sun's disc the camera sees in hours that nobody captured.
+"""Estimate how much of the sun's disc the camera sees in hours without a capture.
 
-It follows from the stated room, from rooms drawn from its uncertainty, or is guessed from a
-predicted map.
+The estimate follows from the stated room, or from rooms drawn from its uncertainty, or is guessed
+from a predicted map.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Luminance over that of the sky behind it: between these, the sun's pixel shows open sky through
-# glass. Not measured.
+# Ratio of a pixel's luminance to that of the sky behind it. Between these limits the sun's pixel
+# shows open sky through glass. Not measured.
 SKY_SHARE = (0.3, 1.3)
-# Standard deviation of the sun's place relative to a geometry that is not parametric: a compass to
-# 1 degree, and 5 cm at an edge 2.5 m away.
+# Standard deviation of the sun's direction relative to the edges of a room that has no parameters:
+# a compass to 1 degree, and 5 cm at an edge 2.5 m away.
 EDGE_SD_DEG = 1.5
-DRAWN_ROOMS = 64  # 2.5 % of them is more than one; a year of them takes half a second of CPU time
+# 2.5 % of them is more than one room; a year of them takes half a second of CPU time; chosen
+DRAWN_ROOMS = 64
 
 
 def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
     """Return the disc's illuminance at the lens by the stated room [n] lx; None without a room.
 
-    The illuminance is on a plane normal to the sun.
+    The illuminance is that of a plane normal to the sun.
     """
     room = setup.room
     if room is None:
@@ -55,9 +56,9 @@ def drawn_discs_lx(
 ) -> Array | None:
     """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n] lx.
 
-    Return None without a room. uncertainty : of a fitted room; by default the stated 5 cm and
-    1 degree. A room from a file has no parameters: there the sun is shifted against its edges by
-    `EDGE_SD_DEG`.
+    Return None without a room. uncertainty: that of a fitted room; by default 5 cm and 1 degree, as
+    for a stated room. A room from a file has no parameters: there the sun is shifted relative to
+    its edges by `EDGE_SD_DEG`.
     """
     room = setup.room
     if room is None:
@@ -74,13 +75,13 @@ def drawn_discs_lx(
 
 def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Array:
     altitude = np.minimum(light.shown_altitude_deg + altitude_deg, 90.0)
-    # A turn by the same angle on the sky is a larger one in azimuth near the zenith.
+    # near the zenith a given angle on the sky is a larger change of azimuth
     turn = azimuth_deg / np.maximum(np.cos(np.radians(altitude)), 0.2)
     return direction(altitude, light.sun_azimuth_deg + turn)
 
 
 def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
-    """Return the disc behind the room of a file at directions `suns` [k, n, 3], [k, n]."""
+    """Return the disc's illuminance behind a room file, for suns [k, n, 3], [k, n] lx."""
     from fieldlum.scene.radiance import traced_sky_share
 
     shares = traced_sky_share(room, suns.reshape(-1, 3)).reshape(suns.shape[:2])
@@ -91,11 +92,11 @@ def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
 def guessed_disc_lx(
     maps: NDArray[np.float32], light: Light, heading_deg: float, turns_deg: Array | None = None
 ) -> Array:
-    """Return the disc's illuminance where no geometry is known, [n] lx.
+    """Return the disc's illuminance guessed from predicted maps, without any geometry, [n] lx.
 
-    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each. The sun's
-    pixel shows sky if its luminance is that of the Perez sky there times a transmittance; the disc
-    then shines through the same glass. A twig or a blind is not detected.
+    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each of them.
+    The sun's pixel shows sky if its luminance is that of the Perez sky there times a transmittance;
+    the disc then shines through the same glass. A twig or a blind is not detected.
     """
     sky = np.array(
         [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]

@@ -1,4 +1,4 @@
-"""The processes of torchrun: rank, number, and values they agree on.
+"""Provide the processes of torchrun: rank, number, and values on which they agree.
 
 Without torchrun these functions do nothing.
 """
@@ -38,7 +38,7 @@ def total(tensor: Tensor) -> Tensor:
 def agreed(value: float, device: torch.device) -> float:
     """Return rank 0's value on all ranks.
 
-    Ranks that disagree about the end of a training would wait for each other for ever.
+    Ranks that disagree about the end of a training would wait for each other without end.
     """
     if world() == 1:
         return value

@@ -17,15 +17,16 @@ from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.sun_disc import split_disc
 
-_MERGE_ALIKE = "render or merge all brackets at one size and heading"
-_PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
+_MERGE_ALIKE = "render or merge all brackets at one size and heading, then run fieldlum pair again"
+_PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other pictures"
 
 
 @dataclass(frozen=True, slots=True)
 class PairPictures:
-    """Maps, patches and has_value [n, H, W], and disc_lx [n]; later steps change them in place.
+    """The pictures of n pairs, which later steps change in place.
 
-    bounds: number of clipped suns.
+    maps, patches, has_value: [n, H, W]; disc_lx: [n]; counts: weights of pixels, or None; bounds:
+    number of maps with a clipped sun.
     """
 
     maps: NDArray[np.float32]
@@ -39,11 +40,11 @@ class PairPictures:
     def take_disc_out(
         self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
     ) -> None:
-        """Split the disc from map and patch k.
+        """Separate the disc from map and patch k.
 
         at: altitude and azimuth of the sun [deg]; shown: where the picture of a turned camera shows
-        it [deg]. A patch has the disc alone, without the sky around it, so it measures the disc
-        better.
+        it [deg]. A map of sun patches has the disc without the sky around it, so that it measures
+        the disc better.
         """
         self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
         if self.patches is not None:
@@ -54,7 +55,7 @@ class PairPictures:
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
 ) -> PairPictures:
-    """Read maps and patches as stored; the disc separately where a picture stores it so."""
+    """Read maps and patches; a disc that a picture stores separately remains separate."""
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
@@ -64,8 +65,8 @@ def read_pictures(
         bare = next(row.line for row in rows if not row.sunpatch)
         raise InputError(
             path,
-            f"line {bare}: no sunpatch, but other rows have one",
-            "all rows or none with a sunpatch",
+            f"line {bare}: sunpatch is empty, but other rows have one",
+            "a sunpatch in all rows or in none",
         )
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
@@ -113,11 +114,14 @@ def _checked(
 ) -> Panorama:
     found = panorama.luminance_cdm2.shape
     if found != shape:
-        said = f"{found[1]} x {found[0]} pixels", f"{shape[1]} x {shape[0]} as in the first row"
+        said = (
+            f"{found[1]} x {found[0]} pixels",
+            (f"{shape[1]} x {shape[0]} pixels as in the first row"),
+        )
         raise InputError(path, *said, remedy)
     if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
         found = f"heading {_heading(panorama, path, setup):g}"
-        raise InputError(path, found, f"{heading:g} as in the first row", remedy)
+        raise InputError(path, found, f"heading {heading:g} as in the first row", remedy)
     return panorama
 
 
@@ -129,14 +133,17 @@ def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
 def fill_gaps(
     maps: NDArray[np.float32], has_value: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], int]:
-    """Fill single missing values in place with the pixel's median; return seen pixels and a count.
+    """Fill single missing values with the pixel's median, in place; return seen pixels and a count.
 
     maps, has_value: [n, H, W]; seen pixels: [H, W]. A pixel that is missing in a fifth of the maps
     counts as not seen.
     """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():
-        raise NotEnoughDataError("no pixel has a value in most of the panoramas")
+        raise NotEnoughDataError(
+            "no pixel has a value in most of the panoramas; check that "
+            "all panoramas are from one camera position"
+        )
     gaps = ~has_value & seen
     for i, j in np.argwhere(gaps.any(axis=0)):
         maps[gaps[:, i, j], i, j] = np.median(maps[has_value[:, i, j], i, j])

@@ -1,12 +1,12 @@
-"""Compare predicted maps with the truth, as in the paper and by solid angle, with the sun's disc.
+"""Compare predicted maps with the truth, in the paper's way and by solid angle.
 
-Luminance errors and `dgp_mse` use the true disc in truth and prediction, so they judge the map
-alone. `dgp_mse_own_disc` uses in the prediction the disc that a user gets: from the stated room, or
-guessed from the map without one.
+Luminance errors and `dgp_mse` use the true sun disc in truth and prediction, so they judge only the
+map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from the stated room,
+or, without a room, guessed from the map.
 
-paper: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum e^2 / sum
-t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels,
-with and without the authors' cut at 500. By solid angle: weights of mean 1; with the mean also the
+The paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
+e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
+levels, with and without the authors' cut at 500. By solid angle: weights with a mean of 1; mean,
 median, 90th percentile and worst image.
 """
 
@@ -35,16 +35,17 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 FLOOR_CDM2 = 1.0  # paper
-RAMMG_CUT = 500.0  # of the authors' code
-GLARE_MAPS = 150  # most maps that are evaluated for DGP and RAMMG, spread evenly; bounds the time
-KEPT_HEIGHT = 58  # rows of stored maps, at least: those of the smallest panoramas of a demo
-CHUNK = 24  # maps predicted at a time; bounds the memory
-BAND_90 = 1.6449  # standard deviations of a 90 % interval
+RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2
+# most maps for which DGP and RAMMG are computed, spread evenly; chosen, limits the time
+GLARE_MAPS = 150
+KEPT_HEIGHT = 58  # least number of rows of stored maps: that of the smallest panoramas of a demo
+CHUNK = 24  # maps predicted at a time; chosen, limits the memory
+BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribution
 
 
 @dataclass(slots=True)
 class Scores:
-    """One value for each map; NaN for values that were not computed.
+    """The scores of predicted maps, one value for each map; NaN for values that were not computed.
 
     error2, truth2: sums over pixels of e^2 and t^2 of log10 L.
     """
@@ -56,7 +57,7 @@ class Scores:
     error2_weighted: NDArray[np.float64]
     truth2_weighted: NDArray[np.float64]
     dgp_mse: NDArray[np.float64]  # with the true sun's disc in the prediction
-    dgp_mse_own_disc: NDArray[np.float64]  # with the disc that the stated room shows, as in use
+    dgp_mse_own_disc: NDArray[np.float64]  # with the disc by the stated room, as a user gets it
     bias_log10: NDArray[np.float64]  # weighted mean of log10 predicted over true
     dgp_mae: NDArray[np.float64]
     dgp_mean: NDArray[np.float64]  # of the truth, over the views
@@ -69,7 +70,8 @@ class Scores:
     seconds: float = 0.0  # spent predicting, by the clock
     cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
-    maps: HeldOutMaps | None = None  # the maps evaluated for glare, if `evaluate` keeps maps
+    # maps for which glare was computed, if `evaluate` has keep_maps
+    maps: HeldOutMaps | None = None
 
     def __len__(self) -> int:
         return len(self.mse)
@@ -98,7 +100,7 @@ def join(parts: Sequence[Scores]) -> Scores:
 class Truth:
     """Everything about a test set that does not depend on the model.
 
-    These are weights, views, the maps that are evaluated for glare, and their glare.
+    It has the weights of pixels, the views, the maps for which glare is computed, and their glare.
     """
 
     data: Dataset
@@ -107,11 +109,11 @@ class Truth:
     glare_maps: NDArray[np.bool_]
     dgp: NDArray[np.float64]  # [n, 10]; NaN where not evaluated
     contrast: NDArray[np.float64]  # [n, levels], whose mean is RAMMG; NaN where not evaluated
-    room_disc_lx: NDArray[np.float64] | None = None  # [n] by the stated room; None without one
+    room_disc_lx: NDArray[np.float64] | None = None  # by the stated room [n]; None without a room
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
-    """Prepare a test set."""
+    """Prepare a test set for `evaluate`."""
     n = len(data)
     asked = np.zeros(n, bool)
     if glare:
@@ -158,7 +160,10 @@ def _contrast(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
 def evaluate(
     fitted: Fitted, test: Truth, *, keep_maps: bool = False, progress: Progress = quiet
 ) -> Scores:
-    """Predict a test set in chunks and compare. keep_maps: keep the maps evaluated for glare."""
+    """Predict a test set in chunks and compare it with the truth.
+
+    keep_maps: store the maps for which glare was computed.
+    """
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
         progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
@@ -179,7 +184,7 @@ def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
 
 
 def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
-    """Return the errors of log10 luminance, map by map; weights: of the pixels [H, W].
+    """Return the errors of log10 luminance for each map; weights: of the pixels [H, W].
 
     Raises FloatingPointError for a value that is not finite.
     """
@@ -271,7 +276,7 @@ def _glare_errors(
 def by_day(
     values: NDArray[np.float64], days: NDArray[np.datetime64]
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """Return the days and the mean of each day's values, [days] each; values, days: [n]."""
+    """Return the days, and the mean of each day's values, [days] each; values, days: [n]."""
     unique, which = np.unique(days, return_inverse=True)
     return unique, np.bincount(which, weights=values) / np.bincount(which)
 
@@ -325,7 +330,7 @@ def _dgp_r2(scores: Scores) -> float | None:
 
 
 def _worst_tenth_found(scores: Scores) -> float | None:
-    """Return the share of the true worst tenth in the tenth that the model itself ranks worst."""
+    """Return which share of the worst tenth of maps the model itself ranks in its worst tenth."""
     if not np.isfinite(scores.expected_mse).all() or len(scores) < 20:
         return None
     tenth = max(1, len(scores) // 10)

@@ -1,4 +1,4 @@
-"""Weights of each pixel of each capture in training, from merge's flags and uncertainties."""
+"""Weight each pixel of each capture in training, by merge's flags and uncertainties."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Flag, Panorama
 
-# A clipped value is a bound, a moved one belongs to another object in each frame, a filled one is
-# from its neighbours. Bloom and noise are in u_cdm2.
+# A clipped value is a bound; a moving object has different values in each frame; a filled value is
+# from the pixel's neighbours. Bloom and noise are part of u_cdm2.
 TEACHES_NOTHING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
-_HALF = 1e-2  # relative variance at which a value counts half, as for the irradiance
-# A pixel that is flagged in most captures (a lamp that always clips) keeps its values.
+_HALF = 1e-2  # relative variance at which a value has half weight, as for the irradiance
+# A pixel that is flagged in most captures (a lamp that is always clipped) is used with its values.
 _MOSTLY = 0.5
 _DOUBTFUL = 0.1  # not measured
 
@@ -35,10 +35,11 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
 def joined_counts(
     each: Sequence[NDArray[np.float16] | None], has_value: NDArray[np.bool_]
 ) -> NDArray[np.float16] | None:
-    """Return the weights of all captures [n, H, W], each pixel's largest 1; None if all are 1.
+    """Return the weights of all captures [n, H, W]; None if all are 1.
 
-    has_value: a missing value has weight 0 [n, H, W]. An uncertainty common to all captures (the
-    camera's scale) does not make one capture better than another, and cancels.
+    has_value [n, H, W]: a missing value has weight 0. The weights of each pixel are divided by
+    their maximum: an uncertainty that is common to all captures (the camera's scale) does not make
+    one capture better than another.
     """
     if all(counts is None for counts in each) and has_value.all():
         return None

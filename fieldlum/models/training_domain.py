@@ -1,4 +1,4 @@
-"""Decide whether an hour's light was captured, for models without a variance."""
+"""Decide whether an hour's light was captured; used for models without a variance."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from fieldlum.light import Light
 
-SUNNY_WM2 = 60.0  # under it the sun lights a room less than the sky does; not measured
-# About 50 minutes of the sun's path, or three weeks of its declination near an equinox.
+# with less direct light the sun lights a room less than the sky does; not measured
+SUNNY_WM2 = 60.0
+# About 50 minutes of the sun's path, or three weeks of its declination near an equinox. Chosen.
 SUN_GAP_DEG = 12.0
 RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance; not measured
 
@@ -27,16 +28,20 @@ class DomainTable(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """The captured light: sunny sun directions [k, 3], range of DHI [W/m2] and of DNI [W/m2]."""
+    """The range of captured light.
+
+    sun_directions: of sunny captures [k, 3]; ranges of diffuse and direct irradiance [W/m2].
+    """
 
     sun_directions: NDArray[np.float64]
     dhi_wm2: tuple[float, float]
     dni_wm2: tuple[float, float]
 
     def holds(self, light: Light) -> NDArray[np.bool_]:
-        """Return whether the light of each hour was captured, [n].
+        """Return a mask [n] of the hours whose light was captured.
 
-        The sun must be near a captured one (or not shine), and the sky in the captured range.
+        The sun must be near a captured direction, or not shine, and the sky must be within the
+        captured range.
         """
         low, high = self.dhi_wm2
         slack = RANGE_SLACK * (high - low) + 10.0
@@ -57,7 +62,7 @@ class Domain:
         return np.full(len(light.dni_wm2), self.dni_wm2[0] < 2 * SUNNY_WM2)
 
     def state(self) -> DomainTable:
-        """Return the domain as JSON can hold it."""
+        """Return the domain as an object that JSON can store."""
         return {
             "sun_directions": np.round(self.sun_directions, 5).tolist(),
             "dhi_wm2": list(self.dhi_wm2),
@@ -66,7 +71,10 @@ class Domain:
 
     @staticmethod
     def from_state(state: DomainTable) -> Domain:
-        """Return the domain that `state` described. Raises TypeError or ValueError for no range."""
+        """Return the domain that `state` described.
+
+        Raises TypeError or ValueError for other content.
+        """
         dhi_low, dhi_high = map(float, state["dhi_wm2"])
         dni_low, dni_high = map(float, state["dni_wm2"])
         suns = np.asarray(state["sun_directions"], float).reshape(-1, 3)
@@ -74,7 +82,7 @@ class Domain:
 
 
 def captured(light: Light) -> Domain:
-    """Return the domain of a training set."""
+    """Return the range of light in a training set."""
     sunny = light.dni_wm2 >= SUNNY_WM2
     return Domain(
         light.sun_direction[sunny],

@@ -1,4 +1,4 @@
-"""Send messages to people and heartbeats to a monitor, in the background, without waiting."""
+"""Send messages to users and heartbeats to a monitor, in the background."""
 
 from fieldlum.notify.heartbeat import Heartbeat, read_address
 from fieldlum.notify.outbox import Message, Outbox, Post

@@ -1,4 +1,4 @@
-"""Fetch an address regularly, so that an external monitor notices a dead laptop."""
+"""Fetch an address regularly, so that an external monitor notices a failed computer."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from urllib.parse import urlsplit
 
 from fieldlum.errors import InputError
 
-EVERY_S = 600.0  # monitors usually allow a grace of several periods; see docs/capture.md
-TIMEOUT_S = 20.0  # not measured; for a slow mobile network
+# seconds; monitors usually tolerate several missed periods; see docs/capture.md; chosen
+EVERY_S = 600.0
+TIMEOUT_S = 20.0  # seconds, for a slow mobile network; not measured
 
 
 def read_address(option: str) -> str:
-    """Return the address in ``@FILE``: its first line that is neither empty nor a comment.
+    """Return the address in ``@FILE``: the first line that is neither empty nor a comment.
 
     Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
     is neither http nor https; no error contains the address.
@@ -25,24 +26,26 @@ def read_address(option: str) -> str:
     if not option.startswith("@"):
         raise InputError(
             "--heartbeat",
-            "an address on the command line",
+            "an address on the command line, where every user can see it",
             "@FILE",
-            "write the address into a file, because every user can see arguments",
+            "write the address into a file and state the file",
         )
     address = read_targets(option)[0][0]
     if urlsplit(address).scheme not in ("http", "https"):
-        raise InputError(option[1:], "an address that is not http", "http:// or https://")
+        raise InputError(
+            option[1:], "an address that is not http", "an address with http:// or https://"
+        )
     return address
 
 
 def fetch(address: str) -> None:
-    """Fetch an address and ignore the answer. Raises OSError if there is none in time."""
+    """Fetch an address and ignore the answer. Raises OSError without an answer in time."""
     with urllib.request.urlopen(address, timeout=TIMEOUT_S) as answer:
         answer.read(1024)
 
 
 class Heartbeat:
-    """Fetches the address after each `beat` and every `every_s` seconds, in its own thread."""
+    """Fetches an address in its own thread, after each `beat` and every `every_s` seconds."""
 
     def __init__(
         self,
@@ -59,7 +62,7 @@ class Heartbeat:
         self._thread.start()
 
     def beat(self) -> None:
-        """Fetch the address soon; returns at once."""
+        """Let the address be fetched soon; return at once."""
         self._due.set()
 
     def close(self) -> None:
@@ -70,6 +73,6 @@ class Heartbeat:
     def _work(self) -> None:
         while not self._closing:
             self._due.clear()
-            with suppress(Exception):  # no network or no monitor: the next beat tries again
+            with suppress(Exception):  # without network or monitor, the next beat tries again
                 self._use(self._address)
             self._due.wait(self._every_s)

@@ -1,4 +1,4 @@
-"""Messages that wait until they are sent: in their own thread, and in a file for a restart."""
+"""Queue messages until they are sent: in a thread, and in a file that survives a restart."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from pathlib import Path
 
 from fieldlum.session import replacing
 
-MOST_WAITING = 500  # a month without network at ten messages a day; older ones are dropped
-FIRST_PAUSE_S = 30.0  # not measured: gentle to a service that limits requests
-LONGEST_PAUSE_S = 900.0  # a message leaves at most a quarter of an hour after the network is back
-PATIENCE_AT_END_S = 10.0  # not measured: a person waits for the command to end
+# a month without network at ten messages a day; older messages are dropped; chosen
+MOST_WAITING = 500
+FIRST_PAUSE_S = 30.0  # seconds; not measured, long enough for a service that limits requests
+# seconds; a message is sent at most a quarter of an hour after the network is back; chosen
+LONGEST_PAUSE_S = 900.0
+PATIENCE_AT_END_S = 10.0  # seconds; not measured, because the user waits for the command to end
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message to a person. `picture` is attached if it exists."""
+    """A message to a user; `picture` is attached if the file exists."""
 
     title: str
     body: str
@@ -32,15 +34,16 @@ Report = Callable[[str, str], None]
 
 
 def _silent(event: str, why: str) -> None:
-    """Report nothing."""
+    """Report nothing; used without a listener."""
 
 
 class Outbox:
-    """Sends messages in order. `put` returns at once, whatever the network or the disk does.
+    """Sends messages in order, in the background.
 
-    A message that cannot be sent is tried again after 30 s, 1 min ... 15 min, and after a restart.
-    `report(event, why)` is called with ``notify-lost`` when sending begins to fail and with
-    ``notify-back`` when it works again; `why` never contains an address.
+    `put` returns at once, whatever the network or the disk does. A message that cannot be sent is
+    tried again after 30 s, 1 min ... 15 min, and after a restart. `report(event, why)` is called
+    with ``notify-lost`` when sending begins to fail, and with ``notify-back`` when it works again;
+    `why` never contains an address.
     """
 
     def __init__(
@@ -69,7 +72,7 @@ class Outbox:
             self._changed.notify_all()
 
     def close(self, patience_s: float = PATIENCE_AT_END_S) -> int:
-        """Send what can be sent within `patience_s` and return how many messages still wait."""
+        """Send messages for at most `patience_s`; return how many still wait."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -93,7 +96,7 @@ class Outbox:
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _next(self) -> Message | None:
-        """Wait for a message; return None when the outbox is closed and empty."""
+        """Wait for a message; return None if the outbox is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closing)
             return self._waiting[0] if self._waiting else None
@@ -116,7 +119,8 @@ class Outbox:
     def _save(self) -> None:
         with self._changed:
             waiting = list(self._waiting)
-        with suppress(OSError):  # on a full disk, messages are lost at a restart; capture goes on
+        # on a full disk, messages are lost at a restart, but capture continues
+        with suppress(OSError):
             if not waiting:
                 self._file.unlink(missing_ok=True)
                 return
@@ -128,7 +132,7 @@ class Outbox:
 
 
 def _read(file: Path) -> list[Message]:
-    """Return the messages that an earlier process could not send, without damaged lines."""
+    """Return the messages that an earlier process could not send; skip damaged lines."""
     messages: list[Message] = []
     with suppress(OSError, UnicodeDecodeError):
         for line in file.read_text(encoding="utf-8").splitlines():

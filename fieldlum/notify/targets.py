@@ -1,6 +1,6 @@
-"""Read where messages go: addresses for apprise, from a file, never from the command line.
+"""Read where messages are sent: addresses for apprise, from a file, never from the command line.
 
-An address contains a password or a token. It is therefore read from a file or from the environment,
+An address contains a password or a token. Therefore it is read from a file or from the environment,
 and is never part of an argument, an error, the journal or a session.
 """
 
@@ -20,12 +20,12 @@ _READABLE_BY_OTHERS = 0o077  # permission bits of group and others (POSIX)
 
 
 def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]:
-    """Return the addresses of ``@FILE`` and a note about the file, empty if there is none.
+    """Return the addresses in ``@FILE``, and a note about the file, "" if there is none.
 
-    option: the value of ``--notify``. If it is empty, `variable` counts, which has ``@FILE`` or
-    addresses separated by blanks. A file has one address a line; empty lines and lines that begin
-    with # are skipped. Raises InputError for an option that is not ``@FILE`` and for a file that
-    cannot be read or is empty; no error contains an address.
+    option: value of ``--notify``. If it is empty, the environment's `variable` is used, which has
+    ``@FILE`` or addresses separated by blanks. A file has one address per line; empty lines and
+    lines that begin with # are skipped. Raises InputError for an option that is not ``@FILE``, and
+    for a file that cannot be read or is empty; no error contains an address.
     """
     if not option and variable and not variable.startswith("@"):
         return tuple(variable.split()), ""
@@ -35,14 +35,14 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
     if not text.startswith("@"):
         raise InputError(
             "--notify",
-            "an address on the command line",
+            "an address on the command line, where every user can see it",
             "@FILE",
-            "write the address into a file, because every user can see arguments",
+            "write the address into a file and state the file",
         )
     path = Path(text[1:])
     lines = _lines(path)
     if not lines:
-        raise InputError(path, "no address", "one address of apprise a line")
+        raise InputError(path, "no address", "one apprise address per line")
     return lines, _privacy_note(path)
 
 
@@ -63,9 +63,9 @@ def _privacy_note(path: Path) -> str:
 
 
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
-    """Return a function that sends one message to all targets and returns whether all succeeded.
+    """Return a function that sends one message to all targets, and returns whether all succeeded.
 
-    Raises InputError naming the line of a target that apprise does not understand.
+    Raises InputError, naming the line, for a target that apprise does not understand.
     """
     logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
     try:
@@ -76,7 +76,7 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
             sender = apprise.Apprise()
             understood = [sender.add(target) for target in targets]
     except ImportError:
-        remedy = "install it: pip install 'fieldlum[notify]'"
+        remedy = "install it with: pip install 'fieldlum[notify]'"
         raise InputError(source, "messages cannot be sent", "the package apprise", remedy) from None
     if not all(understood):
         raise InputError(

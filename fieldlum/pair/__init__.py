@@ -1,7 +1,7 @@
-"""Pair every panorama with the irradiance during its bracket, its sun and its sun patch.
+"""Pair every panorama with its irradiance, its sun and its sun patch (`fieldlum pair`).
 
-`interval` computes the irradiance, `sun_strength` the sun's illuminance at the lens, `patches` the
-sun patches; this file is the stage.
+`interval` computes the irradiance during the bracket, `sun_strength` the sun's illuminance at the
+lens, `patches` the sun patches; this file runs the stage.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cau
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One merged bracket: its panorama, when it was taken, and what merge recorded about it."""
+    """One merged bracket: its panorama, its times, and what merge recorded about it."""
 
     slot: str
     panorama: Path
@@ -50,8 +50,8 @@ class Taken:
     t_close_utc: datetime
     meter_lx: float | None = None
     complete: bool = True
-    frames: frozenset[str] = frozenset()  # sha256 of each
-    double_of: str = ""  # another slot with the same frames
+    frames: frozenset[str] = frozenset()  # sha256 of each frame
+    double_of: str = ""  # another slot with the same frames; "" if there is none
     sun_u_percent: float = 0.0  # uncertainty of its illuminance from few usable pixels on the disc
 
     @property
@@ -62,11 +62,14 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One row of pairs.csv."""
+    """One row of pairs.csv: a bracket with its light, sun and sun patch.
+
+    why: the reason that it must not be used, "" if it may be. caution: a doubt, or "".
+    """
 
     taken: Taken
     light: Outside
-    sun_altitude_deg: float  # true
+    sun_altitude_deg: float  # true altitude, without refraction
     sun_azimuth_deg: float
     sunpatch: str = ""
     why: str = ""
@@ -79,7 +82,10 @@ class Pair:
 
 
 def taken_brackets(session: Session) -> list[Taken]:
-    """Return every panorama in order of time, with capture.json's interval, else half a minute."""
+    """Return every panorama in order of time, with the interval of its capture.json.
+
+    Without a capture.json the interval is half a minute.
+    """
     return _doubles_named([_taken(session, path) for path in session.panorama_files()])
 
 
@@ -109,14 +115,14 @@ def _slot_time(path: Path) -> datetime:
     try:
         return parse_utc(path.stem)
     except ValueError as error:
-        remedy = "merge it again, or move it out of panoramas/"
+        remedy = "merge the bracket again, or move the panorama out of panoramas/"
         raise InputError(path, f"{error}", "a slot's time in UTC as its name", remedy) from None
 
 
 def _doubles_named(brackets: list[Taken]) -> list[Taken]:
-    """Name brackets with the same frames: a card was imported twice, with two clock offsets.
+    """Mark brackets that share frames, because a card was imported twice with two clock offsets.
 
-    One of the two slots is wrong, or both are.
+    At least one of the two slots is wrong.
     """
     at: dict[str, list[str]] = {}
     for taken in brackets:
@@ -127,18 +133,24 @@ def _doubles_named(brackets: list[Taken]) -> list[Taken]:
 
 
 def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
-    """Return a row, with the first reason why it may not be used."""
+    """Return a row; if it must not be used, with the first reason."""
     why = light.why
     if taken.double_of:
-        why = f"the same frames as {taken.double_of}: imported with two clock offsets"
+        why = (
+            f"the same frames as {taken.double_of}: a card was imported with two clock "
+            "offsets; import it again with the right one"
+        )
     elif not why and altitude_deg < 0.0:
         why = "the sun is below the horizon"
     elif not why and sun.too_weak(
         light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]
     ):
-        why = "less light than under any sky: instrument covered or faulty, or values in kW/m2"
+        why = (
+            "less light than the darkest overcast sky: the instrument was covered or "
+            "faulty, or values are in kW/m2"
+        )
     whole = "" if taken.complete else "bracket incomplete"
-    poor = f"sun measured on few pixels, uncertainty {taken.sun_u_percent:.0f} %"
+    poor = f"the sun was measured on few pixels, with an uncertainty of {taken.sun_u_percent:.0f} %"
     poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
     return Pair(
         taken,
@@ -155,7 +167,7 @@ def _joined(*texts: str) -> str:
 
 
 def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
-    """Raise InputError for light with the sun well down: the clock or the place is wrong."""
+    """Raise InputError for light while the sun is well down: the clock or the place is wrong."""
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > NIGHT_MINUTES:
         raise InputError(
@@ -175,10 +187,10 @@ def run(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> list[Pair]:
-    """Write pairs.csv, suns.csv and sunpatches/; the panoramas are not changed.
+    """Write pairs.csv, suns.csv and sunpatches/; the panoramas do not change.
 
-    It needs irradiance/clean.csv. A simulated session's own pairs stay in truth/pairs.csv. Raises
-    NotEnoughDataError if nothing is merged, InputError for irradiance with light at night.
+    irradiance/clean.csv is required. A simulated session's own pairs remain in truth/pairs.csv.
+    Raises NotEnoughDataError if nothing is merged, InputError for irradiance with light at night.
     """
     brackets = taken_brackets(session)
     if not brackets:
@@ -239,7 +251,10 @@ def _with_suns(
 def _complete(
     session: Session, taken: Taken, full_normal_lx: float, glimpse: Seen
 ) -> tuple[SunRow | None, str]:
-    """Return the completed sun as a row of suns.csv, None without one, and a caution."""
+    """Return the completed sun as a row of suns.csv, and a caution.
+
+    The row is None if the picture shows no sun.
+    """
     try:
         panorama = read_panorama(taken.panorama)
     except FieldlumError as error:

@@ -1,4 +1,4 @@
-"""Irradiance during a bracket: means, steadiness, and whether the bracket may be used."""
+"""Compute the irradiance during a bracket, and whether the bracket may be used."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ Array = NDArray[np.float64]
 
 # Relative range of the global irradiance in a bracket. Not measured.
 UNSTEADY = 0.10  # a larger one gives a caution
-TOO_UNSTEADY = 0.50  # a larger one excludes the bracket: its frames saw different light
-COARSEST_S = 900.0  # rows further apart do not describe a bracket; not measured
+TOO_UNSTEADY = 0.50  # a larger change excludes the bracket, because its frames saw different light
+COARSEST_S = 900.0  # rows with longer intervals do not describe a bracket; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Outside:
     """Outdoor irradiance during a bracket; NaN is unknown.
 
-    why: the reason that this irradiance must not be used, or empty; caution: a doubt about it, or
-    empty.
+    why: the reason that this irradiance must not be used, or ""; caution: a doubt about it, or "".
     """
 
     ghi_wm2: float = np.nan
@@ -37,10 +36,11 @@ class Outside:
 
 
 def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside:
-    """Return the statistics of rows in [opened, closed].
+    """Return the statistics of the rows in [opened, closed].
 
-    For fewer than three rows, include one more row on each side. Set `why` if any time of the
-    interval is more than two poll periods from a usable row: the last value is never extended.
+    If there are fewer than three, one more row on each side is included. `why` is set if any time
+    in the interval is more than two poll periods from a usable row: the last value is never
+    extended.
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)
@@ -60,7 +60,10 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
 
 
 def _worst_distance_s(t_unix_s: Array, start: float, end: float) -> float:
-    """Return the largest distance of a time in [start, end] from a row [s]; inf without rows."""
+    """Return the largest distance of a time in [start, end] from a row [s].
+
+    Infinite without rows.
+    """
     if len(t_unix_s) == 0:
         return float("inf")
     middles = (t_unix_s[1:] + t_unix_s[:-1]) / 2.0

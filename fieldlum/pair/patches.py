@@ -1,4 +1,4 @@
-"""Compute sunpatches/<slot>.exr of the captured hours, and how much of the disc the lens sees."""
+"""Compute sunpatches/<slot>.exr of captured hours, and how much of the disc the lens sees."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ from fieldlum.session.files.json_file import write_object
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.strict_toml import plain
 
-SLOTS_A_UNIT = 16  # the room's rays are traced once per process, so few slots are enough
+# number of slots in a unit; few are enough, because the room's rays are traced once per process;
+# chosen
+SLOTS_A_UNIT = 16
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time
 
 
@@ -34,7 +36,9 @@ def seen_and_patches(
     scheduler: Scheduler = LOCAL,
     progress: Progress,
 ) -> list[tuple[Seen, str]]:
-    """Return, for each slot, the visible sun and the patch's path relative to the session.
+    """Return, for each slot, the visible share of the sun and the path of the patch.
+
+    Paths are relative to the session.
 
     The path is "" without a room. full_normal_lx : of the unobstructed sun, [n] lx.
     """
@@ -99,7 +103,10 @@ def _recipe(
 
 
 def _known(session: Session, slot: str, recipe: str) -> Seen | None:
-    """Return the visible sun from a patch's sidecar, if the patch has the same inputs."""
+    """Return the visible sun from a patch's sidecar, if the patch has the same inputs.
+
+    Else None.
+    """
     table = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])
     if table is None:
         return None
@@ -111,7 +118,7 @@ def _known(session: Session, slot: str, recipe: str) -> Seen | None:
 
 @dataclass(frozen=True, slots=True)
 class _PatchJob:
-    """Some slots of one session; the room comes from the session.toml that the worker reads."""
+    """Some slots of one session; the worker reads the room from session.toml."""
 
     slots: tuple[str, ...]
     t_utc: tuple[datetime, ...]

@@ -1,4 +1,4 @@
-"""Choose the sun's illuminance at the lens: from the picture, a meter, the room or DNI."""
+"""Choose the sun's illuminance at the lens: by the picture, a meter, the room or DNI."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from fieldlum.records import CLIPPED_SUN, Panorama, SunSource
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 
 METER, DNI = "meter", "dni"
-# A picture's sun above both limits shows a wrong clock, unit or column. Not measured.
+# A picture whose sun exceeds both limits reveals a wrong clock, unit or column. Not measured.
 MOST_OVER_DNI, FAINT_SUN_LX = 1.5, 10_000.0
 _LEAST_COSINE = 0.2  # a meter under a more oblique sun is too inaccurate (78 degrees); not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Visible share of the sun's disc from the lens, by the room's geometry; 1 without a room."""
+    """The visible share of the sun's disc from the lens, by the room's geometry.
+
+    1 without a room.
+    """
 
     visible_fraction: float = 1.0
     transmittance: float = 1.0
@@ -29,11 +32,11 @@ class Seen:
 def complete_sun(
     panorama: Panorama, full_normal_lx: float, seen: Seen, meter_lx: float | None
 ) -> tuple[SunSource | None, str]:
-    """Return the source for the sun, and a caution if picture and room disagree.
+    """Return the sun as a source, and a caution if picture and room disagree.
 
     full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
-    [lx]. A sun that the picture measured stays. A clipped sun is completed from the meter, else
-    from DNI and the room. A sun that the picture does not show is never added.
+    [lx]. A sun that the picture measured is not changed. A clipped sun is completed by the meter,
+    else by DNI and the room. A sun that the picture does not show is never added.
     """
     found = panorama.sun
     if found is None:
@@ -52,7 +55,7 @@ def complete_sun(
     elif expected_lx >= bound_lx:
         normal_lx, origin = expected_lx, DNI
     else:
-        return found, "DNI gives less sun than the clipped picture"
+        return found, "DNI gives less sun than the clipped picture shows"
     caution = (
         ""
         if seen.known or origin == METER
@@ -68,9 +71,9 @@ def complete_sun(
 
 
 def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> float | None:
-    """Return the sun's normal illuminance from the meter [lx].
+    """Return the sun's normal illuminance by the meter [lx].
 
-    It is the measured minus the image's vertical illuminance, divided by the cosine of incidence.
+    It is the measured minus the picture's vertical illuminance, divided by the cosine of incidence.
     """
     if meter_lx is None:
         return None

@@ -1,4 +1,4 @@
-"""Arithmetic of exposure and luminance: shutter times, responses, exposure ratios, vignetting."""
+"""Compute with exposures and luminances: shutter times, responses, exposure ratios, vignetting."""
 
 from fieldlum.photometry.exposure import saturation_plateau, snap_shutter_s, z_per_cdm2
 from fieldlum.photometry.illuminance import (

@@ -1,4 +1,4 @@
-"""The signal of an exposure, the true time of a shutter setting, the saturation of a sensor."""
+"""Compute the signal of an exposure, the true time of a shutter, and a sensor's saturation."""
 
 import math
 
@@ -18,7 +18,7 @@ _SPIKE_SHARE = 2e-4  # least share of all pixels in a spike; chosen, not measure
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
-    """Return the linear signal z in [0, 1] per cd/m2: the inverse of L = k 87 N^2 / (t S) z."""
+    """Return the linear signal z in [0, 1] per cd/m2, the inverse of L = k 87 N^2 / (t S) z."""
     return shutter_s * iso / (STONITS * f_number**2 * k)
 
 
@@ -36,12 +36,11 @@ def snap_shutter_s(nominal_s: float) -> float:
 
 
 def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
-    """Return the count at which a sensor saturates [DN], or None without a histogram spike.
+    """Return the count at which a sensor saturates [DN]; None if the histogram has no spike.
 
-    counts : raw counts of any shape; white_dn : the white level of the file.
-
-    Many sensors saturate below the white level of their file. The spike is the highest short run of
-    counts with at least `_SPIKE_SHARE` of all pixels and ten times the pixels of counts below it.
+    counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
+    below that white level. The spike is the highest short run of counts with at least
+    `_SPIKE_SHARE` of all pixels, and with ten times the pixels of the counts below it.
     """
     top = int(counts.max(initial=0))
     if top < 0.5 * white_dn:

@@ -1,4 +1,4 @@
-"""Illuminance of a plane from a panorama, with exact solid angles, and its check with a meter."""
+"""Compute the illuminance of a plane from a panorama, and compare it with a meter."""
 
 from typing import Literal
 
@@ -35,9 +35,11 @@ def _ray_integrals(height: int, width: int, heading_deg: float) -> NDArray[np.fl
 def _cosine_weights(
     height: int, width: int, heading_deg: float, normal: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the integral of cos(angle to the normal) over each pixel, 0 behind, [H, W], in sr.
+    """Return the integral of cos(angle to the normal) over each pixel, [H, W], in sr.
 
-    Exact except in sub-pixels that the plane cuts: they count as their mean, or not at all.
+    It is 0 behind the plane.
+
+    It is exact except in sub-pixels that the plane cuts: these count as their mean, or not at all.
     """
     fine = max(2, -(-_ROWS // height))
     inside = np.maximum(_ray_integrals(height * fine, width * fine, heading_deg) @ normal, 0.0)
@@ -77,10 +79,10 @@ def vertical_illuminance_lx(
 
 
 def illuminance_verdict(image_lx: float, meter_lx: float) -> Literal["pass", "warn", "reject"]:
-    """Return the verdict on an image's illuminance, compared with a meter's.
+    """Return the verdict on a picture's illuminance, compared with a meter's.
 
-    Up to 10 % difference pass, up to 25 % warn, above that reject (Pierson et al., LEUKOS 2021,
-    step 11).
+    Up to 10 % difference is "pass", up to 25 % "warn", more is "reject" (Pierson et al., LEUKOS
+    2021, step 11).
     """
     difference = abs(image_lx / meter_lx - 1.0) if meter_lx > 0 else np.inf
     if difference <= _PASS:

@@ -1,4 +1,4 @@
-"""How a sensor's counts depart from proportion to light, as a polynomial of the full scale."""
+"""Correct a sensor's deviation from linearity, by a polynomial over the full scale."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ T = TypeVar("T", bound=np.floating)
 
 
 def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
-    """Return the factor on counts that makes them proportional to light: 1 + a1 x + a2 x2 + ...
+    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x2 + ...
 
     share: counts above black over those of the full scale, any shape. Dark counts, and noise below
-    zero, are not changed.
+    zero, do not change.
     """
     x = np.clip(share, 0.0, 1.0)
     factor: NDArray[T] = np.zeros_like(x)
@@ -25,6 +25,6 @@ def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArra
 
 
 def rises(coefficients: Sequence[float]) -> bool:
-    """Return whether corrected counts rise with the counts over the full scale."""
+    """Return whether the corrected counts increase with the counts over the full scale."""
     x = np.linspace(0.0, 1.0, 201)
     return bool((np.diff(x * linearity_factor(x, coefficients)) > 0).all())

@@ -1,9 +1,9 @@
-"""Exposure ratios of the frames of a bracket: a robust fit in the log domain over all pairs.
+"""Estimate the exposure ratios of a bracket's frames by a robust fit in the log domain.
 
-For a pair, y_short / y_long is averaged over pixels that are well exposed in both frames. The
-pixels are selected by the long frame alone: its noise is small, so that noise of the short frame
-does not bias the selection. Weighted least squares with priors then give one correction for each
-frame. Pictures determine only ratios; the priors determine the common level.
+For a pair, y_short / y_long is averaged over pixels that are well exposed in both frames. The long
+frame alone selects the pixels: its noise is small, so that noise of the short frame does not bias
+the selection. Weighted least squares with priors then give one correction for each frame. Pictures
+determine only ratios; the priors determine the common level.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ _HUBER_SIGMA = 2.5
 class PairRatio:
     """The measured exposure ratio of two frames.
 
-    log_ratio is ln(true / assumed exposure) of frame `short` minus that of frame `long`; u_log is
-    its standard uncertainty; pixels is the count of pixels used.
+    log_ratio: ln(true / assumed exposure) of frame `short` minus that of frame `long`; u_log: its
+    standard uncertainty; pixels: number of pixels used.
     """
 
     long: int
@@ -47,8 +47,8 @@ class PairRatio:
 class RatioFit:
     """Corrections of the exposures of a bracket, and their covariance.
 
-    correction[i] multiplies the assumed exposure of frame i; covariance [frames, frames] is that of
-    its natural logarithm.
+    correction[i]: factor on the assumed exposure of frame i; covariance [frames, frames]: of its
+    natural logarithm.
     """
 
     correction: NDArray[np.float64]
@@ -105,9 +105,9 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 
 def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the prior relative uncertainty of snapped shutter times, [n].
+    """Return the prior relative uncertainty of shutter times on the grid, [n].
 
-    It is 0.3 %, and 3 % below 1/1000 s; shutter_s : [n], s.
+    It is 0.3 %, but 3 % for times below 1/1000 s; shutter_s : [n], s.
     """
     return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
@@ -115,12 +115,12 @@ def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
 def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -> RatioFit:
     """Return the corrections of all frames that fit the pairs and the priors best.
 
-    Minimises sum (d - delta_s + delta_l)^2 / u^2 plus the priors. prior_covariance [frames, frames]
-    is that of the log exposures: two frames of one shutter time have a common error. Pairs that
-    contradict the rest (a cloud passed) lose weight by Huber's rule. If the corrections contradict
-    the priors (light that changed, a shutter unlike its nominal times), the common level is less
-    certain: the covariance is then computed with priors widened by Birge's ratio (Phys. Rev. 40,
-    1932).
+    The sum (d - delta_s + delta_l)^2 / u^2 plus the priors is minimised. prior_covariance [frames,
+    frames] is that of the log exposures: two frames with one shutter time have a common error.
+    Pairs that contradict the rest (because a cloud passed) lose weight by Huber's rule. If the
+    corrections contradict the priors (because the light changed, or the shutter deviates from its
+    nominal times), the common level is less certain: the priors of the covariance are then widened
+    by Birge's ratio (Phys. Rev. 40, 1932).
     """
     frames = len(prior_covariance)
     prior = np.asarray(np.linalg.inv(prior_covariance), np.float64)
@@ -137,7 +137,8 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
         pull = np.abs(observed - design @ delta) / sigma if pairs else np.zeros(0)
         huber = np.minimum(1.0, _HUBER_SIGMA / np.maximum(pull, 1e-12))
         weight = 1.0 / sigma**2 * huber
-    # The noise of one short frame is in all pairs of that frame: they count as one together.
+    # The noise of a short frame is in all pairs with that frame, so these pairs together count as
+    # one.
     shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])
     known = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
     wider = prior_covariance + np.eye(frames) * _surplus(delta, prior, prior_covariance, design)

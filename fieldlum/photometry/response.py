@@ -1,4 +1,4 @@
-"""JPEG codes to linear z in [0, 1]: tables of 256 values, their forms, the fit from a bracket."""
+"""Convert JPEG codes to linear z in [0, 1]: tables of 256 values, and their fit to a bracket."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64
     """Return the response table of a profile, z, [256].
 
     kind : linear, srgb, polynomial (curve: coefficients, c_0 first) or table (curve: 256 values).
-    Raises ValueError for a table that has another length or is not increasing, and for a polynomial
+    Raises ValueError for a table that has another length or does not increase, and for a polynomial
     with fewer than two finite coefficients.
     """
     if kind == "table":
@@ -41,7 +41,7 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64
 
 
 def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the nearest non-decreasing curve, at least 0, [n] (pool adjacent violators)."""
+    """Return the non-decreasing curve nearest to z, at least 0, [n] (pool adjacent violators)."""
     from scipy.optimize import isotonic_regression
 
     return np.maximum(isotonic_regression(np.asarray(z, float)).x, 0.0)
@@ -60,8 +60,8 @@ def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> 
     """Return the lowest code that follows the light; lower codes are black level or stray light.
 
     codes : [places, frames], 0 where a frame has no code; log_exposure : [frames], natural log. A
-    code of a frame is compared with the code of the same place in the longest frame of at most half
-    the exposure: above a black level it falls clearly.
+    code is compared with the code of the same place in the longest frame of at most half the
+    exposure: above a black level the latter is clearly lower.
     """
     order = np.argsort(-np.asarray(log_exposure, float))
     log_e = np.asarray(log_exposure, float)[order]
@@ -91,18 +91,18 @@ def fit_response(
     smooth: float = 30.0,
     low: int | None = None,
 ) -> tuple[NDArray[np.float64], float]:
-    """Fit a monotone response to the same places in all frames; exposures are held fixed.
+    """Fit a monotone response to codes of the same places in all frames, with known exposures.
 
-    codes : [places, frames]; log_exposure : [frames], natural log. Codes under `low` (by default
-    the `dark_floor` of these codes) are left out: a black level that counts as light bends
-    all of the curve.
+    codes : [places, frames]; log_exposure : [frames], natural log. Codes below `low` (default: the
+    `dark_floor` of these codes) are omitted, because a black level that counts as light would bend
+    the complete curve.
 
-    Least squares in the log domain (Debevec and Malik, SIGGRAPH 1997, eq. 3) with hat weights and a
-    second-difference prior, then made monotone. Response and exposure ratios cannot both be free
-    (Grossberg and Nayar 2003): estimate the ratios elsewhere.
+    The fit is least squares in the log domain (Debevec and Malik, SIGGRAPH 1997, eq. 3) with hat
+    weights and a second-difference prior; the result is then made monotone. Response and exposure
+    ratios cannot both be free (Grossberg and Nayar 2003): estimate the ratios elsewhere.
 
-    Returns z [256] with z(255) = 1, and the rms residual of ln z over the codes 27 to 228. Raises
-    ValueError with fewer than two frames or 20 places.
+    Return z [256] with z(255) = 1, and the rms residual of ln z over the codes 27 to 228. Raises
+    ValueError for fewer than two frames or 20 places.
     """
     from scipy import sparse
     from scipy.sparse.linalg import spsolve

@@ -1,8 +1,9 @@
-"""The law of a camera's shutter times, from the labels and the frames of a bracket.
+"""Determine the law of a camera's shutter times, from the labels and the frames of a bracket.
 
 A mechanical shutter runs in thirds or halves of a stop, and its labels are rounded: 1/60 is 1/64 s.
-An electronic shutter keeps the decimals: 1/60 is 0.016667 s (measured on a phone's bracket,
-MercuryYen/HDR-Imaging data/101; Ricoh states the same for the Theta). They differ by up to 6.7 %.
+An electronic shutter exposes for its labelled time: 1/60 is 0.016667 s (measured on a phone's
+bracket, MercuryYen/HDR-Imaging data/101; Ricoh states the same for the Theta). The two differ by up
+to 6.7 %.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ _STEPS_A_STOP = {THIRD_STOPS: 3, HALF_STOPS: 2}
 # A time further from the grid than this share is used unchanged. Labels are rounded by up to 6.3 %
 # (13 s) in thirds of a stop, and by 11.6 % (1/20 s is 2^-4.5 s) in halves.
 _OFF_GRID = {THIRD_STOPS: 0.07, HALF_STOPS: 0.12}
-# ln ratio: pairs whose expected ratio differs by less under two laws decide nothing. Chosen above
-# the uncertainty of a pair; not measured.
+# Least difference of the expected ln ratio between two laws, for a pair to decide between them.
+# Chosen above the uncertainty of a pair; not measured.
 _TELLS_APART = 0.02
-# A law is taken if the measured ratios are nearer to its expectation than to the other's.
+# A law is chosen if the measured ratios are nearer to its expectation than to that of the other
+# law.
 _NEAR = 0.5
 
 
@@ -45,7 +47,7 @@ class ShutterLaw:
 def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
     """Return the times [n] in s that nominal times [n] mean under a law.
 
-    A time far from the law's grid is no rounded label and is returned unchanged.
+    A time far from the law's grid is not a rounded label and is returned unchanged.
     """
     nominal = np.asarray(nominal_s, np.float64)
     if law == EXACT:
@@ -56,14 +58,15 @@ def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def time_under(law: str, nominal_s: float) -> float:
-    """Return the true time of a nominal time, in s; "auto" takes the grid that is nearer."""
+    """Return the true time of a nominal time [s]; "auto" uses the nearer grid."""
     return snap_shutter_s(nominal_s) if law == AUTO else float(times_under(law, nominal_s))
 
 
 def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
-    """Return whether a bracket's labels [n] are in half or third stops; thirds if both fit equally.
+    """Return whether a bracket's labels [n] are in half or in third stops.
 
-    model : of the camera; labels of a Theta are exact times (theta-web-api-v2.1, shutterSpeed).
+    If both fit equally, the labels are in third stops. model : of the camera; labels of a Theta are
+    exact times (theta-web-api-v2.1, shutterSpeed).
     """
     if "theta" in model.casefold():
         return ShutterLaw(EXACT, "labels")
@@ -81,12 +84,12 @@ def law_of_frames(
     of_labels: ShutterLaw,
     pairs: Sequence[PairRatio],
 ) -> ShutterLaw:
-    """Return the law that the frames support, or `of_labels` if they cannot distinguish the laws.
+    """Return the law that the frames support, or `of_labels` if they cannot decide.
 
-    times_s : times under each law, [frames], s; pairs : measured against the times of `of_labels`.
-    Equal nominal steps have equal code transfers only under the right law. A wrong response, or
-    light that changes, stretches all steps by one factor: that factor is estimated from the pairs
-    whose steps the laws agree on.
+    times_s : times under each law, [frames], s; pairs : measured relative to the times of
+    `of_labels`. Only under the correct law do equal nominal steps change codes equally. A wrong
+    response, or changing light, stretches all steps by one factor; that factor is estimated from
+    pairs for which the laws agree.
     """
     if not pairs:
         return of_labels
@@ -103,7 +106,7 @@ def law_of_frames(
             continue
         left = measured - expected[best] - step * _stretch(measured, step, tells)
         if (~tells).sum() > 1 and np.std(left[~tells]) > _NEAR * np.abs(apart[tells]).mean():
-            continue  # pairs on which the laws agree scatter as much: the response is wrong
+            continue  # pairs for which the laws agree scatter as much, so the response is wrong
         decided = True
         if abs(float(np.median(left[tells] / apart[tells])) - 1.0) < _NEAR:
             best = law
@@ -122,6 +125,6 @@ def _differences(values: NDArray[np.float64], pairs: Sequence[PairRatio]) -> NDA
 def _stretch(
     measured: NDArray[np.float64], step: NDArray[np.float64], tells: NDArray[np.bool_]
 ) -> float:
-    """Return the factor by which all ln ratios are stretched, from pairs that decide nothing."""
+    """Return the factor by which ln ratios are stretched, from pairs with equal laws."""
     others = ~tells & (np.abs(step) > 0.1)
     return 0.0 if not others.any() else float(np.median(measured[others] / step[others]))

@@ -1,10 +1,10 @@
-"""Stray light of a lens: light from one direction that is recorded at other directions.
+"""Compute the stray light of a lens: light from one direction, recorded at other directions.
 
 A lens records L(x) + S(x) instead of L(x), with S(x) = integral of K(angle between x and y) L(y)
-over all directions y that it sees (a point spread that depends on the angle alone, as in CIE 146
-for the eye). K holds scatter and the common haze of many reflections. Ghosts (images of a lamp
-mirrored at the axis) are no function of the angle: they remain, and the kernel's `u_rel`, measured
-on readings that the fit did not use, has to cover them.
+over all directions y that it sees (a point spread that depends only on the angle, as in CIE 146 for
+the eye). K includes scatter and the common haze of many reflections. Ghosts (images of a lamp
+mirrored at the axis) do not depend only on the angle: they remain, and the kernel's `u_rel`,
+measured on held-out readings, must cover them.
 """
 
 from __future__ import annotations
@@ -14,19 +14,22 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Side of a source cell. Below half of it K is constant: nearer light is the lens's blur, not haze.
+# Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
+# not haze. Chosen.
 CELL_DEG = 3.0
-# A cell with this share of all light or more acts on each pixel, not on the coarse grid: near a
-# window or lamp the stray light changes faster than the grid. 1 % each are at most 100 cells.
+# A cell with at least this share of all light acts on each pixel and not on the coarse grid,
+# because near a window or lamp the stray light changes faster than the grid. There are at most 100
+# such cells. Chosen.
 _BRIGHT_SHARE = 0.01
 _TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0; chosen
-_BLOCK = 512  # grid directions at a time; limits memory only
+_BLOCK = 512  # grid directions processed at a time; chosen, only limits memory
 
 
 def kernel_per_sr(angle_rad: Array, nodes_deg: Array, values_per_sr: Array) -> Array:
-    """Return K at angles: linear in ln(angle) between nodes, constant outside them.
+    """Return K at some angles: linear in ln(angle) between nodes, constant outside them.
 
-    nodes_deg, values_per_sr : [k], ascending angles and K there. Shape of the result: of angle_rad.
+    nodes_deg, values_per_sr : [k], ascending angles and K there. The result has the shape of
+    angle_rad.
     """
     smallest = np.radians(nodes_deg[0])
     place = np.log(np.maximum(angle_rad, smallest))
@@ -40,11 +43,11 @@ def stray_cdm2(
     nodes_deg: Array,
     values_per_sr: Array,
 ) -> Array:
-    """Return the stray light at each pixel, in cd/m2, [n], from the recorded luminances.
+    """Return the stray light at each pixel [n], in cd/m2, from the recorded luminances.
 
-    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit.
-    The recorded light stands for the true light: an error of second order in K, which the fit of K
-    makes in the same way.
+    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit. The
+    recorded light is used in place of the true light: an error of second order in K, which the fit
+    of K makes in the same way.
     """
     flux = luminance_cdm2 * solid_angle_sr
     cells, rows, columns = _cells_of(rays)
@@ -87,13 +90,13 @@ def _kernel_table(nodes_deg: Array, values_per_sr: Array) -> Array:
 
 
 def _field(at: Array, sources: Array, light: Array, table: Array) -> Array:
-    """Return the sum over sources [m, 3] of K times light [m], at directions [n, 3]."""
+    """Return the sum over sources [m, 3] of K times their light [m], at directions [n, 3]."""
     out = np.zeros(len(at))
     if not len(sources):
         return out
     for start in range(0, len(at), _BLOCK):
         part = at[start : start + _BLOCK]
-        # Three products, not a matrix product: the same bits on every processor.
+        # Three products and not a matrix product, to get the same bits on every processor.
         cosine = part[:, :1] * sources[:, 0]  # [block, m]
         cosine += part[:, 1:2] * sources[:, 1]
         cosine += part[:, 2:] * sources[:, 2]
@@ -104,7 +107,10 @@ def _field(at: Array, sources: Array, light: Array, table: Array) -> Array:
 
 
 def _interpolated(grid: Array, rays: Array) -> Array:
-    """Return the grid's values [rows, columns] at rays [n, 3], bilinearly; columns are a circle."""
+    """Return the values of a grid [rows, columns] at rays [n, 3], by bilinear interpolation, [n].
+
+    Rows run from the zenith to the nadir. Columns are azimuths: the last one is next to the first.
+    """
     from scipy.ndimage import map_coordinates
 
     rows, columns = grid.shape

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray[np.float64]:
     """Return V at relative radii (1 at the edge of the full angle), in the shape of `radius`.
 
-    Beyond the edge V is that of the edge. Without coefficients V is 1.
+    Beyond the edge V is as at the edge. Without coefficients V is 1.
     """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
     return np.asarray(
@@ -16,11 +16,10 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray
 
 
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
-    """Return what is wrong with a curve, or an empty text.
+    """Return what is wrong with a curve, or "".
 
-    V(0) must be 1, 0 < V <= 1.05, and V must fall towards the edge.
-
-    A curve that rises to the edge is the classic wrong sign (it darkens where it should brighten).
+    V(0) must be 1, 0 < V <= 1.05, and V must fall towards the edge. A curve that rises towards the
+    edge is a common error of sign: it darkens where it should brighten.
     """
     v = vignetting_at(coefficients, np.linspace(0, 1, 201))
     if not np.isfinite(v).all() or abs(v[0] - 1) > 0.01:

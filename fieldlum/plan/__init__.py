@@ -1,4 +1,4 @@
-"""Capture plans: hours, exposures, time, storage, and the share of the year's light they cover."""
+"""Make capture plans: hours, exposures, time, storage, and coverage of the year's light."""
 
 from __future__ import annotations
 
@@ -48,8 +48,9 @@ def make_plan(
     hours = daylight_hours(days, site)
     if not len(hours):
         raise NotEnoughDataError(
-            f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) from "
-            f"{days[0]} to {days[-1]}; the plan would be empty; choose another --start or --set"
+            f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) "
+            f"from {days[0]} to {days[-1]}, so the plan would be empty; choose another "
+            "--start or --set"
         )
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
@@ -111,7 +112,7 @@ def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
 def make_slots(
     hours: DaylightHours, setup: SiteFile, exposures: Sequence[Exposure]
 ) -> tuple[Slot, ...]:
-    """Return the slots of some hours, in time order, with tags.
+    """Return the slots of some hours, in order of time, with tags.
 
     Tags: the season, low-sun, sun-enters (through a window), sun-in-view (of the camera).
     """
@@ -146,7 +147,10 @@ def make_slots(
 def _at_the_window(
     hours: DaylightHours, setup: SiteFile
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return whether the sun enters, and is in view, [n] each; False without a box room."""
+    """Return two masks [n]: whether the sun enters a window, and whether the camera sees it.
+
+    Both are False without a box room.
+    """
     if setup.room is None or setup.room.kind != "box":
         return np.zeros(len(hours), bool), np.zeros(len(hours), bool)
     at = (setup.room, hours.altitude_deg, hours.azimuth_deg)
@@ -154,9 +158,9 @@ def _at_the_window(
 
 
 def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
-    """Return seconds and megabytes of one slot: every exposure at every heading.
+    """Return the seconds and megabytes of one slot, with every exposure at every heading.
 
-    The time includes the time for which the shutter is open.
+    The time includes the exposure times.
     """
     exposures, turns = bracket_exposures(bracket), max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
@@ -174,7 +178,7 @@ def run(
     weather: Weather | None = None,
     progress: Progress = quiet,
 ) -> PlannedSession:
-    """Plan and create the session folder. Raises InputError if `out` is a session already."""
+    """Plan and create the session folder. Raises InputError if `out` is already a session."""
     plan = make_plan(setup, request, weather, progress)
     return PlannedSession(create_session(out, setup, plan.slots, plan.about(request)), plan)
 
@@ -207,4 +211,9 @@ def _planned_cost(session: Session) -> tuple[float, float, int]:
     plan = session.table().get("plan", {})
     if "seconds_per_slot" in plan and "megabytes_per_slot" in plan and "revision" in plan:
         return plan["seconds_per_slot"], plan["megabytes_per_slot"], plan["revision"]
-    raise InputError(session.toml, "no complete [plan]", "a planned session", "plan it again")
+    raise InputError(
+        session.toml,
+        "no complete [plan]",
+        "a planned session",
+        "plan again with: fieldlum plan SITE.toml",
+    )

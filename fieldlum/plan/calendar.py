@@ -1,6 +1,6 @@
-"""A plan as a calendar: one event a day, in UTC, with stable names.
+"""Write a plan as a calendar: one event per day, in UTC, with stable names.
 
-Stable names let a phone update its events after a re-plan instead of adding them twice.
+By stable names a phone updates its events after a re-plan instead of adding them twice.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def ics(
 ) -> bytes:
     """Return an iCalendar file (RFC 5545).
 
-    sequence : count of re-plans; an event of the same day keeps its UID and is updated.
+    sequence : number of re-plans; an event on the same day has the same UID and is updated.
     """
     from icalendar import Calendar
 

@@ -1,4 +1,4 @@
-"""The choice of hours: spread evenly over suns and skies, or greedily by a kernel's variance."""
+"""Choose hours: spread evenly over suns and skies, or greedily by a kernel's variance."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Index = NDArray[np.intp]
 # The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]
 DNI_FULL_WM2 = 1100.0
 DHI_FULL_WM2 = 700.0
-# Hours that represent the weather year, and candidates of the greedy choice, whose memory
-# grows with their square. Chosen so that the ranking is stable; not measured.
+# Number of hours that represent the weather year, and of candidates for the greedy choice, whose
+# memory grows with their square. Chosen so that the ranking is stable; not measured.
 YEAR_HOURS = 800
 POOL_HOURS = 2200
 NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions/0003-light-kernel.md)
@@ -49,7 +49,7 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
 def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
     """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
 
-    points : [n, k]; one point for each of `count` clusters.
+    points : [n, k]; each of `count` clusters has one point.
     """
     from scipy.cluster.vq import kmeans2
 
@@ -75,8 +75,8 @@ def even(
 ) -> Index:
     """Return indices [count] of hours spread evenly, ascending.
 
-    Over sun position and sky by k-means medoids (the paper's method), or without weather over sun
-    positions only.
+    They are k-means medoids over sun position and sky (the paper's method); without weather, over
+    sun positions only.
     """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:
@@ -84,7 +84,7 @@ def even(
     sky_now = weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
     sky = np.stack([sky_now.dni_wm2 / DNI_FULL_WM2, sky_now.dhi_wm2 / DHI_FULL_WM2], axis=-1)
-    # Half of the direction: each of its axes then has a range of one, as the irradiances have.
+    # Halve the direction, so that each of its axes has a range of one, as the irradiances have.
     points = np.concatenate([suns / 2, sky], axis=1)  # (n, 5)
     return known[medoids(points[known], count, rng)]
 
@@ -95,7 +95,7 @@ def even(
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """A learning task: a kernel for the room, and the features of a weather year's daylight."""
+    """What a greedy choice needs: the room's kernel, and features of a weather year's daylight."""
 
     kernel: Kernel
     year: Features
@@ -106,9 +106,9 @@ class Learning:
 def learning(
     site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None
 ) -> Learning:
-    """Return the task of about YEAR_HOURS hours, evenly spread over the weather year.
+    """Return what a greedy choice needs, for about YEAR_HOURS hours, evenly spread over the year.
 
-    kernel : of a trained model; by default one for the room's facades.
+    kernel : of a trained model; by default a kernel for the room's facades.
     """
     lit = weather.daylight()
     year = lit[np.arange(0, len(lit), max(len(lit) // YEAR_HOURS, 1))]
@@ -117,7 +117,7 @@ def learning(
 
 
 def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
-    """Return the indices [k] of the hours with weather, and their features [k]."""
+    """Return the indices [k] of the hours that the weather covers, and their features [k]."""
     light = task.weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
     chosen = hours[known]
@@ -127,7 +127,7 @@ def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
 
 
 def variance_left(task: Learning, captured: Features) -> float:
-    """Return the mean predictive variance over the year after captures, as a share of the prior."""
+    """Return the mean variance over the year after some captures, over the prior variance."""
     if not len(captured):
         return 1.0
     known = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
@@ -140,7 +140,7 @@ def variance_left(task: Learning, captured: Features) -> float:
 def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Index:
     """Return indices [count], ascending, of the hours that reduce the year's variance most.
 
-    Greedy; the variance is the sum of the predictive variances over the year.
+    The choice is greedy; the variance is summed over the hours of the year.
     """
     known, features = features_at(hours, task)
     stride = -(-len(known) // POOL_HOURS)
@@ -152,6 +152,6 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
 
 
 def month_windows(year: int, days: int) -> list[list[date]]:
-    """Return twelve windows of `days` days around the middle of each month."""
+    """Return twelve periods of `days` days, around the middle of each month."""
     starts = [date(year, month, 16).toordinal() - days // 2 for month in range(1, 13)]
     return [span(date.fromordinal(start), days) for start in starts]

@@ -1,4 +1,7 @@
-"""The most useful coming hours: how much each reduces the model's uncertainty, and if it pays."""
+"""Rank coming hours by how much each reduces the model's uncertainty.
+
+The ranking also shows whether more captures pay.
+"""
 
 from __future__ import annotations
 
@@ -21,45 +24,44 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.weather import Weather
 
-AHEAD_DAYS = 14  # days that are ranked: as far as a person plans; chosen
+AHEAD_DAYS = 14  # days ahead that are ranked; chosen
 SHOWN = 12  # best hours that are printed; chosen
-# Skies of an hour: the weather of the same hour on this many days around, three days apart.
+# Number of skies of an hour: the weather at the same hour on days around, three days apart. Chosen.
 SKIES = 7
-BATCH = 25  # captures by which "pays" is decided
+BATCH = 25  # number of captures in a batch, by which "pays" is decided; chosen
 SAME_PLACE_DEG = 0.1  # a model of a place further away is not used; about 11 km
-# A batch that reduces the remaining variance by a smaller share no longer pays. Chosen, not
-# measured.
+# A batch that reduces the remaining variance by a smaller share does not pay. Chosen, not measured.
 WORTH = 0.10
 
 
 @dataclass(frozen=True, slots=True)
 class ComingHour:
-    """One coming daylight hour and its value."""
+    """One coming daylight hour, and how much it reduces the uncertainty."""
 
     t_utc: datetime
     sun_altitude_deg: float
     sun_azimuth_deg: float
-    reduction_percent: float  # of the variance left, expected over the skies of the season
+    reduction_percent: float  # of the remaining variance, expected over the skies of the season
     planned: bool
 
 
 @dataclass(frozen=True, slots=True)
 class RankedHours:
-    """Coming hours by their value."""
+    """Coming hours, ranked by how much they reduce the uncertainty."""
 
-    model: str  # the trained model of the kernel; empty: an untrained kernel of the facades
+    model: str  # trained model of the kernel; "" for an untrained kernel of the facades
     captured: int
-    variance_left_percent: float  # of the prior's, over the year
+    variance_left_percent: float  # of the prior variance, over the year
     hours: tuple[ComingHour, ...]  # best first
-    next_batch_percent: float  # of the variance left, by the best BATCH hours of the year
+    next_batch_percent: float  # of the remaining variance, by the best BATCH hours of the year
     pays: bool
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
-    """Return the kernel and the name of the session's newest transport model; None without one.
+    """Return the kernel and the name of the session's newest transport model.
 
-    A model that was trained at another place is skipped. Raises InputError for a model folder with
-    wrong content.
+    None if there is none. A model that was trained at another place is skipped. Raises InputError
+    for a model folder with wrong content.
     """
     folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     for folder in sorted(
@@ -76,7 +78,10 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
             return Kernel(facades, **config.state["transport"]["kernel"]), folder.name
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
-                folder, f"{type(error).__name__}: {error}", "a transport model", "train again"
+                folder,
+                f"{type(error).__name__}: {error}",
+                "a transport model",
+                "train the model again (fieldlum train)",
             ) from None
     return None
 
@@ -90,8 +95,8 @@ def _of_this_place(config: ModelConfig, site: Site) -> bool:
 def captured_features(session: Session, task: choose.Learning) -> Features:
     """Return the features of the captures, [n].
 
-    A capture in pairs.csv has its measured irradiance; one that is not paired yet has that of the
-    weather year, and is left out where the weather has none.
+    A capture in pairs.csv has its measured irradiance. A capture without a pair has the irradiance
+    of the weather year, and is omitted if the weather has none.
     """
     times, dni, dhi = _paired(session)
     known = {slot_id(t) for t in times}
@@ -116,7 +121,7 @@ def _reductions(
 ) -> NDArray[np.float64]:
     """Return the expected reduction of the year's variance by each hour, [n].
 
-    As a share of the remaining variance, the mean over skies of the season.
+    It is a share of the remaining variance, as a mean over skies of the season.
     """
     base = choose.variance_left(task, captured)
     total, count = np.zeros(len(hours)), np.zeros(len(hours))
@@ -136,7 +141,7 @@ def _reductions(
 def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> NDArray[np.float64]:
     """Return the reduction of the year's mean variance by each single hour of the pool, [n].
 
-    As a share of the prior variance.
+    It is a share of the prior variance.
     """
     kernel = task.kernel
     cross, own = kernel(task.year, pool), kernel.diagonal(pool)
@@ -152,7 +157,7 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
 ) -> RankedHours:
-    """Rank the daylight hours of the coming two weeks.
+    """Rank the daylight hours of the next two weeks.
 
     Raises NotEnoughDataError if the sun does not rise in them.
     """
@@ -222,7 +227,7 @@ def as_table(answer: RankedHours) -> JsonTable:
 
 
 def sentences(answer: RankedHours, site: Site) -> list[str]:
-    """Return the answer as sentences."""
+    """Return the ranking as sentences."""
     zone = ZoneInfo(site.timezone)
     left = f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
     texts = [

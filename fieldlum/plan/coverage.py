@@ -1,4 +1,4 @@
-"""Coverage of a year's light by a plan: the sun's band on the sky, and direct with diffuse."""
+"""Compute how much of a year's light a plan covers: suns, and direct with diffuse irradiance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from fieldlum.weather import Weather
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# A sun position is covered if a planned one is at most this far away: hourly suns are 15 deg apart.
+# A sun position is covered if a planned one is at most this far away. Chosen: hourly suns are 15
+# deg apart.
 NEAR_DEG = 10.0
 # Size of the cells in which direct and diffuse irradiance count as equal. Chosen, not measured.
 DNI_CELL_WM2 = 100.0
@@ -29,10 +30,12 @@ LINE = "#8a96a3"
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Covered percentages of a year; None for those that need a weather file."""
+    """Shares of a year that a plan covers, in percent; None for shares that need a weather file."""
 
-    sun_band_percent: float  # area of the band of sun positions within NEAR_DEG of a planned one
-    irradiance_percent: float | None = None  # weather hours in a DNI-DHI cell of a planned hour
+    # area of the band of sun positions that are within NEAR_DEG of a planned one
+    sun_band_percent: float
+    # weather hours in a cell of DNI and DHI with a planned hour
+    irradiance_percent: float | None = None
     both_percent: float | None = None  # weather hours covered in both ways
 
 
@@ -82,7 +85,10 @@ def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
 
 
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
-    """Return the coverage of a year by some hours; with a weather file also of its hours."""
+    """Return how much of a year some hours cover.
+
+    With a weather file, also how much of its hours.
+    """
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
         return Coverage(band)
@@ -106,8 +112,8 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
 def sun_figure(hours: DaylightHours, site: Site) -> Figure:
     """Draw the band of sun positions on a sky chart, north up and east right, with planned suns.
 
-    The paper's Figure 15. A chart of azimuth against altitude would fail in the tropics, where the
-    sun passes the zenith on either side.
+    It is the paper's Figure 15. A chart of azimuth against altitude would fail in the tropics,
+    where the sun passes the zenith on either side.
     """
     from matplotlib.figure import Figure
 
@@ -187,9 +193,9 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
-    """Draw the joint density of direct and diffuse over the weather year, with planned hours.
+    """Draw the density of direct and diffuse irradiance over the year, with planned hours.
 
-    The paper's Figures 16 and 17.
+    These are the paper's Figures 16 and 17.
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Days and hours of the capture sets.
+"""Compute days and hours of the capture sets.
 
 Slots are at hh:30 of local standard time while the sun is up.
 """
@@ -16,14 +16,14 @@ from fieldlum import sun
 from fieldlum.records import Site, Slot
 
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
-"""Set: (seasons, days on either side of the event)."""
+"Set: (seasons, days before and after the event)."
 MONTH_DAYS = 31  # the longest month
 SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
 
 
 @dataclass(frozen=True, slots=True)
 class DaylightHours:
-    """Daylight hours of some days: the candidates of every set. Angles are true, in deg, [n]."""
+    """Daylight hours of some days, the candidates of every set. Angles are true, in deg, [n]."""
 
     t_utc: tuple[datetime, ...]
     altitude_deg: NDArray[np.float64]
@@ -40,14 +40,14 @@ class DaylightHours:
 
 
 def hours_of(slots: Sequence[Slot]) -> DaylightHours:
-    """Return the moments of slots and their suns."""
+    """Return the times of slots, and the sun at these times."""
     altitude = np.array([s.sun_altitude_deg for s in slots], float)
     azimuth = np.array([s.sun_azimuth_deg for s in slots], float)
     return DaylightHours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
-    """Return the hh:30 moments of local standard time on `days` with the sun's centre up."""
+    """Return the hh:30 times of local standard time on `days` while the sun's centre is up."""
     midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
     times = [
         midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)
@@ -71,7 +71,7 @@ def season_date(year: int, which: int, site: Site) -> date:
 def _event_dates(
     seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site
 ) -> list[date]:
-    """Return the date of each equinox or solstice: in `year`, else the next possible one.
+    """Return the date of each equinox or solstice: in `year`, else the next possible date.
 
     Without `year`, `margin` days before the date must not be earlier than `earliest`.
     """
@@ -93,9 +93,9 @@ def set_days(
 ) -> list[date]:
     """Return the local standard dates of a set.
 
-    Event sets: those of `year`, or the next ones from `start` (or `today`). Set `month`: from
-    `start`, or centred on the March equinox of `year`, or on the next equinox whose complete window
-    is ahead. Other sets: a year.
+    Sets of events: those of `year`, or the next ones after `start` (or `today`). Set `month`: from
+    `start`, or centred on the March equinox of `year`, or on the next equinox whose complete period
+    is in the future. Other sets: a year.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
@@ -119,7 +119,7 @@ def set_days(
 
 
 def season_tag(day: date, site: Site) -> str:
-    """Return ``march-equinox`` and so on for days next to an event, else an empty text."""
+    """Return ``march-equinox`` and so on for days near such an event, else ""."""
     for which, tag in enumerate(SEASON_TAGS):
         if abs((day - season_date(day.year, which, site)).days) <= 1:
             return tag
@@ -127,11 +127,11 @@ def season_tag(day: date, site: Site) -> str:
 
 
 def dark_days(days: Iterable[date], hours: DaylightHours, site: Site) -> list[date]:
-    """Return the days without a slot: polar night."""
+    """Return the days without a slot, because of polar night."""
     lit = {sun.standard_date(t, site.timezone) for t in hours.t_utc}
     return [day for day in sorted(set(days)) if day not in lit]
 
 
 def today_at(site: Site, now_utc: datetime) -> date:
-    """Return the local standard date of a moment."""
+    """Return the local standard date at a time."""
     return sun.standard_date(now_utc.astimezone(UTC), site.timezone)

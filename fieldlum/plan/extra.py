@@ -1,4 +1,4 @@
-"""Plan one more bracket soon, requested by a person during a running capture."""
+"""Plan an additional bracket soon, at a user's request during a running capture."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from fieldlum.records import Slot
 from fieldlum.session import Session
 
 EXTRA = "extra"  # tag of such a slot
-LEAD = timedelta(seconds=45)  # the capture reads the plan each second; a camera needs to wake up
-# Between the end of the extra bracket and the next planned one, for a slow card or a retake.
+# the capture reads the plan each second, and a camera needs time to wake up; chosen
+LEAD = timedelta(seconds=45)
+# Between the end of the extra bracket and the next planned one, for a slow card or a repeated
+# frame. Chosen.
 MARGIN = timedelta(seconds=60)
 
 
 def add_extra(session: Session, now_utc: datetime) -> Slot:
-    """Add a slot at the next full minute after `LEAD` to plan.csv and return it.
+    """Add a slot to plan.csv at the next full minute after `LEAD`, and return it.
 
-    Its exposures are those of the last planned slot before it. Raises InputError when the sun is
-    down, when an extra slot is ahead already, or when the bracket would reach the next planned one.
+    Its exposures are those of the last planned slot before it. Raises InputError if the sun is
+    down, if an extra slot is already planned, or if the bracket would reach into the next planned
+    one.
     """
     at = (now_utc + LEAD).replace(second=0, microsecond=0) + timedelta(minutes=1)
     slots, setup = session.slots(), session.site_file()
@@ -32,12 +35,17 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
     busy = timedelta(seconds=seconds) + MARGIN
     for slot in (slot for slot in slots if slot.t_utc >= now_utc):
         if EXTRA in slot.tags:
-            found = f"an extra bracket is planned already, at {slot.id}"
-            raise InputError(session.plan, found, "one at a time", "ask again after it")
+            found = f"an extra bracket is already planned, at {slot.id}"
+            raise InputError(
+                session.plan,
+                found,
+                "one extra bracket at a time",
+                "request it again after that bracket",
+            )
         if at - busy < slot.t_utc < at + busy:
             needs = f"{busy.total_seconds():.0f} s without a planned bracket"
-            found = f"bracket {slot.id} is too near"
-            raise InputError(session.plan, found, needs, "ask again after it")
+            found = f"the planned bracket {slot.id} is too close"
+            raise InputError(session.plan, found, needs, "request it again after that bracket")
     where = sun.position([at], setup.site)
     altitude = float(where.altitude_deg[0])
     if altitude <= 0:

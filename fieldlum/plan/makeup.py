@@ -1,4 +1,4 @@
-"""Make-up slots: a missed hour is repeated on a coming day with the same path of the sun."""
+"""Plan make-up slots: repeat a missed hour on a later day with the same path of the sun."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_OFF_DEG = 12.0
 
 @dataclass(frozen=True, slots=True)
 class MakeUp:
-    """A missed slot and the slot that repeats it."""
+    """A missed slot, and the slot that repeats it."""
 
     missed: str
     slot: str
@@ -36,14 +36,14 @@ class MakeUp:
 
 @dataclass(frozen=True, slots=True)
 class MakeUpPlan:
-    """The missed slots of a session and what became of each."""
+    """The missed slots of a session, and how each is made up for."""
 
-    missed: int  # slots that are over, without a capture of their own or of a make-up
+    missed: int  # number of past slots without a capture, neither their own nor of a make-up
     made_up: tuple[MakeUp, ...]
-    lost: tuple[str, ...]  # missed slots that no coming hour can repeat
-    already: int  # missed slots whose make-up is ahead
+    lost: tuple[str, ...]  # missed slots that no future hour can repeat
+    already: int  # number of missed slots with a make-up in the future
     recovered: int  # missed slots whose make-up was captured
-    sun_band_percent: dict[str, float]  # planned; without the missed slots; with make-ups
+    sun_band_percent: dict[str, float]  # as planned; without the missed slots; with make-ups
     revision: int
 
 
@@ -55,18 +55,18 @@ def captured_ids(session: Session) -> set[str]:
 def missed_slots(
     slots: Sequence[Slot], done: set[str], now_utc: datetime, grace: timedelta
 ) -> list[Slot]:
-    """Return the slots without a capture that may no longer start: `grace` is over."""
+    """Return the slots without a capture that can no longer start, because `grace` is over."""
     return [slot for slot in slots if slot.id not in done and slot.t_utc + grace < now_utc]
 
 
 def make_up(
     missed: Sequence[Slot], planned: Sequence[Slot], setup: SiteFile, now_utc: datetime
 ) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
-    """Return make-up slots, their pairs with missed slots, and slots without a make-up.
+    """Return make-up slots, their pairs with missed slots, and missed slots without a make-up.
 
-    A make-up is on the earliest coming day within a year with the missed day's declination (also
-    across the solstice), at the same standard hour. A make-up that is itself missed is repeated for
-    its original.
+    A make-up is at the same standard hour on the earliest day within a year that has the missed
+    day's declination (also across the solstice). A missed make-up is repeated for the original
+    slot.
     """
     site, taken = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -121,7 +121,7 @@ def _first_free(
 def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
     """Return the make-ups of each missed slot.
 
-    The make-up of a missed make-up belongs to the first missed slot.
+    The make-up of a missed make-up counts for the first missed slot.
     """
     of = {
         slot.id: tag.removeprefix(MAKEUP)
@@ -139,9 +139,9 @@ def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
 
 
 def run(session: Session, now_utc: datetime) -> MakeUpPlan:
-    """Add make-up slots to plan.csv, from which no slot is ever removed.
+    """Add make-up slots to plan.csv; no slot is ever removed.
 
-    The plan before is stored as plan.N.csv.
+    The earlier plan is stored as plan.N.csv.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
@@ -182,7 +182,7 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
 
 
 def add_slots(session: Session, slots: Sequence[Slot]) -> None:
-    """Add slots to plan.csv, from which none is ever removed; the plan before is stored."""
+    """Add slots to plan.csv and store the earlier plan; no slot is ever removed."""
     about = _resumed(session)
     _store_and_write(session, [*session.slots(), *slots], about, session.site_file())
 
@@ -201,7 +201,7 @@ def _older_plan(session: Session, about: PlanTable) -> Path:
 
 
 def _record(session: Session, about: PlanTable) -> PlanTable:
-    """Write the new plan's hash and length into session.toml; hashes of older plans stay."""
+    """Write the new plan's sha256 and length into session.toml; those of older plans remain."""
     older = [*about.get("older_sha256", []), about.get("sha256", "")]
     new: PlanTable = {
         **about,
@@ -215,7 +215,7 @@ def _record(session: Session, about: PlanTable) -> PlanTable:
 
 
 def _resumed(session: Session) -> PlanTable:
-    """Return the table [plan] of session.toml; finish a re-plan that was killed before its end."""
+    """Return the table [plan] of session.toml; first complete a re-plan that was interrupted."""
     about = session.table().get("plan", {})
     if _older_plan(session, about).exists() and sha256(session.plan) != about.get("sha256"):
         return _record(session, about)
@@ -223,13 +223,13 @@ def _resumed(session: Session) -> PlanTable:
 
 
 def sentences(answer: MakeUpPlan) -> list[str]:
-    """Return the answer as sentences."""
-    again = f"; {answer.recovered} missed slots were made up since" if answer.recovered else ""
+    """Return the make-up plan as sentences."""
+    again = f"; {answer.recovered} missed slots have been made up for" if answer.recovered else ""
     if not answer.missed:
         return [f"no slot is missing; the plan is unchanged{again}"]
     band = answer.sun_band_percent
     texts = [
-        f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already{again}"
+        f"{answer.missed} slots missed, {answer.already} of them already have a make-up slot{again}"
     ]
     if answer.made_up:
         days = sorted({pair.slot[:8] for pair in answer.made_up})

@@ -1,4 +1,7 @@
-"""Printable sheets: one page a day with boxes to tick, the sun's path and the shutter list."""
+"""Write printable sheets, one page per day.
+
+A page has boxes to tick, the sun's path and the shutter list.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from fieldlum.weather import Weather
 
 SIZE_PX = 300.0  # of the sky chart; chosen for a third of a page
 RADIUS_PX = 122.0  # of its horizon
-LATE_MINUTES = 5  # after the planned time: a bracket may start within the session's grace
+LATE_MINUTES = 5  # minutes after the planned time within which a bracket may start
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +66,7 @@ def html(
 
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
-    """Return the plan of the room and the coverage plots as inline SVG."""
+    """Return the drawing of the room and the coverage plots as inline SVG."""
     hours = hours_of(slots)
     figures = [sun_figure(hours, setup.site)]
     if weather is not None:
@@ -159,7 +162,10 @@ def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
 
 
 def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
-    """Return an SVG of solstice and equinox arcs, today's arc, its slots, and view directions."""
+    """Return an SVG of the sun's path on this day, at solstices and at the equinox.
+
+    It also shows the day's slots and the view directions.
+    """
     site, middle = setup.site, SIZE_PX / 2
     parts = [
         f'<circle cx="{middle}" cy="{middle}" r="{RADIUS_PX:.1f}" fill="#fdf8ec" stroke="#b9c3cd"/>'
@@ -192,7 +198,7 @@ def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
 
 
 def _looking(setup: SiteFile) -> str:
-    """Return thin wedges in the directions of the camera's headings."""
+    """Return thin wedges in the directions of the camera's headings, as SVG."""
     parts = []
     for heading in setup.camera.headings or (setup.camera.heading_deg,):
         tip, left, right = _xy([1, 9, 9], [heading, heading - 3, heading + 3])

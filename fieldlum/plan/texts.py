@@ -1,4 +1,4 @@
-"""A plan in words: its warnings, and its summary for people and for --json."""
+"""Describe a plan: its warnings, and its summary as sentences and for --json."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from fieldlum.session import Session
 
 @dataclass(frozen=True, slots=True)
 class PlanSummary:
-    """What `plan --json` prints: the keys are a contract.
+    """The object that `plan --json` prints; its keys are a contract.
 
-    solar_noon: local time on the first day. tags: count of slots with each tag.
+    solar_noon: local time on the first day. tags: number of slots with each tag.
     """
 
     session: str
@@ -41,7 +41,7 @@ class PlanSummary:
 def plan_warnings(
     days: Sequence[date], hours: DaylightHours, site: Site, request: Request
 ) -> list[str]:
-    """Return what a person should know about the days and hours of a plan, one sentence each."""
+    """Return warnings about the days and hours of a plan, one sentence each."""
     texts: list[str] = []
     all_year = request.set in ("even", "best")
     dark = [] if all_year else dark_days(days, hours, site)
@@ -49,7 +49,7 @@ def plan_warnings(
         texts.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
     if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
         texts.append(
-            f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days "
+            f"midnight sun: a slot in every hour of {len(midnight)} of {len(days)} days "
             f"({_from_to(midnight)})"
         )
     if request.count and len(hours) < request.count:
@@ -62,13 +62,13 @@ def plan_warnings(
         )
     if days[0] < request.today:
         texts.append(
-            f"the plan starts on {days[0]}, which is past: its slots before now count as missed"
+            f"the plan starts on {days[0]}, which is in the past: earlier slots count as missed"
         )
     return texts
 
 
 def _from_to(days: Sequence[date]) -> str:
-    """Return runs of consecutive days by their first and last day."""
+    """Return runs of consecutive days, by their first and last day."""
     runs: list[list[date]] = []
     for day in sorted(days):
         if runs and (day - runs[-1][-1]).days == 1:
@@ -100,7 +100,7 @@ def clock_texts(days: Sequence[date], site: Site) -> list[str]:
 
 
 def summary(session: Session, plan: Plan) -> PlanSummary:
-    """Return what a plan comes to."""
+    """Return the summary of a plan."""
     slots, site = plan.slots, session.site_file().site
     tags = sorted({tag for slot in slots for tag in slot.tags})
     return PlanSummary(
@@ -122,7 +122,10 @@ def summary(session: Session, plan: Plan) -> PlanSummary:
 
 
 def _solar_noon(t_utc: datetime, site: Site) -> str:
-    """Return the local time of solar noon on a slot's day: it shows a longitude of wrong sign."""
+    """Return the local time of solar noon on a slot's day.
+
+    It reveals a longitude with a wrong sign.
+    """
     day = sun.standard_date(t_utc, site.timezone)
     transit = sun.rise_transit_set([day], site)[0].transit
     return "" if transit is None else f"{transit.astimezone(ZoneInfo(site.timezone)):%H:%M %Z}"
@@ -147,8 +150,8 @@ def sentences(summary: PlanSummary) -> list[str]:
         )
     if summary.variance_left_percent is not None:
         texts.append(
-            f"leaves {summary.variance_left_percent:.2g} % of the model's uncertainty about the "
-            f"year, if the skies are as in the weather file"
+            f"leaves {summary.variance_left_percent:.2g} % of the model's uncertainty about "
+            "the year, if skies are as in the weather file"
         )
     if summary.month is not None:
         texts.append(

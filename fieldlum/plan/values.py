@@ -1,4 +1,4 @@
-"""The options of a plan, and what it consists of."""
+"""Define the options of a plan, and its content."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fieldlum.session.tables import PlanTable
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """The options of a plan; `today` is the local date from which "next" is counted."""
+    """The options of a plan; `today` is the local date from which the next event is searched."""
 
     set: str
     today: date
@@ -28,12 +28,12 @@ class Request:
 class Months:
     """Expected squared error of a capture month, relative to the best calendar month.
 
-    The error is the kernel's variance that the month's captures leave.
+    The error is the variance that the month's captures leave, by the kernel.
     """
 
-    best: str  # its name
-    times_best: float  # of the month planned
-    by_month: tuple[float, ...]  # January first, each against the best
+    best: str  # name of the best month
+    times_best: float  # error of the planned month over that of the best
+    by_month: tuple[float, ...]  # January first, each relative to the best
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Plan:
 
     @property
     def hours(self) -> DaylightHours:
-        """The moments and suns of the slots."""
+        """Times and suns of the slots."""
         return hours_of(self.slots)
 
     def about(self, request: Request) -> PlanTable:

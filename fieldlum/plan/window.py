@@ -1,4 +1,4 @@
-"""Whether the sun enters: through a box room's windows, past reveals and obstructions."""
+"""Compute whether the sun enters a box room's windows, past reveals and obstructions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GRID = 6  # test points across and up a window; chosen, not measured
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return whether some ray of the sun passes some window, [n]; frame bars are ignored.
+    """Return a mask [n]: whether some ray of the sun passes some window; frame bars are ignored.
 
     Raises InputError for an impossible room.
     """
@@ -33,7 +33,7 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> N
 
 
 def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return whether the camera sees any part of the sun disc through a window, [n].
+    """Return a mask [n]: whether the camera sees any part of the sun disc through a window.
 
     Raises InputError for an impossible room.
     """
@@ -54,7 +54,7 @@ def _points(opening: Opening) -> Points:
 
 
 def _passes(scene: BoxScene, opening: Opening, points: Points, toward: Points) -> bool:
-    """Return whether any point sees the sun, through the reveal and past all obstructions."""
+    """Return whether the sun is visible from any point past reveal and obstructions."""
     outer = points + toward * abs((opening.outer_m - opening.inner_m) / toward[opening.axis])
     u, z = outer[:, opening.along], outer[:, 2]
     (u0, u1), (z0, z1) = opening.u_m, opening.z_m

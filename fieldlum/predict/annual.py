@@ -1,11 +1,11 @@
 """Write and read the files of a predicted year.
 
-annual/<name>/hourly.csv      one row an hour: t_utc, t_local, light, trust, and `metric@azimuth`
-                              for each direction
-             predict.json     settings, versions, repairs, and the glare protection of each
-                              direction
-             pictures.npz     the maps of some typical hours
-             maps.zarr        all maps, with --maps (Zarr v3; dims time, y, x)
+annual/<name>/hourly.csv      one row per hour: t_utc, t_local, light, trust, and
+                              `metric@azimuth` for each direction
+              predict.json     settings, versions, repairs, and the glare protection of each
+                               direction
+              pictures.npz     the maps of some typical hours
+              maps.zarr        all maps, with --maps (Zarr v3; dims time, y, x)
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ class Annual:
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
-        """Whether the room is used in each hour, [n]."""
+        """Mask [n] of the hours in which the room is used."""
         return self.hours["occupied"] > 0
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Whether each direction has figures: False for directions that no lens saw, [d]."""
+        """Mask [d] of the directions with figures; False for directions that no lens saw."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """Maps of typical hours without the sun's disc [k, H, W].
+    """Maps of k typical hours, without the sun's disc [k, H, W].
 
-    rows: [k] row of each in the year; kinds: [k] why each was chosen; disc_lx: [k] illuminance of
-    the disc at the lens [lx].
+    rows: row of each hour in the year [k]; kinds: why each hour was chosen [k]; disc_lx:
+    illuminance of the disc at the lens [k] lx.
     """
 
     kinds: tuple[str, ...]
@@ -80,7 +80,7 @@ def write_hourly(annual: Annual, timezone: str) -> None:
 
 
 def write_summary(annual: Annual) -> None:
-    """Write predict.json, as the last file: a folder that has it is complete."""
+    """Write predict.json; it is the last file, so that a folder with it is complete."""
     annual.summary.write(annual.folder)
 
 
@@ -98,7 +98,7 @@ def write_pictures(path: Path, pictures: Pictures) -> None:
 
 
 def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return float32 with 12 bits of mantissa (0.01 %): the rest is noise.
+    """Return float32 values with 12 bits of mantissa (0.01 %), because the rest is noise.
 
     values: any shape.
     """
@@ -118,7 +118,7 @@ def read_annual(folder: Path) -> Annual:
 
 
 def read_pictures(folder: Path) -> Pictures:
-    """Read pictures.npz. Raises InputError if there is none."""
+    """Read pictures.npz. Raises InputError if the file is missing."""
     path = folder / "pictures.npz"
     try:
         with np.load(path, allow_pickle=False) as found:
@@ -131,5 +131,5 @@ def read_pictures(folder: Path) -> Pictures:
             )
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
-            path, str(error), "pictures of a predicted year", "predict again"
+            path, str(error), "pictures of a predicted year", "run fieldlum predict again"
         ) from None

@@ -1,4 +1,4 @@
-"""Glare and uncertainty of a block of predicted hours."""
+"""Compute glare and uncertainty of a block of predicted hours."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def unseen_bounds(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return DGP with the least and the most light in the unseen part of each view, [k, d] each.
 
-    The least is 0 cd/m2. The most is the larger of the sky's mean luminance, as through a window,
-    and the brightest hundredth of the seen pixels.
+    The least is 0 cd/m2. The most is the sky's mean luminance, as through a window, or the
+    luminance of the brightest hundredth of the seen pixels, whichever is larger.
     """
     most = block.light.diffuse_lx / np.pi
     if room.seen is not None and coverage.partly.any():
@@ -39,7 +39,7 @@ def unseen_bounds(
 
 
 def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
-    """Return `HOUR_COLUMNS` of a block that the model determines, [k] each."""
+    """Return the `HOUR_COLUMNS` of a block that the model determines, [k] each."""
     light, told = block.light, block.prediction
     return {
         "dni_wm2": light.dni_wm2,
@@ -56,7 +56,7 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
 def view_figures(
     block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
 ) -> dict[str, NDArray[np.float64]]:
-    """Return `VIEW_COLUMNS` of a block and the contrast sums behind DGP, [k, d] each."""
+    """Return the `VIEW_COLUMNS` of a block, and the contrast sums behind DGP, [k, d] each."""
     maps = block.prediction.luminance_cdm2
     found = glare_directions(
         maps,
@@ -78,9 +78,9 @@ def relative_uncertainty(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the relative standard uncertainty of Ev and of the sources' luminance, [k, d] each.
 
-    NaN where the model states none. Errors of the pixels of one picture are treated as fully
-    correlated, because a model is too bright or too dark in all of a wall. The disc has its own
-    uncertainty.
+    They are NaN if the model states none. Errors of the pixels of one picture count as fully
+    correlated, because a model is often too bright or too dark on a complete wall. The disc has its
+    own uncertainty.
     """
     map_ev, map_source = _relative_of_map(block, views)
     share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)

@@ -25,7 +25,7 @@ BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230
 
 @dataclass(frozen=True, slots=True)
 class HourBlock:
-    """Some hours: the model's prediction with its uncertainty, and the disc at the lens.
+    """Some hours: the model's prediction with its uncertainty, and the sun's disc at the lens.
 
     prediction: maps without the disc [k, H, W] cd/m2; disc_lx: [k] lx.
     """
@@ -38,18 +38,19 @@ class HourBlock:
 
 @dataclass(frozen=True, slots=True)
 class ModelRoom:
-    """Place, size and heading of a model's pictures."""
+    """Place, room, size and heading of a model's pictures."""
 
     setup: SiteFile
     height: int
     width: int
     heading_deg: float
     needs_patch: bool
-    seen: NDArray[np.bool_] | None = None  # [H, W]; None: every pixel, or a model of 0.1.0
+    # [H, W]; None if all pixels were seen, or for a model of 0.1.0
+    seen: NDArray[np.bool_] | None = None
 
     @property
     def disc_from(self) -> str:
-        """How it is known whether the sun's disc is visible."""
+        """Text that states how the visibility of the sun's disc is known."""
         return (
             "the room's geometry"
             if self.setup.room
@@ -58,9 +59,9 @@ class ModelRoom:
 
 
 def wants_patch(config: ModelConfig) -> bool:
-    """Return whether the model of a config.json needs sun patches.
+    """Return whether the model in a config.json needs sun patches.
 
-    Models state it as `with_patch`; the transport models of 0.1.0 as a patchwork.
+    Models state this as `with_patch`; the transport models of 0.1.0 as a patchwork.
     """
     state = config.state
     if "with_patch" in state:
@@ -81,14 +82,19 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     height, width, heading = config.height, config.width, config.heading_deg
     if height <= 0 or width <= 0 or heading is None or not config.setup:
         found = f"no {'setup' if heading is not None and height > 0 else 'size and heading'}"
-        raise InputError(folder / "config.json", found, "place and size", "train the model again")
+        raise InputError(
+            folder / "config.json",
+            found,
+            "place and size",
+            "train the model again (fieldlum train)",
+        )
     setup = site_from_table(config.setup, str(folder / "config.json"))
     if wants_patch(config) and setup.room is None:
         raise InputError(
             folder,
             "a model that needs sun patches, of a site without [room]",
-            "a room, or a model without patches",
-            "add [room] to the site and train again, or train --patch none",
+            "a site with [room], or a model without patches",
+            "add [room] to the site and train again, or train with --patch none",
         )
     seen = seen_of(folder)
     if seen is not None and seen.shape != (height, width):
@@ -99,9 +105,9 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
 def blocks(
     fitted: Fitted, room: ModelRoom, light: Light, *, progress: Progress = quiet
 ) -> Iterator[HourBlock]:
-    """Predict all hours of `light` in blocks.
+    """Predict all hours of `light`, block by block.
 
-    Raises InputError if the maps' size differs from the config's.
+    Raises InputError if the size of the maps differs from that in config.json.
     """
     count = len(light)
     for patch, known_disc_lx, rows in _patches(room, light):
@@ -113,7 +119,8 @@ def blocks(
                 "the model",
                 f"maps of {maps.shape[2]} x {maps.shape[1]}",
                 f"{room.width} x {room.height}",
-                "train it again: its config.json and its weights are from different trainings",
+                "train the model again: its config.json and its weights are from different "
+                "trainings",
             )
         if not np.isfinite(maps).all():
             raise FloatingPointError(
@@ -127,9 +134,9 @@ def blocks(
 def _patches(
     room: ModelRoom, light: Light
 ) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float64] | None, slice]]:
-    """Yield, for each block, the sun patches, the visible disc [lx], and the rows.
+    """Yield the sun patches, the visible disc [lx], and the rows of each block.
 
-    Patches are None if the model needs none, discs if no room is known.
+    Patches are None if the model needs none, discs are None without a known room.
     """
     from fieldlum.scene import iter_sun_patches
 
@@ -156,5 +163,5 @@ def _patches(
 
 
 def guessed_disc(maps: NDArray[np.float32], light: Light, room: ModelRoom) -> NDArray[np.float64]:
-    """Return the disc's illuminance at the lens without a known geometry, [k] lx."""
+    """Return the disc's illuminance at the lens [k] lx, guessed from the maps."""
     return guessed_disc_lx(maps, light, room.heading_deg)

@@ -1,4 +1,4 @@
-"""Checks before predicting: the folder, whether model and session match, whether it is done."""
+"""Check, before predicting, whether model and session match and whether the year exists."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def default_folder(model_folder: Path) -> Path:
 def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
     """Raise InputError if a model's place, heading or picture size differ from its session's.
 
-    scene: of the model's config.json, if it was trained with a fitted scene; then compare the room
-    as stated before the fit.
+    scene: the fitted scene in the model's config.json, if any; then the room as stated before the
+    fit is compared.
     """
     resolved = model_folder.resolve()
     root = resolved.parents[1]
@@ -57,7 +57,7 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
             model_folder,
             f"a model of {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g})",
             f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})",
-            "train one in this session",
+            "train a model in this session",
         )
     stated = scene["stated"] if scene else site_table(room.setup)
     heading_deg = float(scene["stated_heading_deg"]) if scene else room.heading_deg
@@ -77,19 +77,26 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
         if (height, width) != (room.height, room.width):
             found = f"a model of {room.width} x {room.height} pictures"
             raise InputError(
-                model_folder, found, f"{width} x {height} as in this session", "train it again"
+                model_folder,
+                found,
+                f"{width} x {height} as in this session",
+                "train the model again (fieldlum train)",
             )
         if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
-            found = f"a model that faces {heading_deg:g}"
+            found = f"a model with heading {heading_deg:g}"
             raise InputError(
-                model_folder, found, f"{first.heading_deg:g} as in this session", "train it again"
+                model_folder,
+                found,
+                f"heading {first.heading_deg:g} as in this session",
+                "train the model again (fieldlum train)",
             )
 
 
 def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
-    """Return the room's uncertainty if the model was trained with a fitted scene, else None.
+    """Return the uncertainty of a fitted room.
 
-    None means the uncertainty of a tape measure.
+    None if the model was trained without a fitted scene. None means the uncertainty of a tape
+    measure.
     """
     draws = config.scene.get("room_draws") if config.scene else None
     if not draws or room.setup.room is None:
@@ -100,7 +107,7 @@ def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty 
 
 
 def _changes(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> tuple[str, str] | None:
-    """Return the first difference of camera and room between model and session, or None.
+    """Return the first difference of camera and room between model and session; None if equal.
 
     Both affect every map.
     """
@@ -121,7 +128,7 @@ def inputs_of(
     seed: int,
     label_shift_min: float = 0.0,
 ) -> dict[str, object]:
-    """Return everything that a predicted year depends on, as plain values."""
+    """Return everything on which a predicted year depends, as plain values."""
     from fieldlum.weather import SYNTHETIC
 
     synthetic = str(weather) == SYNTHETIC
@@ -144,9 +151,9 @@ def inputs_of(
 
 
 def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
-    """Return the year in `folder` if the same version computed it from the same inputs.
+    """Return the year in `folder` if the same version computed it from the same inputs, else None.
 
-    Extra maps in the folder may stay.
+    The folder may have maps in addition.
     """
     note, maps = folder / "predict.json", folder / "maps.zarr"
     more = [] if inputs["maps"] else [{**inputs, "maps": True}]
@@ -166,9 +173,9 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
 
 
 def begin_anew(folder: Path) -> None:
-    """Delete predict.json and maps.zarr first, so that an interrupted run never looks finished.
+    """Delete predict.json and maps.zarr first, so that an interrupted run never looks complete.
 
-    Otherwise a kill could leave the hours of one weather next to the classes of another.
+    Otherwise an interruption could leave the hours of one weather file with the classes of another.
     """
     (folder / "predict.json").unlink(missing_ok=True)
     for name in ("maps.zarr", ".maps.zarr.tmp"):

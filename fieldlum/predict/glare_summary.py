@@ -38,14 +38,15 @@ if TYPE_CHECKING:
     from fieldlum.weather import Weather
 
 HOURLY_MEANS = (
-    "Weather files hold hourly means. Under broken cloud the sun comes and goes within the hour, "
-    "but the mean shows a constant, dimmed sun: single moments are brighter and darker than any "
-    "hour here, and the count of glare hours can be too low or too high."
+    "Weather files have hourly means. Under broken cloud the sun comes and goes within the "
+    "hour, but the mean shows a constant, dimmed sun: single moments are brighter and "
+    "darker than any hour here, and the number of glare hours can be too low or too high."
 )
-NOISY_TRUST = 0.05  # report a larger share of occupied hours outside the captures; not measured
+# a larger share of occupied hours outside the captures is reported; not measured
+NOISY_TRUST = 0.05
 HOURS_NAMED = 12  # one row of the report's table for each month
-WHOLE_YEAR_DAYS = 360  # weather files of a year can lack some days
-_WIDE_DGP = 0.2  # an interval this wide spans all classes (EN 17037: 0.35 to 0.45)
+WHOLE_YEAR_DAYS = 360  # a year may lack some days in a weather file; chosen
+_WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
 _SUNNY_WM2 = 100.0  # direct normal irradiance that casts a clear shadow; WMO's limit is 120
 
 
@@ -58,8 +59,8 @@ def judge(
 ) -> Protection:
     """Return the classes of EN 17037 for each direction over the occupied hours.
 
-    u_of_maps: standard uncertainty of DGP from the model's maps, [n, d]. `doubt` has the
-    uncertainty from the sun's disc and from what was not seen.
+    u_of_maps: standard uncertainty of DGP due to the model's maps, [n, d]. doubt: the uncertainty
+    due to the sun's disc and to unseen parts.
     """
     used = annual.occupied
     u_dgp = u_of_maps[used]
@@ -72,8 +73,8 @@ def judge(
 def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[SkyToCapture]:
     """Return the occupied hours whose uncertainty keeps a class open, most uncertain first.
 
-    At most one hour a day. A direction that was not fully seen stays open, whatever the same lens
-    captures.
+    Each day has at most one hour. A direction that was not fully seen remains open, whatever the
+    same lens captures.
     """
     undecided = ~found.certain & np.array([word == SEEN for word in found.seen])
     if found.low is None or not undecided.any():
@@ -143,7 +144,7 @@ def summary_of_year(
 
 
 def poor(config: ModelConfig) -> bool:
-    """Return whether training found that no single map of the model can be trusted."""
+    """Return whether training found that no single map of the model is trustworthy."""
     return any(POOR_WORDS in text for text in config.state.get("warnings", ()))
 
 
@@ -154,7 +155,7 @@ def _shares(room: ModelRoom, annual: Annual) -> list[float]:
 
 
 def _unseen_notes(found: Protection) -> list[str]:
-    """Return a note on directions without a result, and one on those with bounds only."""
+    """Return a note on directions without a result, and a note on directions with bounds only."""
     notes = []
     for word, meaning in (
         (NOT_SEEN, "have no result: the camera's lens saw too little of them"),
@@ -173,7 +174,10 @@ def _unseen_notes(found: Protection) -> list[str]:
 
 
 def _disc_note(annual: Annual) -> list[str]:
-    """Return a note if the room's uncertainty often decides whether the sun's disc is seen."""
+    """Return a note if the room is often too uncertain to decide whether the sun is seen.
+
+    The list is empty if this is rare.
+    """
     gap = annual.views["dgp_high"] - annual.views["dgp_low"]
     lit = annual.occupied & (annual.hours["dni_wm2"] > _SUNNY_WM2)
     if not lit.any() or not annual.judged.any():
@@ -234,8 +238,8 @@ def best_and_worst(
 ) -> tuple[DirectionYear, DirectionYear] | None:
     """Return the directions with the least and the most glare; None if no direction was seen.
 
-    A partly seen direction is ranked by the upper end of its interval for the best, and by its
-    lower figure for the worst, so that an unseen part never makes a direction a recommendation.
+    A partly seen direction is ranked by the upper end of its interval for the least, and by its
+    lower end for the most glare: an unseen part never makes a direction a recommendation.
     """
     judged = [row for row in rows if row.glare_class != NOT_SEEN]
     if not judged:

@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _HoursJob:
-    """Input of a worker. Folders are relative to the unit's; `maps` is "" for none, or a URL."""
+    """The input of a worker, with folders relative to the unit's.
+
+    `maps` is "", a folder or a URL.
+    """
 
     model: str
     digest: str  # of the model's files
@@ -46,7 +49,8 @@ class _HoursJob:
 class HourFigures:
     """Figures of the hours `rows` (first, end).
 
-    hours: [n]; views, least, most: [n, d]; drawn: [k, n, d].
+    hours: [n]; views: [n, d]; least, most: DGP bounds [n, d]; drawn: DGP in k drawn rooms [k, n,
+    d].
     """
 
     rows: tuple[int, int]
@@ -74,10 +78,10 @@ def hour_units(
     turns_deg: NDArray[np.float64],
     maps: str,
 ) -> list[WorkUnit]:
-    """Return the units of a year's n hours, `BLOCK` hours each; the last can be shorter.
+    """Return the units of a year's n hours, with `BLOCK` hours each; the last may be shorter.
 
-    discs_lx: the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun [k, 2]. maps:
-    folder or URL of the maps, "" for none.
+    discs_lx: illuminance of the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun
+    [k, 2]. maps: folder or URL of the maps, "" for none.
     """
     model = model_folder.resolve()
     local = Path(maps).resolve() if maps and "://" not in maps else None
@@ -121,7 +125,10 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
 
 @lru_cache(maxsize=1)
 def _prepared(model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]) -> _Prepared:
-    """Load a model and its views once per process; `digest` distinguishes models of one folder."""
+    """Load a model and its views once per process.
+
+    `digest` identifies the content of the folder.
+    """
     from fieldlum.models import load, read_config
 
     room = room_of(read_config(model_folder), model_folder)

@@ -1,4 +1,4 @@
-"""Store all maps of a year in one Zarr v3 store. Each unit of work writes one shard of it."""
+"""Store all maps of a year in one Zarr v3 store; each unit of work writes one shard."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import BLOCK, ModelRoom
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
 
-CHUNK = 8  # hours that a reader of one hour decompresses; not measured
+CHUNK = 8  # hours that must be decompressed to read one hour; not measured
 MAPS = "luminance_cdm2"
 
 
 class MapStore(Protocol):
-    """Zarr store with luminance_cdm2 (time, y, x), disc_lx and trusted (time).
+    """A Zarr store with luminance_cdm2 (time, y, x), disc_lx and trusted (time).
 
-    Units write into `target`, a path or a URL; the store can be opened when all have finished.
+    Units write into `target`, a path or a URL; the store can be opened after all units have
+    finished.
     """
 
     @property
     def target(self) -> str:
-        """Return where units write."""
+        """Return the path or URL into which units write."""
         ...
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Write the coordinates and the description of the maps; delete earlier remains."""
+        """Write the coordinates and the description of the maps; delete an earlier store."""
         ...
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write the discs [n] lx and the trust [n], and complete the store."""
+        """Write the discs [n] lx and the trust [n], which completes the store."""
         ...
 
 
 class FolderMapStore:
-    """`maps.zarr` in a folder, which gets its name by a rename when it is complete."""
+    """A store `maps.zarr` in a folder; it gets its name by a rename when it is complete."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -48,16 +49,16 @@ class FolderMapStore:
 
     @property
     def target(self) -> str:
-        """Return the folder where units write."""
+        """Return the folder into which units write."""
         return str(self._work)
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Write the coordinates and the description of the maps; delete earlier remains."""
+        """Write the coordinates and the description of the maps; delete an earlier store."""
         shutil.rmtree(self._work, ignore_errors=True)
         describe(self._work, t_utc, room, {"site": site_name})
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write the discs [n] lx and the trust [n], and give the store its name."""
+        """Write the discs [n] lx and the trust [n], and rename the store to its final name."""
         add_hours(self._work, disc_lx, trusted)
         shutil.rmtree(self._path, ignore_errors=True)
         self._work.rename(self._path)
@@ -66,7 +67,7 @@ class FolderMapStore:
 def describe(
     folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]
 ) -> None:
-    """Write a store without maps: coordinates, and the description of the maps."""
+    """Write a store without maps: the coordinates, and the description of the maps."""
     import xarray as xr
     import zarr
 
@@ -89,7 +90,7 @@ def describe(
         shape=(len(times), height, width),
         dtype="float32",
         chunks=(CHUNK, height, width),
-        shards=(BLOCK, height, width),  # one file, or one object of a bucket, for each unit
+        shards=(BLOCK, height, width),  # one file, or one object in a bucket, for each unit
         fill_value=float("nan"),
         dimension_names=("time", "y", "x"),
         attributes={"units": "cd m-2", "long_name": "luminance without the sun's disc"},
@@ -105,7 +106,7 @@ def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.fl
         "units": "lx",
         "long_name": "illuminance of the visible disc on a plane normal to it",
     }
-    flag = {"long_name": "such light was seen"}
+    flag = {"long_name": "similar light was captured"}
     hours = xr.Dataset(
         {
             "disc_lx": (("time",), disc_lx, disc),
@@ -117,7 +118,7 @@ def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.fl
 
 
 def write_maps(target: str, start: int, maps: NDArray[np.float32]) -> None:
-    """Write the maps [n, H, W] of the hours from `start`: a complete shard, visible at once."""
+    """Write the maps [n, H, W] of the hours from `start` on, as a complete shard."""
     import zarr
 
     array: Any = zarr.open_array(f"{target}/{MAPS}", mode="r+", zarr_format=3)

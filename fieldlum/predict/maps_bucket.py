@@ -1,4 +1,4 @@
-"""Store all maps of a year in a bucket, or any other store that fsspec writes to by URL."""
+"""Store all maps of a year in a bucket, or any other store to which fsspec writes by URL."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BucketMapStore:
         return self._store.target
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Upload the coordinates and the description of the maps; delete earlier remains.
+        """Upload the coordinates and the description of the maps; delete an earlier store.
 
         Raises InputError for a URL that cannot be written to.
         """
@@ -53,5 +53,5 @@ class BucketMapStore:
 
 
 def is_complete(url: str, inputs: Mapping[str, object]) -> bool:
-    """Return whether a finished maps.zarr of these inputs is below the URL."""
+    """Return whether a complete maps.zarr with these inputs is below the URL."""
     return BucketStore(f"{url.rstrip('/')}/{_NAME}").is_made_from(digest(inputs))

@@ -1,4 +1,4 @@
-"""When the room is used: EN 17037's default, or a small csv."""
+"""Define when the room is used: by EN 17037's default, or by a small csv."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ HOW = (
 class Occupancy:
     """When the room is used.
 
-    periods: weekday (0 is Monday), start and end in local clock time; or hourly: [8760] of local
-    standard time.
+    periods: weekday (0 is Monday), start and end in local clock time; or hourly: a mask [8760] in
+    local standard time.
     """
 
     text: str
@@ -37,7 +37,7 @@ class Occupancy:
     hourly: NDArray[np.bool_] | None = None
 
     def at(self, times_utc: Sequence[datetime], timezone: str) -> NDArray[np.bool_]:
-        """Return whether the room is used at each moment, [n]."""
+        """Return a mask [n] of the times at which the room is used."""
         if self.hourly is not None:
             rows = [_hour_of_year(t, timezone) for t in times_utc]
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
@@ -67,7 +67,7 @@ def _hour_of_year(t_utc: datetime, timezone: str) -> int:
 
 
 def read_occupancy(path: Path) -> Occupancy:
-    """Read a csv of weekly periods or of 8760 hours. Raises InputError with the line."""
+    """Read a csv of weekly periods or of 8760 hours. Raises InputError, naming the line."""
     try:
         rows = list(
             csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
@@ -98,7 +98,7 @@ def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
             raise InputError(path, f"line {number}: {error}", "mon-fri,08:00,18:00") from None
         if not start < end:
             raise InputError(
-                path, f"line {number}: {row[1]} is not before {row[2]}", "start before end"
+                path, f"line {number}: {row[1]} is not before {row[2]}", "a start before the end"
             )
         periods += [(day, start, end) for day in days]
     if not periods:
@@ -141,10 +141,10 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
 def occupied_hours(
     occupancy: Occupancy, times_utc: Sequence[datetime], site: Site
 ) -> tuple[int, int]:
-    """Return the number of occupied hours on the weather's local standard dates, and of dates.
+    """Return the numbers of occupied hours and of days, over the weather's local standard dates.
 
-    Dark hours count. An hour with the sun up and no weather does not count, because it would pass
-    as an hour without glare. Raises NotEnoughDataError if no hour counts.
+    Dark hours count. An hour with the sun up but without weather does not count, because it would
+    look like an hour without glare. Raises NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})
@@ -156,6 +156,7 @@ def occupied_hours(
     used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
     if not used.any():
         raise NotEnoughDataError(
-            f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} days"
+            f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} "
+            "days; correct --occupancy"
         )
     return int(used.sum()), len(days)

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 
 class PredictedYear(NamedTuple):
-    """Result of `run`: the year, and whether it was computed now or read from its folder."""
+    """Result of `run`: the year, and whether it was computed now or already existed."""
 
     annual: Annual
     new: bool
@@ -76,12 +76,10 @@ def run(
 ) -> PredictedYear:
     """Predict all daylight hours of a weather file with a trained model.
 
-    maps_to: URL of a bucket for the maps, for example s3://BUCKET/FOLDER; "" for none.
-    lamps: "" as in the captures, "off", or a csv as for occupancy with the hours in which lamps
-    that are marked in the captures are on.
-
-    Raises InputError for a broken model or weather, or if weather, session or camera do not belong
-    to the model; NotEnoughDataError for weather without daylight.
+    maps_to: URL of a bucket for the maps, for example s3://BUCKET/FOLDER; "" for none. lamps: "" as
+    in the captures; "off"; or a csv as for occupancy, with the hours in which lamps that are marked
+    in the captures are on. Raises InputError for a broken model or weather, or if weather, session
+    or camera do not belong to the model; NotEnoughDataError for weather without daylight.
     """
     from fieldlum.models import load, read_config
     from fieldlum.weather import read_weather
@@ -101,7 +99,10 @@ def run(
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     hours = weather.daylight()
     if len(hours) == 0:
-        raise NotEnoughDataError(f"{weather_path}: no hour with the sun up and any irradiance")
+        raise NotEnoughDataError(
+            f"{weather_path}: no hour with the sun up and any "
+            "irradiance; check the file's irradiance and time zone"
+        )
     light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     begin_anew(folder)
@@ -134,7 +135,7 @@ def run(
 
 
 def light_of(weather: Weather) -> Light:
-    """Return the hours of a weather year with the sun up."""
+    """Return the light of the hours with the sun up."""
     from fieldlum.light import light_at
 
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
@@ -151,7 +152,7 @@ def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
 
 
 def lamps_text(lamps: str) -> str:
-    """Return what predict.json records about the lamps: "off", or the schedule in words."""
+    """Return the text about the lamps in predict.json: "off", or the schedule."""
     return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
 
 
@@ -173,10 +174,12 @@ def measure(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> tuple[Annual, GlareDoubt, NDArray[np.float64]]:
-    """Predict every hour in blocks, the units of work, and return the figures.
+    """Predict every hour and return the figures, the room's uncertainty, and that of the maps.
 
-    With `maps`, also write the maps. Figures of directions that no lens saw are NaN. The doubt is
-    of all hours; the last value is the standard uncertainty of DGP from the maps alone, [n, d].
+    The hours are predicted in blocks, which are the units of work. With `maps`, or with a `bucket`,
+    the maps are written too. Figures of directions that no lens saw are NaN. The second result is
+    the uncertainty of DGP due to the room and to unseen parts of views, for all hours. The third is
+    the standard uncertainty of DGP due to the maps, [n, d].
     """
     count, d = len(light), len(azimuths_deg)
     coverage = view_coverage(

@@ -30,15 +30,15 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
-    """Return the folder of the shipped files, in a wheel or in a checkout."""
+    """Return the folder of the files that fieldlum ships, in a wheel or in a checkout."""
     in_wheel = _PACKAGE / "_shipped" / kind
     return in_wheel if in_wheel.is_dir() else _PACKAGE.parent / kind
 
 
 def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
-    """Return which view directions these lenses and headings can judge; empty if all.
+    """Return which view directions these lenses and headings can judge; "" if all.
 
-    For one lens without turned head the text names headings that would see all.
+    For one lens without a turned head, the text names headings with which all directions are seen.
     """
     lenses = [lens.geometry for lens in profile.lens]
     headings = setup.headings or (setup.heading_deg,)
@@ -58,7 +58,7 @@ DEFAULT_CAMERA = "sim-dual-fisheye"
 
 
 def find_camera_profile(name: str) -> Path:
-    """Return the path of a profile: the path itself, or a name in the shipped calibration/.
+    """Return the path of a profile: `name` as a path, or a file of the shipped calibration/.
 
     Raises InputError with the list of profiles.
     """
@@ -72,12 +72,18 @@ def find_camera_profile(name: str) -> Path:
             return candidate
     known = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
     raise InputError(
-        name, "no such camera profile", f"a TOML file or one of: {known}", "correct it"
+        name,
+        "no such camera profile",
+        f"a TOML file or one of: {known}",
+        "correct profile under [camera], or --camera",
     )
 
 
 def load_camera_profile(name: str | Path) -> CameraProfile:
-    """Read a profile. Raises InputError for a file that is no profile, or has impossible values."""
+    """Read a profile.
+
+    Raises InputError for a file that is not a profile, or that has impossible values.
+    """
     path = find_camera_profile(str(name))
     profile = build(CameraProfile, read_toml(path), str(path))
     check_camera(profile, str(path))
@@ -85,7 +91,7 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:
-    """Write a profile as TOML, completely or not at all."""
+    """Write a profile as TOML; the file appears complete or not at all."""
     import tomli_w
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +101,7 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def bracket_exposures(bracket: Bracket) -> tuple[Exposure, ...]:
-    """Return the exposures of a bracket: longest first, then those through each filter."""
+    """Return the exposures of a bracket: longest first, then those with each filter."""
     open_frames = [
         Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)
     ]

@@ -11,14 +11,14 @@ from fieldlum.projection import angle_of_radius
 
 
 def _impossible(where: str, found: str, expected: str) -> InputError:
-    return InputError(where, found, expected, "correct it")
+    return InputError(where, found, expected, "correct this value in the profile")
 
 
 def check_camera(profile: CameraProfile, where: str) -> None:
-    """Raise InputError, with the key, for values that no camera can have."""
+    """Raise InputError, naming the key, for values that no camera can have."""
     p = profile
     if not p.lens:
-        raise InputError(where, "no [[lens]]", "at least one lens", "add it")
+        raise InputError(where, "no [[lens]]", "at least one lens", "add a table [[lens]]")
     positive: dict[str, tuple[float, ...]] = {
         "camera.width_px": (p.camera.width_px,),
         "camera.height_px": (p.camera.height_px,),
@@ -68,13 +68,13 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     ):
         raise _impossible(
             where,
-            "a lens beyond 300 degrees or a sensor beyond 100 000 pixels",
+            "a lens with over 300 degrees, or a sensor with over 100 000 pixels a side",
             "a possible camera",
         )
     for lens in p.lens:
         _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
-        found = "another count of values in [sensor] black_dn or saturation_dn"
+        found = "another number of values in [sensor] black_dn or saturation_dn"
         raise _impossible(where, found, "four values: R, G1, G2, B")
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
         raise _impossible(
@@ -83,7 +83,10 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     if not rises(p.sensor.linearity):
         found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
         raise InputError(
-            where, found, "a correction that rises with the counts", "fieldlum calibrate linearity"
+            where,
+            found,
+            "a correction that rises with the counts",
+            "calibrate it again: fieldlum calibrate linearity",
         )
     if abs(p.sensor.exposure_offset_s) >= 0.01:
         found = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
@@ -101,7 +104,7 @@ def _check_stray(kernel: StrayLight, where: str) -> None:
     rising = all(a < b for a, b in pairwise(angles))
     if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
         found = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
-        raise _impossible(where, found, "rising angles from 0 to 180, a value for each")
+        raise _impossible(where, found, "rising angles from 0 to 180, and a value for each")
     falling = all(a >= b for a, b in pairwise(values))
     if not falling or min(values, default=0.0) < 0:
         found = f"[stray] per_sr = {list(values)}"
@@ -109,7 +112,7 @@ def _check_stray(kernel: StrayLight, where: str) -> None:
 
 
 def _check_mapping(lens: Lens, where: str) -> None:
-    """Raise InputError unless the radius rises with the angle up to the edge, and is 1 there."""
+    """Raise InputError unless the radius increases with the angle up to the edge, where it is 1."""
     if lens.mapping != "polynomial":
         return
     found = (

@@ -1,4 +1,4 @@
-"""The tables of a camera profile, calibration/NAME.toml."""
+"""Define the tables of a camera profile, calibration/NAME.toml."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fieldlum.projection import LensGeometry
 
 @dataclass(frozen=True, slots=True)
 class CameraBody:
-    """The camera's name, kind and size."""
+    """Name, kind and size of the camera."""
 
     name: str
     kind: Literal["raw", "jpeg"]
@@ -20,7 +20,7 @@ class CameraBody:
     model: str = ""
     date: str = ""  # of the calibration, ISO
     note: str = ""
-    fixed_f_number: float = 0.0  # of a lens that no frame states; 0: the EXIF has it
+    fixed_f_number: float = 0.0  # of a lens that writes none to EXIF; 0: EXIF states it
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Sensor:
 
     cfa: str = "RGGB"
     black_dn: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-    # The plateau, not the file's tag.
+    # The plateau in the frames, not the white level in the file.
     saturation_dn: tuple[float, ...] = (65535.0, 65535.0, 65535.0, 65535.0)
     # Counts (black included) at which linear z is 1 by definition; determines only the unit of
     # scale.k.
@@ -43,18 +43,19 @@ class Sensor:
     # Relative; a 12-bit CCD of EMVA1288/datasets departs by +0.3 to -1.2 %, uniform over 1.5 % is
     # 0.43 % (bench/real_sensor.py).
     linearity_u_rel: float = 0.0043
-    exposure_offset_s: float = 0.0  # an electronic shutter opens so much longer than it states
+    # seconds by which an electronic shutter opens longer than stated
+    exposure_offset_s: float = 0.0
     bad_px: tuple[tuple[int, int], ...] = ()  # column, row of pixels that are never used
 
 
 @dataclass(frozen=True, slots=True)
 class Bracket:
-    """The exposures of a plan by default; shutter times are nominal."""
+    """The exposures that a plan uses by default; shutter times are nominal."""
 
     f_number: float
     iso: float
     shutter_s: tuple[float, ...]
-    nd: tuple[str, ...] = ()  # one more bracket tail per filter, at the shortest times
+    nd: tuple[str, ...] = ()  # for each filter, the shortest times are repeated with the filter
     nd_shutter_s: tuple[float, ...] = ()
     seconds_per_frame: float = 2.0
     megabytes_per_frame: float = 25.0
@@ -71,7 +72,7 @@ class ShutterTime:
 
 @dataclass(frozen=True, slots=True)
 class Vignetting:
-    """Relative transmission V in powers of r = angle / (full angle / 2): V = sum c_k r^k.
+    """Vignetting V in powers of r = angle / (full angle / 2): V = sum c_k r^k.
 
     c_0 is first, V(0) = 1.
     """
@@ -102,7 +103,7 @@ class Lens:
 
     @property
     def geometry(self) -> LensGeometry:
-        """The lens on its complete sensor, relative to the camera's heading."""
+        """Geometry of the lens on the complete sensor, relative to the camera's heading."""
         return LensGeometry(
             self.centre_px,
             self.radius_px,
@@ -117,13 +118,13 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The response of a JPEG camera: code value to linear z in [0, 1]."""
+    """The response of a JPEG camera, from codes to linear z in [0, 1]."""
 
     kind: Literal["linear", "srgb", "polynomial", "table"] = "linear"
     red: tuple[float, ...] = ()  # polynomial: c_0 first, in code / 255; table: 256 values
     green: tuple[float, ...] = ()
     blue: tuple[float, ...] = ()
-    low_code: int = 27  # codes outside [low, high] carry no weight
+    low_code: int = 27  # codes outside [low_code, high_code] have no weight
     high_code: int = 228
     u_rel: float = 0.01
 
@@ -140,7 +141,7 @@ class Colour:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """L = k * 87 * N^2 / (t S) * z with z in [0, 1], t in s (87: hdrgen's stonits)."""
+    """The scale k: L = k * 87 * N^2 / (t S) * z with z in [0, 1], t in s (87: hdrgen's stonits)."""
 
     k: float = 1.0
     u_rel: float = 0.05
@@ -149,9 +150,9 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class StrayLight:
-    """Stray light of the lenses: K at ascending angles; empty: not calibrated.
+    """Stray light of the lenses: the kernel K at ascending angles; empty if not calibrated.
 
-    See photometry/stray_light.py; u_rel is of the stray light, not of the luminance.
+    See photometry/stray_light.py; u_rel is relative to the stray light, not to the luminance.
     """
 
     angle_deg: tuple[float, ...] = ()
@@ -180,7 +181,7 @@ class Provenance:
 
 @dataclass(frozen=True, slots=True)
 class CameraProfile:
-    """calibration/NAME.toml: everything between sensor counts and cd/m2, with its uncertainty."""
+    """A camera profile: everything between sensor counts and cd/m2, with its uncertainty."""
 
     camera: CameraBody
     lens: tuple[Lens, ...]
@@ -194,7 +195,7 @@ class CameraProfile:
     # Veiling glare of the lens, as a share of the mean luminance; 0 once [stray] is calibrated.
     glare_floor_rel: float = 0.0005
     stray: StrayLight = field(default_factory=StrayLight)
-    expires: str = ""  # ISO date; doctor warns after it
+    expires: str = ""  # ISO date after which doctor warns
     provenance: Provenance = field(default_factory=Provenance)
-    # How nominal times without a measured one are read: see photometry/shutter_law.py.
+    # How nominal times without a measured time are converted: see photometry/shutter_law.py.
     shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"

@@ -1,4 +1,7 @@
-"""From room geometry to sun patches, to the window's share of each pixel, and to Radiance."""
+"""Compute, from room geometry, sun patches and each pixel's share of sky.
+
+Export rooms to Radiance.
+"""
 
 from fieldlum.scene.drawn_rooms import (
     RoomUncertainty,

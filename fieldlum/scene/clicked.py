@@ -31,10 +31,10 @@ _HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ce
 
 @dataclass(frozen=True, slots=True)
 class ClickedRoom:
-    """A room from clicks.
+    """A room that was fitted to clicks.
 
-    room : lengths [m]. u : standard uncertainty of each by name [m, deg]. misfit_px : rms over the
-    clicks. notes : clicks that do not fit.
+    room : lengths [m]. u : standard uncertainty of each length or angle by name [m, deg]. misfit_px
+    : rms over the clicks. notes : clicks that do not fit.
     """
 
     room: Room
@@ -46,9 +46,10 @@ class ClickedRoom:
 def room_from_clicks(
     clicks: Sequence[Click], grid: ClickGrid, camera_height_m: float, *, where: str = "clicks"
 ) -> ClickedRoom:
-    """Fit the room. Raises InputError for clicks that cannot be the corners of a box.
+    """Fit a room to clicks. Raises InputError for clicks that cannot be the corners of a box.
 
-    Needed: three floor corners, one ceiling corner; for each window two opposite corners.
+    Required are three floor corners and one ceiling corner, and two opposite corners of each
+    window.
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:
@@ -134,13 +135,13 @@ def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _S
 
 
 def _turn(theta_deg: float) -> Array:
-    """Rows are the room's axes in world axes, as in `BoxScene.turn`."""
+    """Return the room's axes as rows in world axes, as in `BoxScene.turn`."""
     a = np.radians(theta_deg)
     return np.array([(-np.cos(a), np.sin(a), 0.0), (-np.sin(a), -np.cos(a), 0.0), (0.0, 0.0, 1.0)])
 
 
 def _spread(ground: Array, theta_deg: float) -> float:
-    """Return how far corners of one side are apart across it."""
+    """Return how far corners on one side are from a common line."""
     xy = ground @ _turn(theta_deg)[:2, :2].T
     total = 0.0
     for axis in (0, 1):
@@ -151,7 +152,7 @@ def _spread(ground: Array, theta_deg: float) -> float:
 
 
 def _main_wall(ground: Array, theta_deg: float, facing: Array) -> float:
-    """Return the turn, of the four possible ones, whose "south" wall is hit by a direction."""
+    """Return the turn, of four possible ones, whose "south" wall is in a given direction."""
     for quarter in range(4):
         theta = (theta_deg + 90.0 * quarter) % 360.0
         turn = _turn(theta)[:2, :2]
@@ -171,7 +172,7 @@ def _distances(xy: Array, where: str) -> list[float]:
 
 
 def _reach(xy: Array, distances: Sequence[float], *, corner: bool = False) -> float:
-    """Return the factor that takes a direction [2] to the wall or the corner that it points to."""
+    """Return the factor that extends a direction [2] to the wall or corner to which it points."""
     south, west, north, east = distances
     steps = [
         (east if xy[0] > 0 else west) / max(abs(float(xy[0])), 1e-9),
@@ -189,7 +190,7 @@ def _wall_of(xy: Array, distances: Sequence[float]) -> str:
 
 
 def _on_wall(ray: Array, wall: str, distances: Sequence[float]) -> tuple[float, float]:
-    """Return where a ray meets a wall's plane [m]: along it, and above the camera."""
+    """Return where a ray meets a wall's plane [m]: along the wall, and above the camera."""
     axis, sign = _PLANES[wall]
     factor = sign * distances[_WALLS.index(wall)] / ray[axis]
     return float(ray[1 - axis] * factor), float(ray[2] * factor)
@@ -242,7 +243,7 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
 def _point(
     values: Array, start: _Start, click: Click, side: tuple[int, int, int], h: float
 ) -> Array:
-    """Return a click's point in the room's axes [m], from the camera."""
+    """Return a click's point in room axes [m], relative to the camera."""
     south, west, north, east, height = values[1:6]
     if click.window == 0:
         z = -h if click.kind == "floor" else height - h
@@ -265,7 +266,7 @@ def _room(
     grid: ClickGrid,
     h: float,
 ) -> tuple[Room, dict[str, float]]:
-    """Return the room in its own words, and the uncertainty of each length."""
+    """Return the room as a `Room`, and the uncertainty of each length."""
     count = len(values)
     rows: dict[str, Array] = {}  # each figure as a linear form of the values
 

@@ -1,4 +1,4 @@
-"""Clicks on a panorama: what they mean, their file, and where a pixel points."""
+"""Define clicks on a panorama: their meaning, their file, and the direction of a pixel."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Click:
 
 @dataclass(frozen=True, slots=True)
 class ClickGrid:
-    """Size and heading of the panorama that was clicked on."""
+    """Size and heading of the panorama on which the clicks are."""
 
     height_px: int
     width_px: int
@@ -59,7 +59,7 @@ class ClickGrid:
 
 
 def read_clicks(path: Path) -> list[Click]:
-    """Read a csv with the columns of `COLUMNS`. Raises InputError with the line."""
+    """Read a csv with the columns of `COLUMNS`. Raises InputError, naming the line."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)

@@ -1,6 +1,6 @@
-"""A plan view of a box room: walls, windows, camera, and north, as SVG.
+"""Draw a box room from above, as SVG: walls, windows, camera and north.
 
-A wrong `left_m` or azimuth is seen at a glance in a drawing, and not in a table.
+A drawing reveals a wrong `left_m` or azimuth, which a table does not.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def wind(azimuth_deg: float) -> str:
 def room_svg(setup: SiteFile) -> str:
     """Return the drawing of a room, seen from above with the "south" wall at the bottom.
 
-    It is empty without a room of kind "box". Raises InputError for a room that cannot be built.
+    It is empty for a room of another kind than "box". Raises InputError for an impossible room.
     """
     room = setup.room
     if room is None or room.kind != "box":
@@ -93,7 +93,7 @@ def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
 def _wall_label(
     wall: str, azimuth: str, left: float, top: float, width: float, height: float
 ) -> str:
-    """Return the room's own word for a wall, and where it looks, outside of it."""
+    """Return a wall's name and direction, placed outside the wall."""
     x, y = {
         "south": (left + width / 2, top + height + 22),
         "north": (left + width / 2, top - 12),
@@ -113,7 +113,7 @@ def _wall_label(
 def _camera(room: Room, heading_deg: float, at: tuple[float, float], share: float) -> list[str]:
     """Return the camera as a dot with an arrow to its heading.
 
-    The text runs away from a wall that is near.
+    The text is placed away from a wall that is near.
     """
     # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
     turn = np.radians(heading_deg - room.wall_azimuth_deg + 180.0)
@@ -146,7 +146,7 @@ def _north(wall_azimuth_deg: float) -> str:
 def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
     """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...
 
-    A line is split where it leaves the picture at one side and enters at the other.
+    A line is split where it leaves the picture at one side and continues at the other.
     """
     camera = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     low, high = np.zeros(3), np.array([room.width_m, room.depth_m, room.height_m])

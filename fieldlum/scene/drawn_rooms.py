@@ -1,7 +1,7 @@
-"""Rooms that are possible within the uncertainty of a stated room, drawn at random.
+"""Draw random rooms that are possible within the uncertainty of a stated room.
 
 A tape measure is wrong by centimetres and a compass by a degree. Near bars, jambs and obstructions
-that decides whether the sun disc is seen, and therefore the glare of an hour.
+this decides whether the sun disc is seen, and therefore the glare of an hour.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def stated_uncertainty(
 ) -> RoomUncertainty:
     """Return independent standard uncertainties of every parameter of the room.
 
-    A window without a transom (0) keeps none.
+    A window without a transom (0) never gets one.
     """
     names = tuple(
         name
@@ -104,10 +104,10 @@ def stated_uncertainty(
 
 
 def uncertainty_of_draws(room: Room, draws: Mapping[str, Sequence[float]]) -> RoomUncertainty:
-    """Return the covariance of a fitted room over searches with captures drawn again.
+    """Return the covariance of a fitted room over searches with resampled captures.
 
-    draws: for each of `room_parameters`, its values in two or more searches. Those that the room
-    does not have are left out. No standard uncertainty is below `SEARCH_LENGTH_M` and
+    draws: for each of `room_parameters`, its values in two or more searches. Parameters that the
+    room does not have are ignored. Standard uncertainties are at least `SEARCH_LENGTH_M` and
     `SEARCH_ANGLE_DEG`.
     """
     values = room_parameters(room)
@@ -131,8 +131,8 @@ def draw_rooms(
 ) -> tuple[Room, ...]:
     """Return `count` rooms drawn from the uncertainty around `room`.
 
-    Windows stay within their walls and the camera within the room. Raises KeyError for a parameter
-    that the room does not have, InputError for a room that is no box.
+    Windows stay within their walls, and the camera within the room. Raises KeyError for a parameter
+    that the room does not have, InputError for a room that is not a box.
     """
     build(room)
     stated = room_parameters(room)
@@ -190,9 +190,9 @@ def _within_walls(room: Room) -> Room:
 
 
 def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArray[np.float32]:
-    """Return the share of the sun's normal illuminance that the disc gives the camera, [k, n].
+    """Return the disc's illuminance at the camera over the sun's normal illuminance, [k, n].
 
-    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up). k rooms, n moments.
+    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); k rooms, n times.
     """
     suns = np.asarray(sun_direction, float)
     out = np.zeros((len(rooms), len(suns)), np.float32)
@@ -205,7 +205,7 @@ def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArra
 
 
 def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
-    """Return the seen share of the disc through one opening times its glass, [n]."""
+    """Return the visible share of the disc through one opening, times its glass, [n]."""
     share = np.zeros(len(toward))
     rows = np.flatnonzero((toward[:, o.axis] * o.outward > 1e-6) & (toward[:, 2] > 0))
     eye = np.array(scene.camera_m)
@@ -223,7 +223,10 @@ def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
 
 
 def _passes(o: Opening, eye: Array, rays: Array, margin_rad: float) -> NDArray[np.bool_]:
-    """Return which rays [m, 3] from the eye pass both ends of the opening, widened by an angle."""
+    """Return a mask of rays [m, 3] from the eye that pass both ends of the opening.
+
+    The opening is widened by an angle.
+    """
     inside = np.ones(len(rays), bool)
     for plane in (o.inner_m, o.outer_m):
         at = (plane - eye[o.axis]) / rays[:, o.axis]  # [m]
@@ -248,7 +251,10 @@ def _disc_rays(toward: Array) -> Array:
 
 
 def _meets(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
-    """Return which rays [m, 3] from the eye meet the box from `low` to `high` (slab test)."""
+    """Return a mask of rays [m, 3] from the eye that meet a box (slab test).
+
+    The box has the corners `low` and `high`.
+    """
     d = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     a, b = (low - eye) / d, (high - eye) / d
     enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)

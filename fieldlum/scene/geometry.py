@@ -1,6 +1,6 @@
-"""A box room as axis-aligned boxes and glass panes, in room coordinates.
+"""Describe a box room by axis-aligned boxes and glass panes, in room coordinates.
 
-x is right and y away from the "south" wall, as seen from inside facing "north"; z is up.
+x is to the right and y away from the "south" wall, as seen from inside facing "north"; z is up.
 """
 
 from __future__ import annotations
@@ -282,7 +282,7 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
 
 
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:
-    """Yield the wall without its windows, as upright strips between the windows' edges.
+    """Yield a wall without its windows, as vertical strips between the windows' edges.
 
     The ends of the strips are the reveals.
     """

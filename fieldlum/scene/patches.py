@@ -1,6 +1,6 @@
-"""Direct sun on a box room's surfaces, hour by hour.
+"""Compute direct sun on a box room's surfaces, hour by hour.
 
-The primary rays are traced once; each hour needs only shadow rays.
+The primary rays are traced once; each hour only needs shadow rays.
 """
 
 from __future__ import annotations
@@ -87,13 +87,13 @@ def sun_patches(
     sub: int = 3,
     progress: Progress = quiet,
 ) -> SunPatches:
-    """Return the luminance of sunlit surfaces by direct sun only (Radiance's -ab 0), without disc.
+    """Return the luminance of surfaces due to direct sun only (Radiance's -ab 0), without the disc.
 
-    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up);
-    normal_illuminance_lx : [n] of the sun outside, on its normal. A box room is traced exactly
-    (hard shadows, sub x sub rays for each pixel, one mirror image in the panes); a room of kind
-    "radiance" is traced by rtrace. heading_deg : by default the setup's. Raises InputError for an
-    impossible room.
+    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); normal_illuminance_lx
+    : [n] of the sun outside, on a plane normal to it. A box room is traced exactly (hard shadows,
+    sub x sub rays for each pixel, one mirror image in the panes); a room of kind "radiance" is
+    traced by rtrace. heading_deg : by default the setup's. Raises InputError for an impossible
+    room.
     """
     parts = list(
         iter_sun_patches(
@@ -123,8 +123,8 @@ def window_fraction(
 ) -> NDArray[np.float32]:
     """Return the share of each pixel that sees the sky, times the transmittance there, [H, W].
 
-    The sky's luminance in a pixel's direction times this is the luminance that the pixel gets
-    directly from the sky.
+    Multiplied by the sky's luminance in the pixel's direction, this is the luminance that the pixel
+    receives directly from the sky.
     """
     heading = _heading(setup, heading_deg)
     if room.kind != "box":
@@ -147,9 +147,9 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
 
 
 def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
-    """Return the visible share of the sun disc from the camera, and the glass in front, [n] each.
+    """Return the visible share of the disc from the camera, and the glass in front, [n] each.
 
-    toward : [n, 3] suns in room axes.
+    toward : [n, 3] directions to the sun in room axes.
     """
     visible, through = np.zeros(len(toward)), np.zeros(len(toward))
     eye = np.array(scene.camera_m)
@@ -173,7 +173,7 @@ def _may_see(o: Opening, eye: Array, sun: Array) -> bool:
 
 
 def _free(scene: BoxScene, o: Opening, eye: Array, rays: Array) -> NDArray[np.bool_]:
-    """Return which rays [r, 3] from the eye leave through `o` past frames and obstructions."""
+    """Return a mask of rays [r, 3] from the eye that leave through `o` without hitting a box."""
     free = np.ones(len(rays), bool)
     for plane in (o.inner_m, o.outer_m):
         at = (plane - eye[o.axis]) / rays[:, o.axis]

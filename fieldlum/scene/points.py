@@ -1,4 +1,4 @@
-"""Surface points that the sun may reach: sorted into tiles once, then tested for each hour."""
+"""Sort surface points that the sun may reach into tiles, and test them for each hour."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SunPoints:
     targets: int
 
     def direct(self, toward: Array) -> NDArray[np.float32]:
-        """Return the sums for a sun in direction `toward`, [3] in room axes, [targets]."""
+        """Return the sums for a sun in direction `toward` [3] in room axes, [targets]."""
         total = np.zeros(self.targets)
         if toward[2] <= 0.0:
             return total.astype(np.float32)
@@ -47,7 +47,7 @@ class SunPoints:
         return total.astype(np.float32)
 
     def _lit(self, toward: Array) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-        """Return the indices of the points in the sun, and their glass towards it, [k] each."""
+        """Return the indices of sunlit points, and the glass towards the sun, [k] each."""
         parts: list[tuple[NDArray[np.intp], float]] = []
         for o in self.scene.openings:
             if toward[o.axis] * o.outward > 1e-6:

@@ -1,4 +1,4 @@
-"""Rooms in Radiance: a box room as .rad text; rooms of .rad or .oct files traced by rtrace."""
+"""Write box rooms as Radiance text, and trace rooms of .rad or .oct files by rtrace."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0
 
 
 def sun_text(direction: Array, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
-    """Return a sun in direction [3] as Radiance text; 179 lx are an irradiance of one."""
+    """Return a sun in direction [3] as Radiance text; 179 lx give an irradiance of 1 W/m2."""
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
     light = f"void light solar\n0\n0\n3 {radiance:.8g} {radiance:.8g} {radiance:.8g}\n"
@@ -254,9 +254,10 @@ def iter_traced(
 
 
 def traced_sky_share(room: Room, rays: Array) -> Array:
-    """Return the share of light that rays [m, 3] from the viewpoint get from the open sky, [m].
+    """Return the share of the open sky's light that rays [m, 3] from the viewpoint receive, [m].
 
-    World axes. 0 where something opaque is in the way, else the transmittance of the glass.
+    Rays are in world axes. The share is 0 behind an opaque surface, else the transmittance of the
+    glass.
     """
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)

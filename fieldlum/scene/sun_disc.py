@@ -1,4 +1,4 @@
-"""The sun disc as rays, and the results of direct sun, for shadow rays and for Radiance."""
+"""Sample the sun disc by rays, for shadow rays and for Radiance."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc se
 
 @dataclass(frozen=True, slots=True)
 class SunPatches:
-    """Results of direct sun only, at n moments.
+    """Results of direct sun at n times.
 
     luminance_cdm2 : [n, H, W] of sunlit surfaces, without the disc; visible_fraction : [n] of the
-    disc that the camera sees; disc_transmittance : [n] of the glass in front of it (0 if the disc
-    is not seen); disc_lx : [n] illuminance by the disc at the camera, on a plane normal to it.
+    disc, from the camera; disc_transmittance : [n] of the glass in front of it (0 if the disc is
+    not visible); disc_lx : [n] illuminance from the disc at the camera, on a plane normal to the
+    sun.
     """
 
     luminance_cdm2: NDArray[np.float32]

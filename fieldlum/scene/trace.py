@@ -1,4 +1,4 @@
-"""Exact ray casting among boxes and panes, vectorised over rays."""
+"""Cast rays among boxes and panes exactly, vectorised over rays."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Hits:
 
 
 def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
-    """Return the nearest box of each ray [n, 3]; a ray does not see the box that it starts in."""
+    """Return the nearest box of each ray [n, 3]; a ray ignores the box in which it starts."""
     n = len(directions)
     distance, box = np.full(n, np.inf), np.full(n, -1, np.int32)
     axis, sign = np.zeros(n, np.int8), np.zeros(n, np.int8)

@@ -1,1 +1,1 @@
-"""A room's north, clock, pose, windows and furniture from its own captures."""
+"""Fit a room's north, clock, pose, windows and furniture to its own captures."""

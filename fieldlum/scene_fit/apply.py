@@ -1,4 +1,4 @@
-"""A scene put to use: captures with the north, clock, room and sun patches that it holds."""
+"""Apply a fitted scene to captures: north, clock, room and sun patches."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from fieldlum.site_toml import site_table
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-# Chosen: above the rounding of a panorama's header, below the 0.1 degrees to which north is found.
+# Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which
+# north is determined.
 _SAME_HEADING_DEG = 0.05
 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
-    """Return a fit as a scene, its room turned to true north."""
+    """Return a fit as a scene, with its room relative to true north."""
     azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
     room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
     return Scene(
@@ -49,12 +50,12 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
 
 
 def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Dataset:
-    """Return the captures as the scene explains them.
+    """Return the captures with the corrections of a scene.
 
-    chosen "fitted": heading and room turned to true north, the sun's position at the true times,
-    sun patches computed from the fitted room. "stated": patches of the stated room. "none":
-    no patches. Raises InputError for captures that state another heading or room than those that
-    the scene was fitted to.
+    With chosen "fitted", heading and room are relative to true north, the sun is at the true times,
+    and sun patches are computed from the fitted room. With "stated", patches are from the stated
+    room. With "none", there are no patches. Raises InputError for captures that state another
+    heading or room than those to which the scene was fitted.
     """
     _check_stated(data, scene)
     about: UsedScene = {
@@ -83,15 +84,20 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
 
 
 def _check_stated(data: Dataset, scene: Scene) -> None:
-    """Raise InputError unless the captures state what the scene was fitted to."""
+    """Raise InputError if the captures state another heading or room than the fit used."""
     remedy = "fit the scene again (fieldlum scene fit), or train with --scene none"
     turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
     if turned_deg > _SAME_HEADING_DEG:
-        found = f"captures that face {data.heading_deg:g} degrees"
-        raise InputError("the scene", found, f"{scene.stated_heading_deg:g} as in its fit", remedy)
+        found = f"captures with heading {data.heading_deg:g} degrees"
+        raise InputError(
+            "the scene",
+            found,
+            f"heading {scene.stated_heading_deg:g} degrees, as in its fit",
+            remedy,
+        )
     if data.setup.room != scene.stated_room:
-        found = "a [room] that differs from the one that the fit started at"
-        raise InputError("the scene", found, "the same [room]", remedy)
+        found = "captures with another [room] than the one from which the fit started"
+        raise InputError("the scene", found, "the [room] of the fit", remedy)
 
 
 def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
@@ -112,9 +118,9 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
 
 
 def earlier(light: Light, minutes: float, data: Dataset) -> Light:
-    """Return the light with times and sun `minutes` earlier; irradiance and sky stay.
+    """Return the light with times and sun `minutes` earlier; irradiance and sky do not change.
 
-    The sun's columns of the captures are moved by what the sun moved in that time, so that a
+    The sun's columns of the captures are moved by the sun's motion in that time, so that a
     rendering keeps its own formula of the sun.
     """
     if minutes == 0.0:
@@ -133,11 +139,11 @@ def earlier(light: Light, minutes: float, data: Dataset) -> Light:
 def in_scene(
     data: Dataset, pairs: Path, option: str, patch: str, *, progress: Progress = quiet
 ) -> tuple[Dataset, str]:
-    """Return captures as the option ``--scene`` asks for, and the patch mode to train with.
+    """Return the captures as the option ``--scene`` demands, and the patch mode for training.
 
-    option: a folder with scene.toml; "none": ignore any; empty: the folder scene/ next to the
-    pairs, if it exists. For a csv without patches whose site has a box `[room]`, compute patches.
-    Raises InputError for a folder without a scene.
+    option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
+    to the pairs, if it exists. For a csv without patches whose site has a box `[room]`, patches are
+    computed. Raises InputError for a folder without a scene.
     """
     beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"
     folder = Path(option) if option else beside
@@ -151,5 +157,5 @@ def in_scene(
     room = data.setup.room
     if data.patch_cdm2 is None and patch != "none" and room is not None and room.window:
         data = with_patches(data, progress=progress)
-        data = replace(data, notes=(*data.notes, "sun patches made from [room]"))
+        data = replace(data, notes=(*data.notes, "sun patches computed from [room]"))
     return data, patch

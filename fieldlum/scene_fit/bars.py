@@ -1,4 +1,4 @@
-"""Bars and transoms: the window as the sun sees it, from the patches that it throws."""
+"""Find bars and transoms: follow captured sun patches back to the window."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from fieldlum.scene_fit.renderer import lit_entries, surfaces
 
 Array = NDArray[np.floating]
 
-# From the study of the office (docs/scene.md): its bars are 8 cm wide and 12 cm deep. The others
-# were chosen with it and not varied since: a slope of the sun against the window's normal above
-# which the depth blurs a bar, the dip of the light at a bar, the width of the median around it, the
-# widths between noise and a column, the depth that the search starts from.
+# From the study of the office (docs/scene.md), whose bars are 8 cm wide and 12 cm deep. The other
+# values were chosen with it and not varied since: slope of the sun against the window's normal
+# above which the depth blurs a bar; dip of the light at a bar; width of the median around it;
+# widths between noise and a column; depth from which the search starts.
 CELL_M = 0.02
 MAX_SLOPE = 0.6
 MIN_DIP = 0.2
@@ -26,12 +26,13 @@ RUNNING_M = 1.0
 MAX_BAR_M = 0.2
 MIN_BAR_M = 0.015
 START_DEPTH_M = 0.06
-_LIT_SHARE = 0.8  # chosen, not varied: of a pixel's rays, for its brightness to count
+# share of a pixel's rays that must be lit, so that its brightness counts; chosen, not varied
+_LIT_SHARE = 0.8
 
 
 @dataclass(frozen=True)
 class WindowPicture:
-    """Transmitted share of the sun at cells of the window's middle plane.
+    """The transmitted share of the sun at cells of a window's middle plane.
 
     value, weight: [z, u]; u_m, z_m: edges of the cells [m].
     """
@@ -42,7 +43,10 @@ class WindowPicture:
     z_m: Array
 
     def profile(self, axis: int) -> Array:
-        """Return the weighted mean over z (axis 0) [u], or u (axis 1) [z]; NaN without any sun."""
+        """Return the weighted mean over z (axis 0) as [u], or over u (axis 1) as [z].
+
+        NaN without sun.
+        """
         weight = self.weight.sum(axis=axis)
         with np.errstate(invalid="ignore", divide="ignore"):
             return (self.value * self.weight).sum(axis=axis) / np.where(weight > 0, weight, np.nan)
@@ -51,7 +55,7 @@ class WindowPicture:
 def window_picture(
     evidence: SceneEvidence, guess: Guess, number: int, albedo: Array
 ) -> WindowPicture:
-    """Return what window `number` lets through, found by following sunlit pixels back to it.
+    """Return what window `number` transmits, by following sunlit pixels back to the window.
 
     albedo: of each surface [s].
     """
@@ -95,7 +99,10 @@ def window_picture(
 
 
 def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:
-    """Return upright and level bars where the picture is darker than within a metre around."""
+    """Return vertical and horizontal bars where the picture is darker than nearby.
+
+    Nearby means within a metre around.
+    """
     middle = guess.thickness_m / 2.0
     half = min(START_DEPTH_M, 0.8 * middle)
     depth = (middle - half, middle + half)
@@ -110,7 +117,10 @@ def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]
 
 
 def _dips(profile: Array, edges: Array) -> list[tuple[float, float]]:
-    """Return the dips of a profile [k] with cell edges [k + 1]: extents as wide as their area."""
+    """Return the extents of the dips of a profile [k] with cell edges [k + 1].
+
+    An extent is as wide as the dip's area.
+    """
     good = np.isfinite(profile)
     if good.sum() < 20:
         return []

@@ -1,7 +1,7 @@
-"""Refuse captures that no scene can explain, before a search.
+"""Reject captures that no scene can explain, before a search.
 
-They are windows elsewhere in the pictures than in the room, a compass that was read the wrong way
-round, and two views in one csv.
+Three errors are detected: windows at other places in the pictures than in the room, a compass that
+was read in the wrong direction, and two views in one csv.
 """
 
 from __future__ import annotations
@@ -26,35 +26,38 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Chosen, not measured: a third of the least turn; a turn beyond what the search corrects for a
-# compass near steel; hours, of which fewer show no pattern.
+# Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
+# corrects for a compass near steel; least number of hours that show a pattern.
 _TURN_STEP_DEG = 10.0
 _MIN_TURN_DEG = 30.0
 _MIN_HOURS = 12
-# Measured in the office and in three rendered rooms, as they are: 0 (windows), 1.0 (sun); turned by
-# 180 degrees: 2.6 to 3.0, and 0.48 to 0.54.
+# Measured in the office and in three rendered rooms: 0 (windows) and 1.0 (sun) with the correct
+# room; 2.6 to 3.0 and 0.48 to 0.54 with the room turned by 180 degrees.
 _WINDOW_LOG_GAIN = 1.0
 _SUN_ERROR_SHARE = 0.7
-_SUN_SHARE = 0.05  # chosen: of the room's light, that follows the sun before the stated windows
-# Measured: one room, correlation 0.93 to 0.97, unexplained 0.83 to 0.86; the office turned by 16
-# degrees in half of the captures: 0.78 and 0.49; with a second room: 0.54 and 0.31.
+# share of the room's light that must follow the sun in front of the stated windows; chosen
+_SUN_SHARE = 0.05
+# Measured for one room: correlation 0.93 to 0.97, unexplained 0.83 to 0.86. With the office turned
+# by 16 degrees in half of the captures: 0.78 and 0.49. With a second room: 0.54 and 0.31.
 _SAME_VIEW_CORRELATION = 0.88
 _TWO_VIEWS_UNEXPLAINED = 0.65
-# Chosen, not measured: below this share, captures of a second view do not move the fit; rows coarse
-# enough that noise averages out; a luminance below that of a room by day; rounds of two means,
-# which settle in about five.
+# Chosen, not measured: with a smaller share, captures of a second view do not change the fit; rows
+# so coarse that noise averages out; a luminance below that of a room by day; rounds of the
+# grouping, which settles in about five.
 _MIN_VIEW_SHARE = 0.04
 _VIEW_ROWS = 24
 _FLOOR_CDM2 = 0.1
 _ROUNDS = 20
-_REMEDY = "nothing was written, and train goes on with the stated [room] or --scene none"
+_REMEDY = (
+    "nothing was written, and train uses the stated [room], or no sun patches with --scene none"
+)
 
 
 def check_captures(data: Dataset, room: Room) -> None:
     """Raise InputError for captures or rooms that cannot be fitted.
 
-    They are a room that is not a box or has no window, captures of two views, and captures that
-    fit the room only when it is turned by 30 degrees or more.
+    These are a room that is not a box or has no window, captures of two views, and captures that
+    fit the room only after a turn by 30 degrees or more.
     """
     require_box(room)
     where = data.source or "the captures"
@@ -63,31 +66,37 @@ def check_captures(data: Dataset, room: Room) -> None:
         first, second, correlation = views
         raise InputError(
             where,
-            f"pictures of two views: {first} and {second} captures (correlation {correlation:.2f})",
-            "one room seen by one camera that stays",
-            f"pair and fit each alone, and mark blinds with fieldlum status --mark; {_REMEDY}",
+            f"pictures of two views: {first} captures of one, {second} of the other "
+            f"(correlation {correlation:.2f})",
+            "one room from one position of the camera",
+            "pair and fit each view separately, and mark blinds with fieldlum status "
+            f"--mark; {_REMEDY}",
         )
     turn_deg = _windows_turned_deg(data, room)
     if turn_deg is not None:
         raise InputError(
             where,
-            f"bright windows about {turn_deg:+.0f} degrees from where [room] and heading have them",
-            "windows where [room] has them",
+            f"bright windows about {turn_deg:+.0f} degrees from where [room] and heading "
+            "have windows",
+            "windows at the places stated in [room]",
             f"check heading_deg, wall_azimuth_deg and the windows' walls; {_REMEDY}",
         )
     turn_deg = _sun_turned_deg(data, room)
     if turn_deg is not None:
         raise InputError(
             where,
-            f"light of a room that faces {turn_deg:+.0f} degrees from what is stated",
-            "light that follows the sun before the stated windows",
-            f"check heading_deg and wall_azimuth_deg (180 degrees: the compass was read backwards) "
-            f"and the time zone of the times; {_REMEDY}",
+            f"light of a room that faces {turn_deg:+.0f} degrees from the stated direction",
+            "light that follows the sun in front of the stated windows",
+            "check heading_deg and wall_azimuth_deg (180 degrees mean that the compass was "
+            f"read backwards) and the time zone of the times; {_REMEDY}",
         )
 
 
 def _windows_turned_deg(data: Dataset, room: Room) -> float | None:
-    """Return by how many degrees clockwise the windows differ from `room`; None if they agree."""
+    """Return the turn [deg, clockwise] between the windows in the pictures and in `room`.
+
+    Return None if they agree.
+    """
     height, width = data.shape
     _, rays = pixel_rays(height, data.heading_deg, 1)
     ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
@@ -103,17 +112,17 @@ def _windows_turned_deg(data: Dataset, room: Room) -> float | None:
     best = int(bright.argmax())
     turn_deg = float(signed_angle_deg(turns[best] / width * 360.0))
     room_level = float(np.average(level, weights=omega))
-    # A stated window that is bright is there, whatever other window is brighter.
+    # A stated window that is bright exists, even if another place is brighter.
     absent = bright[0] - room_level < _WINDOW_LOG_GAIN
     clear = absent and bright[best] - bright[0] > _WINDOW_LOG_GAIN
     return turn_deg if clear and abs(turn_deg) >= _MIN_TURN_DEG else None
 
 
 def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
-    """Return by how many degrees clockwise light follows the sun off `room`; None if it agrees.
+    """Return the turn [deg, clockwise] between the sun that the light follows and `room`.
 
-    The mean luminance of the room is fitted by diffuse light, by direct light on the windows and by
-    direct light on the ground, none of them negative.
+    Return None if they agree. The mean luminance of the room is fitted by diffuse light, by direct
+    light on the windows and by direct light on the ground, none of them negative.
     """
     if len(data) < _MIN_HOURS:
         return None
@@ -134,16 +143,17 @@ def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
         shares.append(shared[1] * float((parts[:, 1] * scale).mean()))
     best = int(np.argmin(errors))
     turn_deg = float(signed_angle_deg(turns[best]))
-    # Sun that enters as stated, next to light from a sunlit facade opposite, is no contradiction.
+    # Sun through the stated windows is no contradiction, even next to light from a sunlit facade
+    # opposite.
     absent = shares[0] < _SUN_SHARE
     clear = absent and errors[best] < _SUN_ERROR_SHARE * errors[0]
     return turn_deg if clear and abs(turn_deg) >= _MIN_TURN_DEG else None
 
 
 def _two_views(data: Dataset) -> tuple[int, int, float] | None:
-    """Return numbers of captures of two views, and their correlation; None for one view.
+    """Return the numbers of captures of two views, and their correlation; None for one view.
 
-    Captures whose room is marked as in another state, such as lamps, take no part.
+    Captures with a marked state of the room, such as lamps, do not count.
     """
     states = data.light.states
     usual = np.ones(len(data), bool) if states is None else np.array([not s for s in states])
@@ -172,7 +182,10 @@ def _two_views(data: Dataset) -> tuple[int, int, float] | None:
 
 
 def _two_groups(points: Array) -> NDArray[np.intp]:
-    """Return 0 or 1 for each of the points [n, k]: two means, started across the widest extent."""
+    """Return the group, 0 or 1, of each of the points [n, k].
+
+    The groups are found by two means that start at the ends of the widest extent.
+    """
     off = points - points.mean(axis=0)
     label = (np.linalg.svd(off, full_matrices=False)[0][:, 0] > 0.0).astype(np.intp)
     for _ in range(_ROUNDS):

@@ -1,8 +1,9 @@
-"""North, level, clock and lens scale from measured centres of the sun's disc, without a room.
+"""Fit north, level, clock and lens scale to measured centres of the sun's disc, without a room.
 
-A late clock turns the sun about the celestial pole. A camera's heading, tilt and roll are together
-any turn, that one included: discs alone cannot separate the clock from level and north. One of the
-two must be known otherwise: the clock by NTP or GPS, or the level by a good spirit level.
+A late clock turns the sun about the celestial pole. Heading, tilt and roll of a camera together
+form an arbitrary rotation, which includes that one: discs alone cannot separate the clock from
+level and north. One of the two must be known from elsewhere: the clock by NTP or GPS, or the level
+by a good spirit level.
 """
 
 from __future__ import annotations
@@ -23,13 +24,15 @@ from fieldlum.scene_fit.sun_path import sun_earlier
 Array = NDArray[np.float64]
 
 NAMES = ("heading_deg", "tilt_deg", "roll_deg", "clock_min", "lens_scale")
-# Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand,
-# a camera clock compared with NTP (`import` and `capture` record that), an equidistant lens model.
+# Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand, a
+# camera clock compared with NTP (`import` and `capture` record this), an equidistant lens model.
+# Chosen.
 PRIOR_SD = (5.0, 1.0, 1.0, 0.1, 0.01)
-LEAST_DISCS = 3  # chosen: six coordinates, one more than the five parameters
-# Chosen, not measured: so far from the other discs, one is a reflection or a lamp; four times the
-# steps that errors of a few degrees need; half of the prior's uncertainty, above which the discs
-# did not determine a parameter; a correlation at which two parameters have one known combination.
+LEAST_DISCS = 3  # least number of discs: six coordinates, one more than the five parameters
+# Chosen, not measured: distance from the other discs at which one is a reflection or a lamp; four
+# times the steps that errors of a few degrees need; half of the prior's uncertainty, above which
+# the discs did not determine a parameter; correlation at which only a combination of two parameters
+# is known.
 _GROSS_SIGMAS = 5.0
 _STEPS = 12
 _OPEN_SHARE = 0.5
@@ -40,10 +43,11 @@ _VALLEY_CORRELATION = 0.98
 class PoseFit:
     """What the discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
 
-    heading_deg: add it to the stated heading. tilt_deg: the view axis points up by it; roll_deg:
-    the picture's right-hand side is low by it. clock_min: the recorded times are late by it.
-    lens_scale: true angle from the axis over the stated one, less 1. dropped: indices of gross
-    errors. open: parameters that the discs leave undetermined; pairs that trade against each other.
+    heading_deg: correction to add to the stated heading. tilt_deg: how far the view axis points up;
+    roll_deg: how far the picture's right-hand side is low. clock_min: how late the recorded times
+    are. lens_scale: true angle from the axis over the stated one, minus 1. dropped: indices of
+    gross errors. open: parameters that the discs do not determine, and pairs of parameters that
+    cannot be separated.
     """
 
     values: Array
@@ -70,23 +74,23 @@ def fit_pose(
     axis_deg: float,
     prior_sd: Sequence[float] = PRIOR_SD,
 ) -> PoseFit:
-    """Fit north, level, clock and lens scale to measured centres of the disc, n each.
+    """Fit north, level, clock and lens scale to n measured centres of the disc.
 
-    altitude_deg, azimuth_deg, sigma_deg : [n] as the stated heading, level and lens place them, and
-    their standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's axis. The
-    sun's apparent place is by NREL SPA. One gross error is found and left out where four discs
-    remain. Raises NotEnoughDataError with fewer than three.
+    altitude_deg, azimuth_deg, sigma_deg : [n], by the stated heading, level and lens, and their
+    standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's axis. The sun's
+    apparent position is by NREL SPA. One gross error is detected and omitted if four discs remain.
+    Raises NotEnoughDataError for fewer than three discs.
     """
     altitude, azimuth, sigma = (
         np.atleast_1d(np.asarray(v, float)) for v in (altitude_deg, azimuth_deg, sigma_deg)
     )
     if len(altitude) < LEAST_DISCS:
         raise NotEnoughDataError(
-            f"{len(altitude)} measured sun discs, at least {LEAST_DISCS} are needed for north, "
-            f"level and clock: capture clear hours with the sun in view"
+            f"{len(altitude)} measured sun discs, but at least {LEAST_DISCS} are needed for "
+            "north, level and clock: capture clear hours with the sun in view"
         )
     place = sun.position(list(t_utc), site)
-    bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n]
+    bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n] deg
     problem = _Problem(
         sun.direction(altitude - bent, azimuth),
         sun.direction(place.altitude_deg, place.azimuth_deg),
@@ -117,7 +121,11 @@ def fit_pose(
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Measured and expected directions [n, 3], sigma [n] rad."""
+    """The measurements and priors of a fit to n discs.
+
+    measured, expected: directions [n, 3]; sigma: [n] rad; axis_deg: azimuth of the lens's axis;
+    prior_sd: of the five parameters.
+    """
 
     measured: Array
     expected: Array
@@ -127,7 +135,7 @@ class _Problem:
     prior_sd: Array
 
     def residuals(self, values: Array) -> Array:
-        """Return the measured direction less the sun's, in standard uncertainties, [n, 3]."""
+        """Return measured minus true directions of the sun, in standard uncertainties, [n, 3]."""
         heading, tilt, roll, clock, scale = values
         true = _scaled(self.measured, scale, self.axis_deg) @ (
             rotation(heading, tilt, roll, self.axis_deg).T
@@ -136,9 +144,9 @@ class _Problem:
         return (true - suns) / self.sigma[:, None]
 
     def solve(self, keep: NDArray[np.bool_], excess: float = 1.0) -> tuple[Array, Array]:
-        """Return values [5] and covariance [5, 5] by Gauss-Newton steps with the priors.
+        """Return the parameters [5] and their covariance [5, 5], fitted with the priors.
 
-        excess: variance of the discs in units of their sigma squared.
+        keep: which discs count [n]. excess: factor on the discs' variance, sigma squared.
         """
         values = np.zeros(len(NAMES))
         normal = np.eye(len(NAMES))
@@ -159,10 +167,10 @@ class _Problem:
 
 
 def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, float]:
-    """Return the disc whose removal helps the others most, and its distance from their fit.
+    """Return the disc whose removal improves the fit of the others most, and its distance.
 
-    The distance is in standard uncertainties of the disc and of the others' fit, whose own scatter
-    widens it.
+    The distance from that fit is in standard uncertainties of the disc and of the others' fit; the
+    scatter of the others increases these.
     """
     worst, most, gain = -1, 0.0, 0.0
     for k in np.flatnonzero(keep):
@@ -198,9 +206,9 @@ def _scaled(directions: Array, scale: float, axis_deg: float) -> Array:
 
 
 def _undetermined(covariance: Array, prior_sd: Array) -> tuple[str, ...]:
-    """Return names of undetermined parameters, and of pairs that are strongly correlated.
+    """Return the names of undetermined parameters, and of strongly correlated pairs.
 
-    Undetermined parameters still have half of the prior's uncertainty.
+    An undetermined parameter has more than half of the prior's uncertainty.
     """
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sd, sd)

@@ -1,4 +1,4 @@
-"""What the captures hold about the scene: sunny hours, pixels, and the light below sun patches."""
+"""Collect from the captures what a fit needs: sunny hours, pixels, and light below sun patches."""
 
 from __future__ import annotations
 
@@ -24,16 +24,20 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# From a study of two rooms rendered by Radiance, made before this code. docs/scene.md has what was
-# measured since.
+# From a study of two rooms rendered by Radiance, made before this code. docs/scene.md has later
+# measurements.
 MAX_HOURS = 60
 PIXELS = 4000
-SUB = 2  # rays a pixel is divided into, each way
-MIN_SUNNY_HOURS = 6  # chosen: with every third kept out, four hours are left to fit
-WIDTH = 0.4  # chosen with the study, not varied: log error at which a pixel counts as half wrong
-_FAINT_SUN = 0.1  # chosen, not measured: of the strongest direct sun before a window
+SUB = 2  # rays into which a pixel is divided, in each direction
+# least number of sunny hours: with every third held out, four hours are left to fit; chosen
+MIN_SUNNY_HOURS = 6
+WIDTH = 0.4  # log error at which a pixel counts as half wrong; chosen with the study, not varied
+# share of the strongest direct sun on a window, below which an hour is not sunny; chosen, not
+# measured
+_FAINT_SUN = 0.1
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
-_WINDOW_MARGIN_DEG = 4.0  # chosen: pixels nearer to a window are left out, may look through it
+# pixels nearer to a window are omitted, because they may look through it; chosen
+_WINDOW_MARGIN_DEG = 4.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class SceneEvidence:
         return len(self.rows)
 
     def hours(self, index: NDArray) -> SceneEvidence:
-        """Return the evidence of some of the hours, by their numbers [k]."""
+        """Return the evidence of some hours, by their indices [k]."""
         return replace(
             self,
             log_seen=self.log_seen[index],
@@ -77,7 +81,7 @@ class SceneEvidence:
         return self.at_pixels(np.arange(0, len(self.pixels), every))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """Return the evidence of some of the pixels, by their numbers [k]."""
+        """Return the evidence of some pixels, by their indices [k]."""
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -93,7 +97,7 @@ class SceneEvidence:
         )
 
     def suns_room(self, guess: Guess) -> NDArray[np.float32]:
-        """Return directions to the sun in room axes under the guess's north and clock, [n, 3]."""
+        """Return directions to the sun in room axes, by the guess's north and clock, [n, 3]."""
         at = guess.clock_min + _CLOCK_REACH_MIN
         low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
         share = at - low
@@ -102,13 +106,13 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return irradiance per lx of the sun [n, m], and where the rays end."""
+        """Return the irradiance of pixels per lx of the sun [n, m], and where the rays end."""
         ends = surfaces(guess, self.rays)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
 
     def patches(self, guess: Guess, albedo: Array) -> Array:
-        """Return luminance of the sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
+        """Return the luminance of sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
         ends = surfaces(guess, self.rays)
         tone = albedo[ends.surface]
         suns, count = self.suns_room(guess), len(self.pixels)
@@ -116,7 +120,10 @@ class SceneEvidence:
         return self.direct_lx[:, None] * shine / np.pi
 
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
-        """Return the mean of `misfit` over hours, from sunlit entries; albedo: by surface [s]."""
+        """Return the mean of `misfit` over hours, computed from sunlit entries.
+
+        Albedo: by surface [s].
+        """
         ends = surfaces(guess, self.rays)
         lit = lit_entries(guess, ends, self.suns_room(guess))
         shine = lit.strength * albedo.astype(np.float32)[ends.surface[lit.ray]]
@@ -125,10 +132,7 @@ class SceneEvidence:
     def misfit_of_lit(
         self, hour: NDArray[np.intp], ray: NDArray[np.intp], shine: NDArray[np.float32]
     ) -> float:
-        """Return the mean misfit where the sun reaches pairs of hour and ray [k] alone.
-
-        shine [k]: cosine of incidence times transmittance times albedo.
-        """
+        """Return the mean misfit for a list of pairs of hour and ray [k] that the sun reaches."""
         count = len(self.pixels)
         total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)
         lit = np.flatnonzero(total)
@@ -189,7 +193,7 @@ class SceneEvidence:
         """
         unit, ends = self.unit(guess)
         first = np.full(len(self.pixels), -1)
-        first[self.pixel] = ends.surface  # the last ray of each pixel: edges are rare
+        first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare
         full = self.direct_lx[:, None] * unit / np.pi
         excess = np.exp(self.log_seen) - self.below
         albedo = np.resize(start, SHELL + len(guess.solids)).astype(float)
@@ -209,7 +213,7 @@ def _saturated(log_error: Array) -> Array:
 
 
 def require_box(room: Room) -> None:
-    """Raise InputError for a room that is no box or has no window."""
+    """Raise InputError for a room that is not a box or has no window."""
     if room.kind != "box" or not room.window:
         found = f"kind '{room.kind}', {len(room.window)} windows"
         remedy = "state the window in SITE.toml, or train with --scene none"
@@ -219,16 +223,16 @@ def require_box(room: Room) -> None:
 def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) -> SceneEvidence:
     """Collect the evidence of captures with a stated box room.
 
-    Raises InputError for a room that is no box or has no window, NotEnoughDataError with fewer
-    than six captures of direct sun before a window.
+    Raises InputError for a room that is not a box or has no window, NotEnoughDataError for fewer
+    than six captures with direct sun on a window.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)
     rows = _sunny(data, guess)
     if len(rows) < MIN_SUNNY_HOURS:
         raise NotEnoughDataError(
-            f"{len(rows)} captures have direct sun before a window, at least {MIN_SUNNY_HOURS} are "
-            f"needed: capture clear hours, or use the stated room"
+            f"{len(rows)} captures have direct sun on a window, but at least "
+            f"{MIN_SUNNY_HOURS} are needed: capture clear hours, or use the stated room"
         )
     chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
     rays, pixel = _rays(data, chosen)
@@ -250,7 +254,10 @@ def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) ->
 
 
 def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
-    """Return rows with direct sun before a window, in order: the strongest up to `MAX_HOURS`."""
+    """Return the rows with direct sun on a window, in order of time.
+
+    At most the strongest `MAX_HOURS`.
+    """
     from fieldlum.scene.geometry import WALLS
 
     suns = data.light.shown_sun_direction @ guess.turn.T
@@ -267,10 +274,11 @@ def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
 def _draw(
     data: Dataset, guess: Guess, rows: NDArray[np.intp], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return pixels drawn by solid angle, and their weights.
+    """Return randomly drawn pixels, and their weights.
 
-    Pixels that brighten strongly in some hour are drawn four times as often, which the weights
-    compensate. Pixels that may look through a window are not drawn.
+    The probability is by solid angle. Pixels that brighten strongly in some hour are drawn four
+    times as often, which the weights compensate. Pixels that may look through a window are not
+    drawn.
     """
     height, width = data.shape
     every, _ = _all_rays(data)
@@ -298,7 +306,7 @@ def _all_rays(data: Dataset) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
 
 
 def _rays(data: Dataset, chosen: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Return sub-rays of the chosen pixels [r, 3], and which of the chosen each belongs to [r]."""
+    """Return sub-rays of the chosen pixels [r, 3], and the index of each ray's pixel [r]."""
     from fieldlum.scene.view import pixel_rays
 
     pixel, rays = pixel_rays(data.shape[0], data.heading_deg, SUB)

@@ -12,13 +12,14 @@ from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
 from fieldlum.scene_fit.parameters import Parameter
 
-# Grids from which searches start; chosen, not varied. A facade farther away and higher gives nearly
-# the same shade, so that a factor of two in distance is fine enough; its angle of elevation decides
-# which suns it hides.
+# Grids from which searches start; chosen, not varied. A farther and higher facade gives nearly the
+# same shade, so that a factor of two in distance is fine enough; the facade's angle of elevation
+# decides which suns it hides.
 FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
 FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
 FACADE_THICKNESS_M = 2.0  # chosen: hardly changes the shade of a facade that starts at the ground
-REACH_M = 40.0  # chosen: of a facade to either side of the window, past every sun that enters
+# extent of a facade to either side of the window, beyond every sun that enters; chosen
+REACH_M = 40.0
 # Chosen, not measured: gaps above the window's upper edge, depths and thickness of common canopies,
 # the overhang to either side, shares of a window that a blind or a curtain covers. A thinner shade
 # than `THINNEST_M` explains noise; no captured patch shows the outside, so that a common facade's
@@ -35,7 +36,7 @@ Side = Literal["all", "low", "high"]
 
 
 def propose_exterior(guess: Guess) -> list[Solid]:
-    """Return facades and canopies before each window, on a coarse grid."""
+    """Return facades and canopies in front of each window, on a coarse grid."""
     proposals: list[Solid] = []
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
@@ -66,7 +67,11 @@ def _outside(
     out: tuple[float, float],
     height: tuple[float, float],
 ) -> Solid:
-    """Return a box before a window: `along` its wall, `out` of the wall's inner face, in height."""
+    """Return a box in front of a window.
+
+    along: extent along the window's wall; out: extent outwards from the wall's inner face; height:
+    extent in height.
+    """
     axis, side = WALLS[rect.wall]
     inner = guess.size_m[axis] if side else 0.0
     across = (inner + out[0], inner + out[1]) if side else (-out[1], -out[0])
@@ -123,7 +128,7 @@ def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]
 
 
 def propose_covers(guess: Guess) -> list[Bar]:
-    """Return blinds and curtains: parts of a window's opening that are covered from one end."""
+    """Return blinds and curtains: bars that cover part of a window's opening from one end."""
     proposals: list[Bar] = []
     depth = (0.0, min(0.05, 0.5 * guess.thickness_m))
     for number, rect in enumerate(guess.windows):

@@ -1,7 +1,8 @@
-"""The fit of a scene to captures: from the stated box to north, clock, edges, bars and furniture.
+"""Fit a scene to captures: from the stated box to north, clock, edges, bars and furniture.
 
-Every third sunny hour is kept out of the search. An element stays only if these hours want it, and
-the misfit stated for no patch, the stated box and the fitted scene is theirs.
+Every third sunny hour is held out of the search. An element remains only if it lowers the misfit of
+these hours too. The reported misfits (no patch, stated box, fitted scene) are those of the held-out
+hours.
 """
 
 from __future__ import annotations
@@ -70,11 +71,11 @@ def fit_scene(
     seed: int = 0,
     progress: Progress = quiet,
 ) -> SceneFit:
-    """Find the scene that explains the sun patches of the captures, starting at the stated box.
+    """Find the scene that explains the sun patches of the captures, starting from the stated box.
 
-    pose: what the sun's discs determined before. clock_sd_min: standard uncertainty of the stated
-    times; with `pose` it is already in it.
-    Raises InputError for a room without a window, NotEnoughDataError with too few sunny captures.
+    pose: result of the sun's discs, if any. clock_sd_min: standard uncertainty of the stated times;
+    `pose` already includes it. Raises InputError for a room without a window, NotEnoughDataError
+    for too few sunny captures.
     """
     progress(0, 100, "light below the patches")
     evidence = gather(data, room, pixels=pixels, seed=seed)
@@ -131,7 +132,7 @@ def fit_scene(
 
 
 def _with_albedo(room: Room, albedo: Array) -> Room:
-    """Return the room with the fitted albedos; solids have theirs already."""
+    """Return the room with the fitted albedos; solids already have theirs."""
     return replace(
         room,
         reflectance_walls=float(np.mean(albedo[:4])),
@@ -144,8 +145,8 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
     notes = []
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:
         notes.append(
-            f"north (+-{u['north_deg']:.1f} degrees) and clock (+-{u['clock_min']:.1f} min) cannot "
-            f"be separated well: captures of another season or of the sun's disc would do it"
+            f"north (+-{u['north_deg']:.1f} degrees) and clock (+-{u['clock_min']:.1f} min) "
+            "cannot be separated well: capture another season, or the sun's disc"
         )
     if u["wall_azimuth_deg"] > OPEN_WALL_DEG:
         notes.append(
@@ -153,5 +154,8 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
             f"cannot be separated well: measure the edges again, to 1 cm"
         )
     if len(np.unique(evidence.days)) < 3:
-        notes.append("sunny hours on fewer than three days: the uncertainties are of hours alone")
+        notes.append(
+            "sunny hours on fewer than three days: the uncertainties do not "
+            "include differences between days; capture more days"
+        )
     return notes

@@ -1,4 +1,4 @@
-"""Furniture: boxes are proposed where the light on single pixels fits a nearer or farther surface.
+"""Propose furniture: boxes where the light on pixels fits a nearer or farther surface.
 
 The search adds a box only if it lowers the misfit enough.
 """
@@ -21,8 +21,8 @@ from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
 Array = NDArray[np.floating]
 
 # From the study of the office and one more room (docs/scene.md): depths and albedos tried for each
-# pixel, the gain in a pixel's misfit that is more than noise, cells of the plan in which pixels are
-# grouped, cells and boxes that are enough, the smallest box.
+# pixel; gain in a pixel's misfit that exceeds noise; cells of the plan in which pixels are grouped;
+# numbers of cells and boxes that are enough; smallest box.
 DEPTHS = 40
 NEAREST_M = 0.3
 ALBEDOS = (0.1, 0.2, 0.35, 0.5, 0.7)
@@ -31,17 +31,17 @@ CELL_M = 0.15
 MIN_CELLS = 2
 MAX_PROPOSALS = 12
 MIN_SIZE_M = 0.08
-MIN_SIDE_M = 0.04  # chosen, not measured: a thinner solid explains noise
-# Chosen, not measured: the sun passes below a table's top on thin legs.
+MIN_SIDE_M = 0.04  # a thinner solid only explains noise; chosen, not measured
+# Chosen, not measured: the sun passes below the top of a table with thin legs.
 MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05
 
-# The faces that a pixel may look at: axis and sign of the normal.
+# The faces that a pixel can see: axis and sign of the normal.
 FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 
 
 @dataclass(frozen=True)
 class PixelDepths:
-    """For each pixel [m] the point, face, albedo and gain of the depth that explains it best."""
+    """The depth that explains each of m pixels best: its point, face, albedo and gain."""
 
     position_m: Array
     face: NDArray[np.intp]
@@ -50,10 +50,10 @@ class PixelDepths:
 
 
 def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
-    """Try depths, faces and albedos for every pixel alone; albedo: of each surface [s].
+    """Try depths, faces and albedos for each pixel separately; albedo: of each surface [s].
 
-    Each pixel has its own pattern of sunlit and dark hours. Where a surface at another depth would
-    explain the pattern better than the guess does, the guess lacks an object.
+    Each pixel has its own pattern of sunlit and dark hours. If a surface at another depth explains
+    the pattern better than the guess, an object is missing in the guess.
     """
     order = np.argsort(evidence.pixel, kind="stable")
     first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
@@ -63,7 +63,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
     pixels = len(rays)
     position, face = ends.position_m.astype(float), np.zeros(pixels, np.intp)
     tone, gain = np.full(pixels, 0.35), np.zeros(pixels)
-    # No depth can gain more than a pixel's own loss.
+    # No depth can gain more than the pixel's own loss.
     open_ = np.flatnonzero(stated > MIN_PIXEL_GAIN)
     few = evidence.at_pixels(open_)
     suns = evidence.suns_room(guess)
@@ -71,7 +71,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
     full_m = np.linalg.norm(ends.position_m[open_] - eye, axis=1)  # [o]
     room_rays = (ends.position_m[open_] - eye) / np.maximum(full_m, 1e-6)[:, None]
     dark = few.dark_loss.ravel()
-    least = stated[open_] - few.dark_loss.mean(axis=0)  # [o] what no patch at all would gain
+    least = stated[open_] - few.dark_loss.mean(axis=0)  # [o] what removing the patch would gain
     for share in np.linspace(0.0, 1.0, DEPTHS + 1)[:-1]:
         depth = NEAREST_M + share * np.maximum(full_m - NEAREST_M, 0.0)
         at = (eye + room_rays * depth[:, None]).astype(np.float32)
@@ -99,7 +99,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
 
 
 def _loss(evidence: SceneEvidence, patch: Array) -> Array:
-    """Return the mean misfit of each pixel over the hours, [m]."""
+    """Return the mean misfit over the hours, for each pixel [m]."""
     lit = np.flatnonzero(patch)
     loss = evidence.dark_loss.copy()
     loss.ravel()[lit] = evidence.loss(lit, patch.ravel()[lit])
@@ -109,7 +109,7 @@ def _loss(evidence: SceneEvidence, patch: Array) -> Array:
 def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
     """Return boxes on the floor, those with the largest gain first.
 
-    A box is proposed where pixels that fit another depth better cluster in plan.
+    A box is proposed where pixels that fit another depth better are close together in plan.
     """
     use = found.gain > MIN_PIXEL_GAIN
     inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)
@@ -185,8 +185,9 @@ def _distinct(solids: Sequence[Solid]) -> list[Solid]:
 def solid_parameters(number: int) -> list[Parameter]:
     """Return faces, place and albedo of a solid inside as parameters without a prior.
 
-    A solid is on the floor, or it is a table's top of constant thickness. A box at any height would
-    have any distance: a near high one hides the same pixels as a far low one.
+    A solid is on the floor, or is a table's top of constant thickness. The distance of a box at
+    any height would be undetermined, because a near high box hides the same pixels as a far low
+    box.
     """
 
     def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:
@@ -214,7 +215,7 @@ def solid_parameters(number: int) -> list[Parameter]:
         return Parameter(name, read, changed(move), 0.16, 0.01, np.inf)
 
     def lift(solid: Solid, by: float) -> Solid:
-        """Return a box with another height, or a table's top at another height."""
+        """Return a box with its top raised, or a table's top at another height."""
         low, high = list(solid.low_m), list(solid.high_m)
         high[2] += by
         if low[2] > 0.0:

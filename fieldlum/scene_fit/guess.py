@@ -1,7 +1,7 @@
-"""What is looked for: a box room with windows, bars and solid boxes, where north is, and the clock.
+"""Define what is fitted: a box room with windows, bars and solid boxes; north; and the clock.
 
-Room axes: x grows to the right of the "south" wall seen from outside, y away from it, z up, as in
-`fieldlum.records.Room`. Lengths in m, angles in degrees, the clock in minutes.
+Room axes: x to the right of the "south" wall as seen from outside, y away from that wall, z up, as
+in `fieldlum.records.Room`. Lengths are in m, angles in degrees, the clock in minutes.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class WindowRect:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A bar within a window's wall: upright if `upright`, else level.
+    """A bar within a window's wall, vertical if `upright`, else horizontal.
 
-    span_m: its extent across its own length, in u or in z. depth_m: from the inner face of the
-    wall outwards.
+    span_m: extent across the bar's length, in u or in z. depth_m: extent outwards from the wall's
+    inner face.
     """
 
     window: int
@@ -46,7 +46,7 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """An opaque box from corner `low_m` to corner `high_m`: furniture, a column, a neighbour."""
+    """An opaque box from corner `low_m` to corner `high_m`: furniture, a column, a building."""
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
@@ -57,9 +57,10 @@ class Solid:
 class Guess:
     """One possible scene.
 
-    north_deg: room and camera are further clockwise than stated by this angle. clock_min: the
-    stated times are later than the true ones by this time. tilt_deg, roll_deg: the picture's
-    centre, at the stated azimuth axis_deg, points up, and its right-hand side is low.
+    north_deg: room and camera are turned further clockwise than stated by this angle. clock_min:
+    the stated times are later than the true ones by this time. tilt_deg: how far the picture's
+    centre, at the stated azimuth axis_deg, points up. roll_deg: how far the picture's right-hand
+    side is low.
     """
 
     size_m: tuple[float, float, float]
@@ -90,11 +91,10 @@ class Guess:
 
 
 def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
-    """Return the guess that a stated box room is, without its bars' false precision.
+    """Return a stated box room as a guess.
 
-    axis_deg: the stated azimuth of the picture's centre.
-
-    Frames and bars of the room become bars. Raises InputError for a room that cannot be.
+    Frames and bars of the room become bars. axis_deg: the stated azimuth of the picture's centre.
+    Raises InputError for an impossible room.
     """
     scene = build(room)
     windows = []
@@ -149,7 +149,8 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 def room_of(guess: Guess, stated: Room) -> Room:
     """Return the guess as a `[room]`: bars become obstructions within the wall.
 
-    north_deg is not in it: the wall's azimuth stays as stated, see `Guess.north_deg`.
+    The wall's azimuth is relative to the stated north: north_deg is not applied, see
+    `Guess.north_deg`.
     """
     windows = tuple(_window(guess, rect) for rect in guess.windows)
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
@@ -171,7 +172,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
 
 
 def _window(guess: Guess, rect: WindowRect) -> Window:
-    """Return a window as in `[[room.window]]`: left_m is from the left end seen from inside."""
+    """Return a window as in `[[room.window]]`; left_m is from the left end as seen from inside."""
     length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
     left = length - u1 if rect.wall in ("south", "east") else u0

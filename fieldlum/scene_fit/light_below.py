@@ -1,4 +1,4 @@
-"""The light that pixels would show without direct sun on them, from captures alone."""
+"""Estimate from the captures alone the light that pixels would show without direct sun on them."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 
 # From a study of two rooms rendered by Radiance, made before this code (docs/scene.md).
-RANK = 15  # few enough features that smooth light cannot imitate a patch
+RANK = 15  # few enough features that smooth light cannot imitate a patch; chosen with the study
 ROUNDS = 6
-BRIGHTER, DARKER = 0.12, 0.5  # a sun patch only adds light: brighter pixels lose weight sooner
-# Chosen with the study: an hour's level is one number, so that dark pixels are noise there; a
-# luminance below that of a room by day; a share of the mean diagonal, so that a system is solvable.
+# a sun patch only adds light, so brighter pixels lose weight sooner; chosen with the study
+BRIGHTER, DARKER = 0.12, 0.5
+# Chosen with the study: an hour's level is one number, so that dark pixels are noise for it; a
+# luminance below that of a room by day; a share of the mean diagonal that makes the system
+# solvable.
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
 LEAST_CDM2 = 0.1
 _RIDGE = 1e-3
-_PATCH_SHARE = 0.3  # chosen: of a pixel's light; a stronger patch hides the light below
+_PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
 def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
-    """Return light that the pixels [n, m] would show without direct sun on them [cd/m2].
+    """Return the light that pixels [n, m] would show without direct sun on them [cd/m2].
 
-    patch [n, m]: a known patch, taken off; entries that it dominates count less.
-
-    A ridge regression of few smooth features of sky and sun, in rounds that trust a pixel less the
-    more it is brighter than the fit: a sun patch adds light and never takes any away.
+    patch [n, m]: a known patch, which is subtracted; values that it dominates count less. The light
+    is a ridge regression of few smooth features of sky and sun. Its rounds reduce the weight of
+    pixels that are brighter than the fit, because a sun patch only adds light.
     """
     features = light_features(data.light)
     kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
@@ -69,13 +70,12 @@ def _trust(patch: Array, seen: Array) -> Array:
 
 
 def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights: Array) -> Array:
-    """Return the light below patches with each hour's own level, [n, m].
+    """Return the light below patches, with a separate level for each hour, [n, m].
 
-    below, seen, patch [n, m] cd/m2; directions [m, 3] unit vectors; weights [m].
-
-    Few features of sky and sun do not know how bright the room is under a sun that no other hour
-    has. Each hour alone corrects the logarithm by nine smooth functions of the direction, in rounds
-    that trust a pixel less the more it is brighter than the fit.
+    below, seen, patch [n, m] cd/m2; directions [m, 3] unit vectors; weights [m]. The few features
+    of sky and sun do not determine how bright the room is under a sun that no other hour has.
+    Therefore each hour corrects the logarithm by nine smooth functions of the direction, in rounds
+    that reduce the weight of pixels brighter than the fit.
     """
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)

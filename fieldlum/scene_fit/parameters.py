@@ -1,4 +1,4 @@
-"""Numbers of a scene that a search moves: how each changes, its steps and its prior."""
+"""Define the numbers of a scene that a search changes, with their steps and priors."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ Array = NDArray[np.floating]
 
 Change = Callable[[Guess, float], Guess]
 
-# Standard deviations of what a person states with a tape measure and a compass (docs/scene.md).
+# Standard deviations of values measured with a tape measure and a compass (docs/scene.md).
 NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
 POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
-# The mean sun's 360 degrees in 24 hours, by definition: a late clock and a turned north look alike.
+# The mean sun's 360 degrees in 24 hours, by definition: a late clock and a turned north have
+# similar effects.
 SUN_DEG_PER_MIN = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A number of the scene: how it changes, its first and last step, and its prior's sd."""
+    """A number of the scene: how it changes, its first and last step, and the sd of its prior."""
 
     name: str
     read: Callable[[Guess], float]
@@ -45,7 +46,7 @@ def room_parameters(
 ) -> list[Parameter]:
     """Return north, clock, level, sizes, camera, wall thickness and window edges as parameters.
 
-    The camera's height is the one known length: it sets the scale.
+    The camera's height is not a parameter: it is the known length that sets the scale.
     """
     size, camera = guess.size_m, guess.camera_m
 
@@ -132,7 +133,8 @@ def _window_parameters(number: int) -> list[Parameter]:
             rect = g.windows[number]
             value = getattr(rect, which)[end]
             if which == "u_m" and rect.wall in ("south", "east"):
-                return g.size_m[1 - WALLS[rect.wall][0]] - value  # as measured, from the left end
+                # from the left end, as it is measured
+                return g.size_m[1 - WALLS[rect.wall][0]] - value
             return value
 
         name = f"window {number + 1} {which[0]}{end}"

@@ -1,4 +1,4 @@
-"""Pictures of a fitted scene: patch edges over captures, windows as the sun sees them, the plan."""
+"""Draw a fitted scene: patch edges over captures, windows as the sun sees them, the plan."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _close(figure: Any) -> None:
 
 
 def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
-    """Draw captures in grey with the edges of the fitted patches and of the stated ones."""
+    """Draw captures in grey, with the edges of fitted and of stated patches."""
     from matplotlib import pyplot
 
     rows = _telling_rows(evidence)
@@ -79,7 +79,7 @@ def _telling_rows(evidence: SceneEvidence) -> NDArray[np.intp]:
 
 
 def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]) -> Any:
-    """Draw the transmitted share of each window, with the bars that were found."""
+    """Draw the transmitted share of each window, with the fitted bars."""
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle
 
@@ -106,7 +106,10 @@ def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]
 
 
 def _plan(fit: SceneFit) -> Any:
-    """Draw the room from above: walls, windows, furniture, camera and north; stated in blue."""
+    """Draw the room from above: walls, windows, furniture, camera, north.
+
+    The stated room in blue.
+    """
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle
 
@@ -131,7 +134,7 @@ def _plan(fit: SceneFit) -> Any:
     axis.plot(*guess.camera_m[:2], "k^", ms=9)
     north = np.radians(guess.wall_azimuth_deg + guess.north_deg)
     x, y = guess.camera_m[:2]
-    # In room axes north is turn @ (0, 1): x = sin(azimuth), y = -cos(azimuth).
+    # In room axes, north is turn @ (0, 1): x = sin(azimuth), y = -cos(azimuth).
     tip = (x + 0.8 * float(np.sin(north)), y - 0.8 * float(np.cos(north)))
     axis.annotate(
         "N", tip, (x, y), arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
@@ -140,7 +143,7 @@ def _plan(fit: SceneFit) -> Any:
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")
     axis.set_title("plan: fitted (black), stated (blue), windows orange", fontsize=9)
-    # A facade may be 40 m wide: only what is near the room is shown.
+    # A facade may be 40 m wide, so only the surroundings of the room are drawn.
     axis.set_xlim(-PLAN_MARGIN_M, guess.size_m[0] + PLAN_MARGIN_M)
     axis.set_ylim(-PLAN_MARGIN_M, guess.size_m[1] + PLAN_MARGIN_M)
     return figure

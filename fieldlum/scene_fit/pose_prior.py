@@ -1,4 +1,4 @@
-"""Estimate the camera's pose and clock from the sun's discs in merged panoramas, before patches."""
+"""Estimate the camera's pose and clock from sun discs in panoramas, before sun patches are used."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Allowance for the lens model and the mount, which the sidecar's sigma_deg leaves out
+# Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include
 # (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
 LEAST_U_DEG = 0.02
-_LENS_SCALE_SD = 0.01  # chosen, not measured: of an equidistant model without a lens calibration
-_FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")  # of `discs.NAMES`, as `POSE_NAMES`
+# uncertainty of an equidistant model without a lens calibration; chosen, not measured
+_LENS_SCALE_SD = 0.01
+# names in `discs.NAMES`, in the order of `POSE_NAMES`
+_FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredDiscs:
-    """Centres of the sun's disc in merged panoramas, n each; see `discs.fit_pose`."""
+    """Centres of n sun discs in merged panoramas; see `discs.fit_pose`."""
 
     altitude_deg: Array
     azimuth_deg: Array
@@ -42,25 +44,28 @@ class MeasuredDiscs:
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """A normal distribution of `search.POSE_NAMES`: values [4], covariance [4, 4]."""
+    """A normal distribution of the pose, in the order of `search.POSE_NAMES`.
+
+    values [4], covariance [4, 4].
+    """
 
     values: Array
     covariance: Array
 
     def cost(self, guess: Guess) -> float:
-        """Return the squared distance of the guess's pose in standard deviations."""
+        """Return the squared distance of the guess's pose from the mean, in standard deviations."""
         off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
         return float(off @ np.linalg.solve(self.covariance, off))
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess with the pose that is likeliest at a clock."""
+        """Return the guess with the most likely pose for a given clock."""
         slopes = self.covariance[:3, 3] / self.covariance[3, 3]
         pose = self.values[:3] + slopes * (clock_min - self.values[3])
         fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
         return replace(guess, **fields)
 
     def drawn(self, rng: np.random.Generator) -> PosePrior:
-        """Return the prior with values drawn from itself."""
+        """Return the prior with values that are drawn from it."""
         values = rng.multivariate_normal(self.values, self.covariance, method="cholesky")
         return replace(self, values=values)
 
@@ -71,7 +76,7 @@ class PosePrior:
 
 
 def read_discs(session: Session) -> MeasuredDiscs:
-    """Return the discs that the sidecars of a session's panoramas hold; none without a session."""
+    """Return the sun discs in the sidecars of a session's panoramas; none without a session."""
     rows: list[tuple[float, float, float, datetime]] = []
     for path in session.sidecar_files():
         row = _measured(path)
@@ -95,10 +100,10 @@ def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
 def pose_of(
     discs: MeasuredDiscs, site: Site, heading_deg: float, clock_sd_min: float
 ) -> PoseFit | None:
-    """Return the pose that three or more discs determine, else None.
+    """Return the pose that three or more discs determine; None for fewer.
 
-    The priors are those of the search, so that discs and patches together decide what discs alone
-    leave open.
+    The priors are those of the search, so that discs and patches together determine what discs
+    alone do not.
     """
     if len(discs) < LEAST_DISCS:
         return None
@@ -122,10 +127,10 @@ def prior_of(pose: PoseFit) -> PosePrior:
 
 
 def pose_note(pose: PoseFit, discs: int) -> str:
-    """Return what the discs found, in one line."""
+    """Return a sentence about what the discs determine."""
     found = ", ".join(
         f"{name.rpartition('_')[0]} {pose[name]:+.2f} +- {pose.u[name]:.2f}" for name in _FITTED
     )
-    left_out = f"; {len(pose.dropped)} left out as gross errors" if pose.dropped else ""
+    left_out = f"; {len(pose.dropped)} omitted as gross errors" if pose.dropped else ""
     open_ = f"; not determined by discs alone: {', '.join(pose.open)}" if pose.open else ""
     return f"{discs} sun discs (rms {pose.rms_deg:.2f} degrees): {found}{left_out}{open_}"

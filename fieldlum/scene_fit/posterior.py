@@ -1,4 +1,7 @@
-"""Uncertainty of a scene: repeated searches with days, stated numbers and starts drawn again."""
+"""Estimate the uncertainty of a scene by repeated searches.
+
+Each search has resampled days and other stated values.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,16 @@ from fieldlum.scene.drawn_rooms import room_parameters
 from fieldlum.scene_fit.guess import Guess, room_of
 from fieldlum.scene_fit.search import Objective, pattern_search
 
-SEARCHES_AGAIN = 6  # chosen: the fit takes twice its time, a spread is known to 30 %
-_THIN = 2  # every second pixel; measured: a sixth of the fit's time for each search
+SEARCHES_AGAIN = 6  # chosen: the fit takes twice its time, and a spread is known to 30 %
+_THIN = 2  # use every second pixel; measured: a sixth of the fit's time for each search
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Result of the further searches.
+    """Result of the repeated searches.
 
-    u: standard uncertainty of each parameter of the search. room_draws: the numbers of
-    `fieldlum.scene.drawn_rooms.room_parameters` in each of the searches, relative to true north.
+    u: standard uncertainty of each parameter. room_draws: the numbers of
+    `fieldlum.scene.drawn_rooms.room_parameters` in each search, relative to true north.
     """
 
     u: dict[str, float]
@@ -28,10 +31,11 @@ class Posterior:
 
 
 def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Posterior:
-    """Return the spread of a fitted guess over searches with days and stated numbers drawn again.
+    """Return the spread of a fitted guess over searches with resampled days and stated values.
 
-    objective: of all hours. Stated values are drawn from their priors, so that a parameter that the
-    captures do not determine keeps the prior's own uncertainty. No u is below the last step.
+    objective: of all hours. Stated values are drawn from their priors, so that a parameter which
+    the captures do not determine has the prior's uncertainty. No u is smaller than the last step of
+    the search.
     """
     rng = np.random.default_rng(seed)
     parameters = objective.parameters
@@ -60,6 +64,6 @@ def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Po
 
 
 def true_room(guess: Guess, stated: Room) -> Room:
-    """Return the guess as a `[room]` against true north."""
+    """Return the guess as a `[room]` relative to true north."""
     azimuth_deg = (guess.wall_azimuth_deg + guess.north_deg) % 360.0
     return replace(room_of(guess, stated), wall_azimuth_deg=azimuth_deg)

@@ -1,4 +1,4 @@
-"""How far a number can be moved before the captures contradict it, all others following."""
+"""Measure how far a number can move before the captures contradict it, if all others follow."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from fieldlum.scene_fit.parameters import Parameter
 from fieldlum.scene_fit.search import Objective, along_valley, pattern_search
 from fieldlum.statistics import is_no_worse
 
-# Numbers that others compensate for: the clock with north, the walls' azimuth with the window's
-# edges and the camera. Distances chosen: the prior's standard deviations, halves and quarters.
+# Numbers that others compensate for: the clock by north, the walls' azimuth by the window's edges
+# and the camera. Distances chosen: the prior's standard deviation, its halves and quarters.
 CLOCK, WALL = "clock_min", "wall_azimuth_deg"
 DISTANCES = {CLOCK: (1.25, 2.5, 5.0), WALL: (0.5, 1.0, 2.0)}
 
 
 def reach_of(objective: Objective, guess: Guess, names: Sequence[str]) -> dict[str, float]:
-    """Return how far each parameter moves in scenes that explain the captures as well, by name.
+    """Return how far each parameter can move in scenes that explain the captures as well, by name.
 
     Each of `names` is moved in turn and the others are searched. A scene explains the captures as
-    well if its misfit by hours is no worse than that of the guess by the one-standard-error rule,
-    days taken as independent. No parameter counts as farther than its prior's standard deviation.
-
-    Searches drawn again from the guess stay near it, and so understate the uncertainty of numbers
-    that trade against each other.
+    well if its misfit by hours is not worse than the guess's by the one-standard-error rule, with
+    independent days. The result is at most the standard deviation of the prior. Repeated searches
+    from the guess stay near it, and therefore underestimate the uncertainty of numbers that
+    compensate for each other.
     """
     parameters = objective.parameters
     reach = dict.fromkeys((p.name for p in parameters), 0.0)
@@ -50,7 +49,7 @@ def reach_of(objective: Objective, guess: Guess, names: Sequence[str]) -> dict[s
 
 
 def _moved(parameters: Sequence[Parameter], guess: Guess, name: str, by: float) -> Guess:
-    """Return the guess with one number moved; north follows the clock."""
+    """Return the guess with one number moved; if the clock moves, north follows it."""
     if name == CLOCK:
         return along_valley(guess, by)
     return next(p for p in parameters if p.name == name).change(guess, by)

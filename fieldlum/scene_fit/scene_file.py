@@ -1,4 +1,4 @@
-"""scene.toml: what a fit found, and what was chosen."""
+"""Write and read scene.toml: the result of a fit, and the chosen geometry."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Chosen = Literal["none", "stated", "fitted"]
 class Scene:
     """A fitted scene as `train` uses it.
 
-    room: the fitted box against true north. north_deg: room and camera stand so much further
-    clockwise than stated; clock_min: the stated times are so much late. before, after, u: values
-    and standard uncertainties by parameter. misfit: share of the pixels near sun patches that are
-    wrong, on hours kept out of the search. chosen: which geometry the captures support.
-    stated_heading_deg, stated_room: what the fit started at. A scene is used only with captures
-    that state the same; else a correction would be applied twice. room_draws: the numbers of the
-    room in searches with days drawn again, by the names of `scene.drawn_rooms.room_parameters`.
+    room: the fitted box relative to true north. north_deg: how far room and camera are turned
+    clockwise from the stated direction; clock_min: how late the stated times are. before, after, u:
+    values and standard uncertainties by parameter. misfit: share of the pixels near sun patches
+    that are wrong, on hours held out of the search. chosen: the geometry that the captures support.
+    stated_heading_deg, stated_room: the start of the fit. A scene is used only with captures that
+    state the same, otherwise a correction would be applied twice. room_draws: the numbers of the
+    room in repeated searches, by the names of `scene.drawn_rooms.room_parameters`.
     """
 
     north_deg: float
@@ -67,9 +67,11 @@ def read_scene(folder: Path) -> Scene:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         found = getattr(error, "strerror", None) or str(error)
-        remedy = "make it with: fieldlum scene fit SESSION --out DIR"
+        remedy = "write one with: fieldlum scene fit SESSION --out DIR"
         raise InputError(path, found, "a fitted scene", remedy) from None
     if table.get("format") != FORMAT:
         found = f"format {table.get('format')}"
-        raise InputError(path, found, f"format {FORMAT}", "fit the scene again")
+        raise InputError(
+            path, found, f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
+        )
     return build(Scene, table, str(path))

@@ -1,4 +1,4 @@
-"""The steps of a fit: box and shades, bars, furniture, and everything together."""
+"""Define the steps of a fit: box and shades, bars, furniture, and everything together."""
 
 from __future__ import annotations
 
@@ -42,17 +42,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Chosen, not varied: two thirds of the hours to fit, one third to check; clocks a little beyond the
-# prior's 5 minutes, and half of that from a fitted room; a third of the pixels in a third of the
-# time.
+# Chosen, not varied: two thirds of the hours to fit and one third to check; clocks slightly beyond
+# the prior's 5 minutes, and half of that from a fitted room; a third of the pixels in a third of
+# the time.
 KEPT_OUT_EVERY = 3
 START_CLOCKS_MIN = (-6.0, 0.0, 6.0)
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 COARSE_PIXELS_EVERY = 3
 BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
-SOLID_GAIN = 0.004  # likewise a solid; a proposal that explains noise takes less (docs/scene.md)
-KEPT_OUT_GAIN = 0.001  # chosen: on the hours kept out, more than rounding
+# the same for a solid; a proposal that only explains noise gains less (docs/scene.md)
+SOLID_GAIN = 0.004
+KEPT_OUT_GAIN = 0.001  # the same on held-out hours, which exceeds rounding; chosen
 # Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
 # searches start. A shade needs a larger gain, because a wrong one moves north, clock and edges.
 MAX_SOLIDS = 8
@@ -63,7 +64,7 @@ SHADE_GAIN = 0.02
 
 @dataclass(frozen=True)
 class Misfits:
-    """Share of the pixels near sun patches that are wrong, on hours kept out of the search."""
+    """Share of the pixels near sun patches that are wrong, on hours held out of the search."""
 
     none: Array
     stated: Array
@@ -71,13 +72,13 @@ class Misfits:
     days: NDArray[np.datetime64]
 
     def mean(self) -> dict[str, float]:
-        """Return the mean share over the hours: without sun patches, stated room, fitted room."""
+        """Return the mean share over the hours: no sun patches, stated room, fitted room."""
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
 @dataclass(frozen=True, slots=True)
 class StatedRoom:
-    """What is known before the search."""
+    """What is known before the search: stated room, pose by sun discs, uncertainty of the clock."""
 
     room: Room
     pose: PosePrior | None
@@ -85,7 +86,10 @@ class StatedRoom:
 
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
-        """Return clocks to start from: several if the clock is not known to a minute."""
+        """Return the clocks from which searches start.
+
+        There are several if the clock is not known to a minute.
+        """
         clock = 0.0 if self.pose is None else float(self.pose.values[3])
         return START_CLOCKS_MIN if self.is_clock_open else (clock,)
 
@@ -105,7 +109,7 @@ class StatedRoom:
 
 
 class SceneSearch:
-    """State of one fit: evidence, which hours count, and the light below the patches."""
+    """State of one fit: evidence, the hours that count, and the light below the patches."""
 
     def __init__(
         self,
@@ -125,7 +129,7 @@ class SceneSearch:
         self.prior_unit = PRIOR_SHARE * float(evidence.misfit(patch).mean())
 
     def objective(self, evidence: SceneEvidence) -> Objective:
-        """Return the cost of a guess at some hours or pixels of the evidence."""
+        """Return the cost function of a guess for some hours or pixels of the evidence."""
         return Objective(
             evidence, self.start, self.parameters, self.albedo, self.prior_unit, self.stated.pose
         )
@@ -138,7 +142,8 @@ class SceneSearch:
     def box(self, guess: Guess) -> Guess:
         """Search north, clock, sizes, camera, window edges and shades from several clocks.
 
-        A shade that is missing bends all other numbers, so it is sought before the fine steps.
+        Shades are searched before the fine steps, because a missing shade makes all other numbers
+        wrong.
         """
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
         tries: list[tuple[float, Guess]] = []
@@ -171,7 +176,7 @@ class SceneSearch:
         return guess
 
     def _covered(self, guess: Guess, coarse: Objective) -> Guess:
-        """Return the guess with the blind or curtain that takes most misfit away."""
+        """Return the guess with the blind or curtain that lowers the misfit most."""
         trials = [replace(guess, bars=(*guess.bars, bar)) for bar in propose_covers(guess)]
         trial = min(trials, key=coarse)
         return pattern_search(coarse, trial, bar_parameters(trial)[-3:], coarse=4.0, fine=2.0)[0]
@@ -208,7 +213,7 @@ class SceneSearch:
         return trial if cost < objective(guess) else self._pruned(guess)
 
     def _pruned(self, guess: Guess) -> Guess:
-        """Return the guess without thin bars and without bars that do not pay."""
+        """Return the guess without thin bars and without bars of too little effect."""
         bars = [b for b in guess.bars if b.span_m[1] - b.span_m[0] >= MIN_BAR_M]
         guess = replace(guess, bars=tuple(bars))
         for bar in list(guess.bars):
@@ -218,7 +223,7 @@ class SceneSearch:
         return guess
 
     def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
-        """Return whether an element lowers the misfit enough, in both groups of hours."""
+        """Return whether an element lowers the misfit enough, in fitted and in held-out hours."""
         for hours, share in ((self.fit_hours, least), (self.kept_out, KEPT_OUT_GAIN)):
             objective = self.objective(self.evidence.hours(hours))
             if objective(with_it) > objective(without) * (1.0 - share):
@@ -252,7 +257,7 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without the bars and solids that no longer pay."""
+        """Return the guess without the bars and solids that no longer lower the misfit enough."""
         guess = self._pruned(guess)
         for solid in list(guess.solids[len(self.start.solids) :]):
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
@@ -261,21 +266,24 @@ class SceneSearch:
         return guess
 
     def albedo_with_solids(self, guess: Guess) -> Array:
-        """Return the albedo of shell and solids, [6 + solids]; a solid's is a searched number."""
+        """Return the albedos of shell and solids, [6 + solids].
+
+        Those of solids are searched numbers.
+        """
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
 
     def relight(self, guess: Guess) -> None:
-        """Find the light below the patches again, now that the patches are known better."""
+        """Estimate the light below the patches again, after the patches changed."""
         self.albedo = self.evidence.albedos(guess, self.albedo)
         albedo = self.albedo_with_solids(guess)
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
 
     def restarted(self, guess: Guess, seed: int) -> Guess:
-        """Return the best of searches from other clocks and displaced rooms.
+        """Return the best of several searches from other clocks and displaced rooms.
 
-        Bars and furniture are known now: they may close the valley in which the first search
-        stopped. `valley` becomes the standard deviation of each number over results that cost
-        nearly the same: the captures do not separate them.
+        Bars and furniture are known by now, and may close the valley in which the first search
+        stopped. `valley` becomes the standard deviation of each number over results of nearly equal
+        cost, which the captures cannot separate.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
@@ -303,7 +311,7 @@ class SceneSearch:
         return principal_search(objective, guess, parameters)[0]
 
     def misfits(self, guess: Guess) -> Misfits:
-        """Return the misfit of no patch, the stated box and the guess on hours of no search."""
+        """Return three misfits on held-out hours: no sun patch, the stated box, and the guess."""
         evidence = self.evidence.hours(self.kept_out)
         albedo = self.albedo_with_solids(guess)
         stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))

@@ -1,6 +1,6 @@
-"""Pattern search for the scene that explains the captures.
+"""Search for the scene that explains the captures, by a pattern search.
 
-One number is changed at a time, or several of which one can compensate for another.
+Each step changes one number, or several numbers that compensate for each other.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ PRIOR_SHARE = 0.0015
 
 
 class GuessCost(Protocol):
-    """The cost that a search minimises: a function of a guess."""
+    """The cost that a search minimises, as a function of a guess."""
 
     @property
     def pose(self) -> PosePrior | None:
-        """The prior that replaces those of `POSE_NAMES`, as in `Objective`."""
+        """Return the prior that replaces those of `POSE_NAMES`, as in `Objective`."""
         ...
 
     def __call__(self, guess: Guess) -> float:
@@ -49,9 +49,9 @@ class GuessCost(Protocol):
 
 @dataclass(slots=True)
 class Objective:
-    """Misfit plus prior of a guess, at some evidence; counts its evaluations.
+    """Misfit plus prior of a guess, for some evidence.
 
-    pose: replaces the priors of `POSE_NAMES`.
+    pose: replaces the priors of `POSE_NAMES`. count: number of evaluations so far.
     """
 
     evidence: SceneEvidence
@@ -79,9 +79,9 @@ class Objective:
         return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
 
     def prior(self, guess: Guess) -> float:
-        """Return the cost of departing from the stated numbers.
+        """Return the cost of deviating from the stated numbers.
 
-        Where sun discs gave a pose, `POSE_NAMES` are compared with that pose instead.
+        If sun discs determined a pose, `POSE_NAMES` are compared with that pose instead.
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
         z = [
@@ -101,11 +101,11 @@ def pattern_search(
     coarse: float = 1.0,
     fine: float = 1.0,
 ) -> tuple[Guess, float]:
-    """Return the best guess found and its cost.
+    """Return the best guess and its cost.
 
-    Each parameter is stepped up and down, on while it pays, with its own step, which is halved
-    when neither direction pays. Steps begin at `coarse` times the first step and end at `fine`
-    times the last one. Clock and north also move together, along the valley between them.
+    Each parameter is stepped up or down while the cost falls. Its step is halved when neither
+    direction lowers the cost. Steps begin at `coarse` times the first step and end at `fine` times
+    the last one. Clock and north also move together, along the valley between them.
     """
     moves = [(p.name, p.change, coarse * p.first_step, fine * p.last_step) for p in parameters]
     for name, change, first, last in compound_moves(guess, parameters, objective.pose):
@@ -118,9 +118,9 @@ def principal_search(
 ) -> tuple[Guess, float]:
     """Return the best guess along the principal axes of the misfit's curvature, and its cost.
 
-    Numbers that trade against each other, such as a wall's azimuth, a window and the camera, leave
-    valleys that single numbers do not follow. Their directions are the eigenvectors of the
-    Gauss-Newton matrix of numeric differences; flat ones get the longest steps.
+    Numbers that compensate for each other, such as a wall's azimuth, a window and the camera, form
+    valleys that steps of single numbers do not follow. The directions are eigenvectors of the
+    Gauss-Newton matrix, from numeric differences; flat directions have the longest steps.
     """
     base = objective.residuals(guess)
     cost = objective(guess)
@@ -152,7 +152,7 @@ def _prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> A
 
 
 def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
-    """Return a move of all parameters by `direction` [p] times their first steps."""
+    """Return a change of all parameters by `direction` [p] times their first steps."""
 
     def change(guess: Guess, by: float) -> Guess:
         for p, share in zip(parameters, direction, strict=True):
@@ -165,7 +165,10 @@ def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
 def search_moves(
     objective: GuessCost, guess: Guess, moves: Sequence[tuple[str, Change, float, float]]
 ) -> tuple[Guess, float]:
-    """Return the best guess by moves (name, change, first and last step), and its cost."""
+    """Return the best guess by some moves, and its cost.
+
+    A move has a name, a change, a first and a last step.
+    """
     best, cost = guess, objective(guess)
     step = {name: first for name, _, first, _ in moves}
     active = True
@@ -238,7 +241,7 @@ def compound_moves(
 
 
 def _along_discs(pose: PosePrior) -> Change:
-    """Return a change to a later clock with the pose that leaves the sun's discs in place."""
+    """Return a change to a later clock, with the pose that does not move the sun's discs."""
     slopes = pose.covariance[:3, 3] / pose.covariance[3, 3]
 
     def change(guess: Guess, by_min: float) -> Guess:
@@ -254,7 +257,7 @@ def _along_discs(pose: PosePrior) -> Change:
 
 
 def along_valley(guess: Guess, by_min: float) -> Guess:
-    """Return the guess at a later clock, with north turned so that noon's patches stay."""
+    """Return the guess at a later clock, with north turned so that patches at noon do not move."""
     clock = float(np.clip(guess.clock_min + by_min, -19.0, 19.0))
     moved = clock - guess.clock_min
     north = guess.north_deg - SUN_DEG_PER_MIN * moved

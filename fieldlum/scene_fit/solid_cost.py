@@ -1,4 +1,4 @@
-"""The cost of one solid in a scene that does not change otherwise."""
+"""Compute the cost of one solid in a scene that does not change otherwise."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Array = NDArray[np.floating]
 
 @dataclass(slots=True)
 class SolidCost:
-    """Misfit and prior of a scene whose last solid alone changes.
+    """Misfit and prior of a scene in which only the last solid changes.
 
-    The rest is rendered once: a solid takes light from the entries that it hides or shades, and
+    The rest is rendered once: a solid removes light from the entries that it hides or shades, and
     adds its own sunlit faces. This costs a fifth of `search.Objective`.
     """
 

@@ -1,4 +1,4 @@
-"""`fieldlum scene fit` without its command line: captures in, scene.toml and pictures out."""
+"""Run a scene fit from captures to scene.toml and pictures (`fieldlum scene fit`)."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from fieldlum.scene_fit.verdict import Predictor
 
 
-# With three hours or fewer, the standard error of their mean misfit is as uncertain as half of
-# itself: (2 (n - 1)) ** -0.5.
+# With three hours or fewer, the relative uncertainty of the standard error of their mean misfit is
+# a half: (2 (n - 1)) ** -0.5.
 MIN_HOURS_OUTSIDE = 4
 
 
 @dataclass(frozen=True, slots=True)
 class SceneResult:
-    """A scene and the files written."""
+    """A fitted scene, and the files that were written."""
 
     scene: Scene
     files: tuple[Path, ...]
@@ -49,11 +49,10 @@ def run(
 ) -> SceneResult:
     """Fit the scene of captures and write scene.toml, overlay.png, windows.png and plan.png.
 
-    The centres of the sun's disc that merge measured next to the captures are used where there are
-    at least three. clock_sd_min: standard uncertainty of the captures' times.
-    Raises InputError without a `[room]` of kind box with a window and for captures that contradict
-    it (`checks.check_captures`), NotEnoughDataError with too few sunny captures; nothing is written
-    then.
+    Centres of the sun's disc that merge measured are used if there are at least three.
+    clock_sd_min: standard uncertainty of the captures' times. Raises InputError without a `[room]`
+    of kind box with a window, and for captures that contradict it (`checks.check_captures`);
+    NotEnoughDataError for too few sunny captures. Nothing is written then.
     """
     room = data.setup.room
     if room is None:
@@ -87,11 +86,11 @@ def run(
 def judged_scene(
     data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
 ) -> Scene:
-    """Return the fit as a scene, with the geometry that left-out sun directions choose.
+    """Return the fit as a scene, with the geometry that predicts held-out sun directions best.
 
-    Where too few directions of the sun were captured for that, the patch misfit of hours kept out
-    of the search chooses alone, nothing is expected, and the choice is not trusted. It is not
-    trusted with fewer than `MIN_HOURS_OUTSIDE` of these hours either.
+    If too few directions of the sun were captured, the misfit of patches on held-out hours chooses
+    alone, no error is expected, and the choice is not trusted. The choice is not trusted either
+    with fewer than `MIN_HOURS_OUTSIDE` held-out hours.
     """
     chosen, reason = choose_by_misfit(fit.misfits)
     try:
@@ -104,8 +103,8 @@ def judged_scene(
     if outside < MIN_HOURS_OUTSIDE:
         lacking = KEPT_OUT_EVERY * MIN_HOURS_OUTSIDE
         note = (
-            f"{fit.hours} clear hours, {outside} of them outside the search: too few to confirm "
-            f"the choice; capture at least {lacking} clear hours"
+            f"{fit.hours} clear hours, {outside} of them held out of the search: too few to "
+            f"confirm the choice; capture at least {lacking} clear hours"
         )
         scene = replace(scene, notes=(*scene.notes, note))
     return replace(
@@ -118,7 +117,7 @@ def judged_scene(
 def judge_fit(
     data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
 ) -> SceneVerdict:
-    """Judge no patch, the stated box and the fitted scene by transport models of the captures."""
+    """Judge no patch, the stated box and the fitted scene, by transport models of the captures."""
     from fieldlum.models.transport import fit as fit_transport
 
     def fit_model(captures: Dataset, patch: Patch) -> Predictor:
@@ -136,10 +135,10 @@ def judge_fit(
 
 
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
-    """Return the geometry that hours kept out of the search support, and why in words.
+    """Return the geometry that the held-out hours support, and why.
 
-    From the simplest on, a geometry replaces the one chosen so far unless that one is no worse by
-    the one-standard-error rule, hours taken as independent.
+    Beginning with the simplest, a geometry replaces the one chosen so far unless that one is not
+    worse by the one-standard-error rule, with independent hours.
     """
     order: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen: Chosen = "none"
@@ -149,6 +148,6 @@ def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     mean = misfits.mean()
     shares = ", ".join(f"{name} {100 * mean[name]:.1f} %" for name in order)
     return chosen, (
-        f"{chosen}: pixels near sun patches that are wrong in {len(misfits.none)} hours kept out "
-        f"of the search: {shares}"
+        f"{chosen}: share of wrong pixels near sun patches in {len(misfits.none)} hours held "
+        f"out of the search: {shares}"
     )

@@ -1,4 +1,4 @@
-"""The sun moved along its own path, for a clock that is fast or slow."""
+"""Move the sun along its path, for a clock that is fast or slow."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ SKY_TURN_DEG_PER_MIN = 0.25
 
 
 def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -> Array:
-    """Return the sun's directions `minutes` before the given ones, [n, 3].
+    """Return the sun's directions `minutes` earlier, [n, 3].
 
     sun_direction : [n, 3] unit vectors (x east, y north, z up). The sun turns about the celestial
-    pole from east to west; Rodrigues' rotation formula is exact for it.
+    pole from east to west; Rodrigues' rotation formula is exact for this.
     """
     suns = np.asarray(sun_direction, float)
     angle = np.radians(SKY_TURN_DEG_PER_MIN * minutes)  # counter-clockwise about the pole

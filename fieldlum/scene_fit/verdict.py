@@ -37,16 +37,17 @@ _SUNNY_SHARE = 0.1
 _LEAST_SUN_LX = 1000.0
 _LOWEST_SUN_DEG = 2.0
 _FLOOR_CDM2 = 1.0
-# A richer geometry must promise this much less than a simpler one. Of three rooms by plain Radiance
-# (bench/scene_rooms.py) 0.9 refused one box that was truly 10 % better; 0.95 erred by at most 4 %.
+# Largest error of a richer geometry over that of a simpler one. With three rooms by plain Radiance
+# (bench/scene_rooms.py), 0.9 rejected one box that was truly 10 % better; 0.95 erred by at most 4
+# %.
 _WORTH = 0.95
-# Patch misfits within 10 % agree: over ten hours kept out, the mean is no better known (4.7 and
-# 4.6 % for the exact and the fitted room of the demo).
+# Patch misfits within 10 % agree, because over ten held-out hours the mean is not known better (4.7
+# and 4.6 % for the exact and the fitted room of the demo).
 _SAME_MISFIT = 1.1
 
 
 class Predictor(Protocol):
-    """What a fitted model must do here."""
+    """A fitted model that can be judged."""
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict maps of n hours; patch_cdm2: [n, H, W]."""
@@ -81,7 +82,10 @@ class GeometryScore:
 
 @dataclass(frozen=True, slots=True)
 class SceneVerdict:
-    """The chosen candidate and why. trusted: whether left-out errors and patch misfit agree."""
+    """The chosen geometry and why it was chosen.
+
+    trusted: whether held-out errors and the misfit of patches agree.
+    """
 
     chosen: str
     expected_log10_mse: float
@@ -91,7 +95,7 @@ class SceneVerdict:
 
 
 def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
-    """Return a block number for each sun [n, 3]: linked suns closer than `reach_deg` share one."""
+    """Return a block number for each sun [n, 3]; suns closer than `reach_deg` share a block."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -100,7 +104,7 @@ def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
 
 
 def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return which hours have direct sun on a window's plane, [n]."""
+    """Return a mask [n] of the hours with direct sun on a window's plane."""
     normals = facades_of(room).normals
     facing = np.maximum(data.light.sun_direction @ normals.T, 0.0).max(axis=1)
     onto = facing * data.light.direct_lx
@@ -134,10 +138,10 @@ def judge(
     seed: int = 0,
     progress: Progress = quiet,
 ) -> SceneVerdict:
-    """Choose among candidates of the same hours, simplest first.
+    """Choose among candidates of the same hours; candidates are sorted, simplest first.
 
     fit: fits the transport model to captures with patch mode "absolute" or "none". Raises
-    NotEnoughDataError where too few directions of the sun were captured.
+    NotEnoughDataError if too few directions of the sun were captured.
     """
     first = candidates[0].data
     room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)
@@ -197,8 +201,8 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
             chosen = score
     text = ", ".join(f"{s.name} {s.expected_log10_mse:.1e}" for s in scores)
     reason = (
-        f"{chosen.name}: no richer geometry has a clearly smaller error on sun directions "
-        f"that were left out ({text})"
+        f"{chosen.name}: no richer geometry has a clearly smaller error on held-out sun "
+        f"directions ({text})"
     )
     measured = [s for s in scores if np.isfinite(s.misfit)]
     other = min(measured, key=lambda s: s.misfit) if measured else chosen

@@ -1,8 +1,8 @@
-"""Units of work in this process, in several processes, or on a Dask cluster: one code path.
+"""Run units of work in this process, in several processes, or on a Dask cluster.
 
 A stage turns its work into `WorkUnit`s and calls `run_units`. `parse_scheduler` reads the text of
-the option `--scheduler`. Dask moves the units; this package checks that a worker has the same
-fieldlum, profiles and input files, and bounds what a lost, hanging or full worker can cost.
+the option `--scheduler`. Dask transports the units. This package checks that a worker has the same
+fieldlum, profiles and input files, and limits what a lost, hanging or full worker can cost.
 """
 
 from fieldlum.scheduler.address import LOCAL, Scheduler, in_processes, parse_scheduler

@@ -1,4 +1,4 @@
-"""Where units run: the text of `--scheduler`, read strictly."""
+"""Parse the text of `--scheduler`, which states where units run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from fieldlum.errors import InputError
 
 FORMS = "local, processes:N, tcp://HOST:PORT or FILE.json"
-DEFAULT_RETRIES = 3  # times that a unit is tried again after its worker was lost
+DEFAULT_RETRIES = 3  # number of further tries of a unit after its worker was lost; chosen
 
 
 def _silent(text: str) -> None:
@@ -22,7 +22,7 @@ def _silent(text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """Certificate files of a cluster that speaks TLS."""
+    """Certificate files of a cluster that uses TLS."""
 
     ca: Path
     certificate: Path
@@ -31,11 +31,11 @@ class TlsFiles:
 
 @dataclass(frozen=True, slots=True)
 class Scheduler:
-    """Where units run and what may be lost.
+    """Where units run, and how failures of workers are handled.
 
     address: tcp:// or tls:// address of a Dask scheduler. unit_limit_s: seconds after which a unit
-    counts as hanging; None derives it from the units that ended. retries: how often a unit is tried
-    again after its worker was lost. say: shows one sentence to the user.
+    counts as hanging; None derives it from completed units. retries: number of further tries of a
+    unit after its worker was lost. say: shows one sentence to the user.
     """
 
     kind: Literal["local", "processes", "cluster"] = "local"
@@ -51,7 +51,7 @@ LOCAL = Scheduler()
 
 
 def in_processes(count: int) -> Scheduler:
-    """Return the scheduler of `count` processes on this computer; one process is this process."""
+    """Return the scheduler for `count` processes on this computer; 1 means the current process."""
     return Scheduler("processes", count) if count > 1 else LOCAL
 
 
@@ -81,9 +81,9 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
 def _cluster(address: str, tls: TlsFiles | None, say: Callable[[str], None]) -> Scheduler:
     if tls is None and not is_loopback(address):
         say(
-            f"WARNING: {address} has no TLS and is not on this computer: anyone who reaches that "
-            "port can run programs on its workers. Use a FILE.json with certificates "
-            "(docs/scale.md)."
+            f"WARNING: {address} has no TLS and is not on this computer: anyone who can "
+            "reach that port can run programs on its workers. Use a FILE.json with "
+            "certificates (docs/scale.md)."
         )
     return Scheduler("cluster", address=address, tls=tls, say=say)
 
@@ -104,7 +104,7 @@ def _checked(address: str, where: str) -> str:
     except ValueError:
         usable = False
     if not usable:
-        raise InputError(where, f"'{address}'", "tcp://HOST:PORT, like tcp://127.0.0.1:8786")
+        raise InputError(where, f"'{address}'", "tcp://HOST:PORT, for example tcp://127.0.0.1:8786")
     return address
 
 
@@ -119,17 +119,21 @@ def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
         raise InputError(path, str(error), "JSON") from None
     address = table.get("address") if isinstance(table, dict) else None
     if not isinstance(address, str) or not address.startswith(("tcp://", "tls://")):
-        raise InputError(path, f"address {address!r}", 'a key "address" with tcp:// or tls://')
+        raise InputError(
+            path,
+            f"address {address!r}",
+            'a key "address" with a value that begins with tcp:// or tls://',
+        )
     tls = _tls(path, table.get("tls"))
     if address.startswith("tls://") != (tls is not None):
         found = f"{address} with{'' if tls else 'out'} a table 'tls'"
-        expected = "tls:// with the files ca, certificate and key; tcp:// without"
+        expected = "tls:// with a table tls of the files ca, certificate and key, or tcp:// without"
         raise InputError(path, found, expected)
     return _cluster(_checked(address, str(path)), tls, say)
 
 
 def _tls(path: Path, table: Any) -> TlsFiles | None:
-    """Return the certificate files; their names are relative to the folder of FILE.json."""
+    """Return the certificate files; their paths are relative to the folder of FILE.json."""
     if table is None:
         return None
     names = ("ca", "certificate", "key")
@@ -138,8 +142,14 @@ def _tls(path: Path, table: Any) -> TlsFiles | None:
     files = [path.parent / str(table[name]) for name in names]
     for file in files:
         if not file.is_file():
-            raise InputError(file, "no such file", f"the file that {path.name} names in tls")
+            raise InputError(
+                file,
+                "no such file",
+                f"a certificate or key file, as the table tls of {path.name} names it",
+            )
     if files[2].stat().st_mode & 0o077:
         found = "a private key that other users can read"
-        raise InputError(files[2], found, "a key of its owner alone", "run: chmod 600 on it")
+        raise InputError(
+            files[2], found, "a key that only its owner can read", "run chmod 600 on it"
+        )
     return TlsFiles(*files)

@@ -1,4 +1,7 @@
-"""Units on a Dask cluster. The only module that imports dask, and only when a cluster is used."""
+"""Run units on a Dask cluster.
+
+No other module imports dask, and this one imports it only if a cluster is used.
+"""
 
 from __future__ import annotations
 
@@ -15,28 +18,31 @@ from fieldlum.scheduler.crew import POLL_S, Ended
 from fieldlum.scheduler.identity import difference, sent_by_value, software_identity
 from fieldlum.scheduler.units import Answer, Task, WorkUnit, corrected, perform, task_of
 
-# Units at a worker for each of its threads: the others wait there while the first runs, so that a
-# worker of short units never waits for the client. Everything else waits at the client.
+# Units at a worker for each of its threads. While one runs the others wait there, so that a worker
+# of short units never waits for the client. All other units wait at the client. Chosen.
 UNITS_A_THREAD = 4
-CONNECT_S = 15.0  # for a scheduler to answer: ten times a slow handshake over TLS
-PATIENCE_S = 600.0  # without any usable worker: a batch system starts jobs within minutes
-TURN_S = 0.005  # between two looks for answers: short next to any real unit
-REPLACED_S = 60.0  # with refused workers only: a killed worker's successor starts within a minute
-VISIBLE_S = 60.0  # for a file of a worker to appear here; NFS shows new names after up to 60 s
+# timeout for an answer of the scheduler: ten times a slow handshake over TLS; chosen
+CONNECT_S = 15.0
+# longest time without a usable worker: a batch system starts jobs within minutes; chosen
+PATIENCE_S = 600.0
+TURN_S = 0.005  # pause between two looks for answers, short compared with any real unit; chosen
+# longest time with refused workers only: a killed worker is replaced within a minute; chosen
+REPLACED_S = 60.0
+VISIBLE_S = 60.0  # timeout for a worker's file to appear here; NFS shows new names after up to 60 s
 
 
 class ClusterCrew:
-    """Workers of a Dask scheduler; only those with this very software get units."""
+    """The workers of a Dask scheduler; only workers with exactly this software get units."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
         self._mine = software_identity()
-        self._threads: dict[str, int] = {}  # of workers that are connected
+        self._threads: dict[str, int] = {}  # number of threads of each connected worker
         self._usable: set[str] = set()
-        self._asked: dict[str, Any] = {}  # worker: the future of its identity
-        self._avoided: dict[str, str] = {}  # worker: why it gets no more units
+        self._asked: dict[str, Any] = {}  # worker, and the future of its identity
+        self._avoided: dict[str, str] = {}  # worker, and why it gets no more units
         self._running: dict[int, tuple[Any, WorkUnit, frozenset[str]]] = {}
-        self._keys: dict[Any, int] = {}  # future: key of `_running`
+        self._keys: dict[Any, int] = {}  # future, and the key of its unit in `_running`
         self._looked_s = self._worked_s = 0.0
 
     def __enter__(self) -> ClusterCrew:
@@ -60,7 +66,7 @@ class ClusterCrew:
     # workers
 
     def _look(self) -> None:
-        """Update the list of workers; ask new ones for their software."""
+        """Update the list of workers, and query the software of new ones."""
         self._looked_s = time.monotonic()
         self._threads = dict(self._client.nthreads())
         for name in self._threads.keys() - self._asked.keys():
@@ -80,7 +86,7 @@ class ClusterCrew:
         elif future.status == "finished":
             other = difference(self._mine, future.result())
             if other:
-                self._avoid(name, f"refused: {other}; install there what is installed here")
+                self._avoid(name, f"rejected: {other}; install the versions of this computer there")
             else:
                 self._usable.add(name)
 
@@ -91,23 +97,30 @@ class ClusterCrew:
             self._scheduler.say(f"worker {name}: {why}; it gets no further units")
 
     def _check_patience(self) -> None:
-        """Raise InputError where no worker is left that may do anything."""
+        """Raise InputError if no worker is left that may run units."""
         idle_s = time.monotonic() - self._worked_s
         refused = self._threads.keys() & self._avoided.keys()
         if refused and refused == self._threads.keys() and idle_s > REPLACED_S:
             name = next(iter(refused))
-            found = f"no worker left; {name}: {self._avoided[name]}"
-            raise InputError(self._scheduler.address, found, remedy="finished units are stored")
+            found = f"no worker is left; {name}: {self._avoided[name]}"
+            raise InputError(
+                self._scheduler.address,
+                found,
+                remedy="finished units are stored; start the command again",
+            )
         if idle_s > PATIENCE_S:
             found = f"no usable worker for {PATIENCE_S:.0f} s"
-            remedy = "start one: dask worker ADDRESS; finished units are stored"
+            remedy = (
+                "start one: dask worker ADDRESS; finished units are stored, so start "
+                "the command again"
+            )
             raise NotEnoughDataError(f"{self._scheduler.address}: {found}; {remedy}")
 
     # ------------------------------------------------------------------------------------------
     # units
 
     def free(self) -> int:
-        """Return how many more units the usable workers can take."""
+        """Return how many more units the usable workers can accept."""
         if time.monotonic() - self._looked_s > POLL_S:
             self._look()
         self._check_patience()
@@ -129,7 +142,7 @@ class ClusterCrew:
         self._finished.add(future)
 
     def ended(self) -> list[Ended]:
-        """Return the units that ended, or that no worker can run."""
+        """Return the units that ended, and those that no worker can run."""
         end_s = time.monotonic() + POLL_S
         while not self._finished.has_ready() and time.monotonic() < end_s:
             time.sleep(TURN_S)
@@ -145,7 +158,7 @@ class ClusterCrew:
         return [*outcomes, *self._orphans()]
 
     def _orphans(self) -> Iterable[Ended]:
-        """Units whose every permitted worker has left would wait forever at the scheduler."""
+        """Yield units of which every permitted worker has left; they would wait without end."""
         there = self._threads.keys()
         for key in [k for k, (_, _, places) in self._running.items() if not places & there]:
             future, _, _ = self._running.pop(key)
@@ -161,19 +174,21 @@ class ClusterCrew:
             missing = _await_files(unit)
             if not missing:
                 return Ended(key, "value", answer.value)
-            why = f"its {missing} does not appear here: another shared folder?"
+            why = f"its {missing} does not appear here: the worker may use another shared folder"
         elif answer.kind == "stale":
             changed = corrected(unit, answer)
             if changed is not None:
                 return Ended(key, "changed", changed)
-            why = f"it sees another {answer.text} than this computer: its file system is stale"
+            why = (
+                f"it sees another {answer.text} than this computer: its file system is out of date"
+            )
         else:
             why = answer.text
         self._avoid(worker, why)
         return Ended(key, "worker", text=f"worker {worker}: {why}")
 
     def give_up(self, key: int) -> str:
-        """Cancel a unit and use its worker no more; return why."""
+        """Cancel a unit and stop using its worker; return why."""
         future, _, _ = self._running.pop(key)
         processing = self._client.processing()
         names = [name for name, keys in processing.items() if future.key in keys]
@@ -183,14 +198,14 @@ class ClusterCrew:
         return f"worker {names[0]} hangs" if names else "no worker took it"
 
     def status(self) -> str:
-        """Return the number of workers, in words."""
+        """Return the number of workers, as text."""
         count = len(self._usable)
         text = counted(count, "worker")
         return f"{text}, {len(self._avoided)} not used" if self._avoided else text
 
 
 def _failure(key: int, future: Any, value: Any) -> Ended:
-    """Return how a task without an answer ended; `value` holds type, exception and traceback."""
+    """Return how a task without an answer ended; `value` has type, exception and traceback."""
     from distributed import KilledWorker
 
     error = value[1] if future.status == "error" else None
@@ -200,14 +215,17 @@ def _failure(key: int, future: Any, value: Any) -> Ended:
 
 
 def _collector(client: Any) -> Any:
-    """Return a function that fetches answers in the background, so a lost worker blocks nothing."""
+    """Return a function that fetches answers in the background.
+
+    A lost worker then blocks nothing.
+    """
     from distributed import as_completed
 
     return as_completed(with_results=True, raise_errors=False, loop=client.loop)
 
 
 def perform_here(task: Task) -> tuple[str, Answer]:
-    """Run `perform` on a worker; return the worker's address too."""
+    """Run `perform` on a worker; also return the worker's address."""
     from distributed import get_worker
 
     _one_thread()
@@ -216,14 +234,14 @@ def perform_here(task: Task) -> tuple[str, Answer]:
 
 @cache
 def _one_thread() -> None:
-    """Keep OpenCV to one thread, as in the processes of `processes:N`."""
+    """Limit OpenCV to one thread, as in the processes of `processes:N`."""
     import cv2
 
     cv2.setNumThreads(1)
 
 
 def _connect(scheduler: Scheduler) -> Any:
-    """Return a client. Raises InputError without dask, and where no scheduler answers."""
+    """Return a Dask client. Raises InputError without dask, or if no scheduler answers."""
     try:
         from distributed import Client, Security
     except ImportError:
@@ -252,7 +270,7 @@ def _connect(scheduler: Scheduler) -> Any:
 
 
 def _await_files(unit: WorkUnit) -> str:
-    """Wait until each output is visible here; return one that is not."""
+    """Wait until each output is visible here; return an output that is not, or ""."""
     end_s = time.monotonic() + VISIBLE_S
     for name in unit.outputs:
         path = unit.folder / name
@@ -261,5 +279,6 @@ def _await_files(unit: WorkUnit) -> str:
                 return name
             time.sleep(0.2)
             with suppress(OSError):
-                list(path.parent.iterdir())  # makes a share that caches names look again
+                # makes a network share that caches names read them again
+                list(path.parent.iterdir())
     return ""

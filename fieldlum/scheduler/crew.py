@@ -1,4 +1,4 @@
-"""What runs units: in this process, or each in a process of its own that may be killed."""
+"""Run units: in this process, or each in its own process, which can be killed."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 from fieldlum.scheduler.units import WorkUnit, is_worker_trouble, trouble_text
 
-POLL_S = 0.5  # how often time limits and new workers are looked at
+POLL_S = 0.5  # seconds between two checks of time limits and new workers; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A unit that ended.
+    """How a unit ended.
 
-    kind: "lost" if its worker is gone; "worker" for a fault of the worker's machine; "changed" to
-    try `value` instead, the unit with other recorded inputs. text: what to report, with the name of
-    the worker.
+    kind: "value"; "error" raised by the call; "lost" if its worker is gone; "worker" for a fault of
+    the worker's computer; "changed" if the unit must be tried again as `value`, with other recorded
+    inputs. text: what to report, with the worker's name.
     """
 
     key: int
@@ -34,7 +34,7 @@ class Ended:
 
 
 class Crew(Protocol):
-    """Runs units for `run_units`; each submitted unit has a key of its own."""
+    """A set of workers that `run_units` uses; each submitted unit has its own key."""
 
     def __enter__(self) -> Crew: ...
 
@@ -45,15 +45,15 @@ class Crew(Protocol):
         ...
 
     def submit(self, key: int, unit: WorkUnit) -> None:
-        """Start a unit, or put it where it starts soon."""
+        """Start a unit, or queue it where it will start soon."""
         ...
 
     def ended(self) -> list[Ended]:
-        """Return units that ended, after waiting for `POLL_S` at most where none did."""
+        """Return the units that ended; if none did, wait for at most `POLL_S`."""
         ...
 
     def status(self) -> str:
-        """Return a line for the status view: which workers run."""
+        """Return a line about the workers, for the status view."""
         ...
 
 
@@ -62,12 +62,12 @@ class RemoteCrew(Crew, Protocol):
     """A crew of other processes, whose units can be abandoned."""
 
     def give_up(self, key: int) -> str:
-        """Stop waiting for a unit that takes too long; return what was done to its worker."""
+        """Stop waiting for a unit that takes too long; return what was done with its worker."""
         ...
 
 
 class LocalCrew:
-    """Runs units in the current process, one at a time."""
+    """A crew that runs units in the current process, one at a time."""
 
     def __init__(self) -> None:
         self._next: tuple[int, WorkUnit] | None = None
@@ -101,7 +101,7 @@ class LocalCrew:
 
 
 def _start_worker() -> None:
-    """Use one thread a worker (OpenCV would take every core); end with the parent process."""
+    """Limit a worker to one thread (OpenCV would use every core), and end it with its parent."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -111,9 +111,10 @@ def _start_worker() -> None:
 
 
 class ProcessCrew:
-    """Processes on this computer.
+    """A crew of processes on this computer.
 
-    Each has its own pool, so that a killed process is matched to its unit and affects no other.
+    Each process has its own pool, so that a killed process is matched to its unit and affects no
+    other.
     """
 
     def __init__(self, count: int) -> None:
@@ -139,7 +140,10 @@ class ProcessCrew:
             pool.shutdown(cancel_futures=True)
 
     def free(self) -> int:
-        """Return the processes that have started: starting one is no part of a unit's time."""
+        """Return the number of free processes that have started.
+
+        Starting a process does not count as time of a unit.
+        """
         self._idle.sort(key=lambda pool: self._pids[pool].done())
         return sum(self._pids[pool].done() for pool in self._idle)
 
@@ -148,7 +152,7 @@ class ProcessCrew:
         pool = self._idle.pop()
         try:
             future = pool.submit(unit.call, unit.folder, unit.argument)
-        except BrokenProcessPool:  # killed between two units
+        except BrokenProcessPool:  # the process was killed between two units
             pool = self._replaced(pool)
             future = pool.submit(unit.call, unit.folder, unit.argument)
         self._running[future] = (key, pool)
@@ -191,12 +195,12 @@ class ProcessCrew:
         return "its process was stopped"
 
     def _kill(self, pool: ProcessPoolExecutor) -> None:
-        """Kill a pool's process; a pid that is not known yet belongs to one that never started."""
+        """Kill a pool's process; a process without a known pid has never started."""
         known = self._pids[pool]
         if known.done() and known.exception() is None:
             with suppress(ProcessLookupError):
                 os.kill(known.result(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def status(self) -> str:
-        """Return the number of processes, in words."""
+        """Return the number of processes, as text."""
         return f"{self._count} processes"

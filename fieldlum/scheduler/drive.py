@@ -1,4 +1,4 @@
-"""Run units to their end: retries, time limits, progress."""
+"""Run units to their end, with retries, time limits and progress."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fieldlum.scheduler.cluster import ClusterCrew
 from fieldlum.scheduler.crew import Crew, Ended, LocalCrew, ProcessCrew, RemoteCrew
 from fieldlum.scheduler.units import UnitOutcome, WorkUnit
 
-# A unit counts as hanging after this many times the median of those that ended, and never before
-# SHORTEST_LIMIT_S; until FEW units have ended nothing is known and FIRST_LIMIT_S applies.
+# A unit counts as hanging after this many times the median time of completed units, but never
+# before SHORTEST_LIMIT_S. Until FEW units have ended, FIRST_LIMIT_S applies.
 LIMIT_TIMES_MEDIAN = 20.0  # not measured
-SHORTEST_LIMIT_S = 300.0  # not measured
-FIRST_LIMIT_S = 3600.0  # not measured
-FEW = 5  # not measured
+SHORTEST_LIMIT_S = 300.0  # seconds; not measured
+FIRST_LIMIT_S = 3600.0  # seconds; not measured
+FEW = 5  # number of units; not measured
 
 
 @dataclass
@@ -32,7 +32,7 @@ class _Attempt:
 
 
 class _Pace:
-    """How long units took, for the time limit and for the progress line."""
+    """The times that units took, for the time limit and for the progress line."""
 
     def __init__(self, scheduler: Scheduler, total: int) -> None:
         self._limit_s, self._total = scheduler.unit_limit_s, total
@@ -54,7 +54,7 @@ class _Pace:
         return max(SHORTEST_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(self._took_s))
 
     def text(self) -> str:
-        """Return units per second and the time left, for the progress line."""
+        """Return units per second and the remaining time, for the progress line."""
         rate = self.done / max(time.monotonic() - self._start_s, 1e-3)
         left_s = (self._total - self.done) / rate if rate else 0.0
         minutes, seconds = divmod(round(left_s), 60)
@@ -66,10 +66,9 @@ def run_units(
 ) -> Generator[UnitOutcome, None, None]:
     """Run every unit and yield its outcome, in the order in which units end.
 
-    A unit whose worker is killed, hangs, has a full disk or a stale file system is tried again, at
-    most `scheduler.retries` times; then its outcome names the trouble and the others go on.
-
-    Raises InputError where no scheduler answers or no worker is left that has this software.
+    A unit whose worker is killed, hangs, has a full disk or an outdated file system is tried again,
+    at most `scheduler.retries` times; then its outcome names the trouble, and other units continue.
+    Raises InputError if no scheduler answers or if no worker with this software is left.
     """
     waiting = deque(_Attempt(unit) for unit in units)
     total = len(waiting)
@@ -105,7 +104,7 @@ def run_each(
     take: Callable[[UnitOutcome], object],
     progress: Progress = quiet,
 ) -> None:
-    """Run every unit and give each outcome to `take`; what that raises ends the other units too.
+    """Run every unit and pass each outcome to `take`; an error in `take` ends the other units too.
 
     Raises what `run_units` and `take` raise.
     """
@@ -122,20 +121,21 @@ def _crew(scheduler: Scheduler, total: int) -> Crew:
 
 
 def _hanging(crew: Crew, running: dict[int, _Attempt], pace: _Pace) -> Iterator[Ended]:
-    """Give up units that run too long. Those of this process end before anyone looks.
+    """Give up units that run too long.
 
-    A generator: it looks at `running` only after the units that ended have left it.
+    Units of this process end before anyone can check them. This is a generator, so that it reads
+    `running` only after the units that ended have been removed.
     """
     if not isinstance(crew, RemoteCrew):
         return
     limit_s = pace.limit_s()
     oldest_s = time.monotonic() - limit_s
     for key in [key for key, attempt in running.items() if attempt.started_s < oldest_s]:
-        yield Ended(key, "lost", text=f"no end after {limit_s:.0f} s: {crew.give_up(key)}")
+        yield Ended(key, "lost", text=f"not complete after {limit_s:.0f} s: {crew.give_up(key)}")
 
 
 def _settle(attempt: _Attempt, ended: Ended, scheduler: Scheduler) -> UnitOutcome | None:
-    """Return the outcome of a unit; None where it is to be tried again."""
+    """Return the outcome of a unit; None if it must be tried again."""
     unit = attempt.unit
     if ended.kind == "value":
         return UnitOutcome(unit, ended.value)

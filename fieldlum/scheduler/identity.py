@@ -1,4 +1,7 @@
-"""What must be equal on every worker: fieldlum, the shipped profiles, and the numeric packages."""
+"""Identify what must be equal on every worker.
+
+These are fieldlum, the shipped profiles, and the numeric packages.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,10 @@ from typing import Any, cast
 
 
 def software_identity() -> dict[str, str]:
-    """Return versions of fieldlum and of numeric packages, and digests of its files.
+    """Return the versions of fieldlum and of numeric packages, and digests of fieldlum's files.
 
-    Everything is imported inside: this function is sent to workers by value, so that a worker with
-    an older fieldlum can answer too.
+    All imports are inside: the function is sent to workers by value, so that a worker with an older
+    fieldlum can answer too.
     """
     import hashlib
     import sys
@@ -57,7 +60,7 @@ def sent_by_value() -> Any:
 
 
 def difference(mine: dict[str, str], theirs: dict[str, str]) -> str:
-    """Return what differs on a worker as a phrase, "" where nothing does."""
+    """Return how the software of a worker differs; "" if it does not."""
     changed = [
         f"{name} {theirs.get(name, 'none')} (here {value})"
         for name, value in mine.items()

@@ -1,4 +1,4 @@
-"""A unit of work, what goes to a worker, and what a worker does with it."""
+"""Define a unit of work, what is sent to a worker, and what a worker does with it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from fieldlum.errors import InputError
 from fieldlum.session import sha256
 
 SHARED_VARIABLE = "FIELDLUM_SHARED"
-# What a worker's machine does to a unit that another machine may finish: a full disk, a quota, a
-# disk that does not answer, a share that went away, no memory.
+# Errors of a worker's computer, so that another computer may finish the unit: a full disk, a quota,
+# a disk that does not answer, a share that went away, no memory.
 WORKER_ERRNOS = (
     errno.ENOSPC,
     errno.EDQUOT,
@@ -28,14 +28,14 @@ WORKER_ERRNOS = (
 
 
 def is_worker_trouble(error: BaseException) -> bool:
-    """Return whether `error` is about the computer that runs a unit, not about the unit."""
+    """Return whether an error is due to the computer that runs a unit, not to the unit."""
     if isinstance(error, OSError):
         return error.errno in WORKER_ERRNOS
     return isinstance(error, MemoryError)
 
 
 def trouble_text(error: BaseException) -> str:
-    """Return a worker's trouble in words, without paths."""
+    """Return a text about the trouble of a worker, without paths."""
     return getattr(error, "strerror", None) or "out of memory"
 
 
@@ -44,9 +44,9 @@ class WorkUnit:
     """One piece of work: `call(folder, argument)`, which may run more than once.
 
     name: unique in the run. call: a function of a module. argument: plain values without paths.
-    files: input files relative to `folder` whose content a worker must see as this computer does.
-    recorded: further files with the sha256 that was recorded for them. outputs: files relative to
-    `folder` that exist when the unit has ended; the call writes them by rename.
+    files: input files, relative to `folder`, whose content must be the same for a worker as for
+    this computer. recorded: further files with their recorded sha256. outputs: files, relative to
+    `folder`, that exist when the unit has ended; the call writes them by rename.
     """
 
     name: str
@@ -60,7 +60,7 @@ class WorkUnit:
 
 @dataclass(frozen=True, slots=True)
 class UnitOutcome:
-    """How a unit ended: with a value, with the error of its call, or with its workers' trouble."""
+    """How a unit ended: with a value, with an error of its call, or with trouble of its workers."""
 
     unit: WorkUnit
     value: Any = None
@@ -82,7 +82,7 @@ class UnitOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a worker of a cluster receives. No absolute path of this computer is in it."""
+    """What a worker of a cluster receives; it contains no absolute path of this computer."""
 
     name: str
     call: Callable[[Path, Any], Any]
@@ -93,10 +93,10 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Answer of a worker.
+    """The answer of a worker.
 
-    kind "stale": input `text` has the content `seen`; "worker": a fault of the worker's machine, in
-    words.
+    kind: "stale" if the input `text` has the content `seen`; "worker" for a fault of the worker's
+    computer, described in `text`.
     """
 
     value: Any = None
@@ -106,30 +106,33 @@ class Answer:
 
 
 def shared_folder() -> Path:
-    """Return the folder that task paths are relative to: FIELDLUM_SHARED, else where we run."""
+    """Return the folder of task paths: FIELDLUM_SHARED, else the current folder."""
     return Path(os.environ.get(SHARED_VARIABLE) or Path.cwd())
 
 
 def relative_folder(folder: Path) -> str:
-    """Return `folder` relative to the shared folder. Raises InputError when it is outside."""
+    """Return `folder` relative to the shared folder. Raises InputError if it is outside."""
     shared = shared_folder()
     try:
         return folder.resolve().relative_to(shared.resolve()).as_posix()
     except ValueError:
-        remedy = f"start in a folder above it, or set {SHARED_VARIABLE} here and on each worker"
-        expected = "a folder that workers see too"
+        remedy = (
+            f"start the command in a folder above it, or set {SHARED_VARIABLE} here and "
+            "on each worker"
+        )
+        expected = "a folder that workers can see too"
         raise InputError(folder, f"outside the shared folder {shared}", expected, remedy) from None
 
 
 def task_of(unit: WorkUnit) -> Task:
-    """Return what a worker needs of `unit`, with the sha256 of its input files."""
+    """Return what a worker needs for `unit`, with the sha256 of its input files."""
     files = tuple((name, sha256(unit.folder / name)) for name in unit.files)
     folder = relative_folder(unit.folder)
     return Task(unit.name, unit.call, folder, unit.argument, files + unit.recorded)
 
 
 def perform(task: Task) -> Answer:
-    """Run a task on a worker: check its inputs, call, and report trouble of this machine."""
+    """Run a task on a worker: check its inputs, call it, and report trouble of this computer."""
     folder = shared_folder() / _inside(task.folder)
     try:
         for name, digest in task.inputs:
@@ -151,7 +154,7 @@ def _digest(path: Path) -> str:
 
 
 def _inside(name: str) -> PurePosixPath:
-    """Return a path that cannot lead out of its folder. Raises ValueError for any other."""
+    """Return a path that stays in its folder. Raises ValueError for any other path."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts:
         raise ValueError(f"path {name!r} of a task leads out of its folder")
@@ -159,11 +162,11 @@ def _inside(name: str) -> PurePosixPath:
 
 
 def corrected(unit: WorkUnit, answer: Answer) -> WorkUnit | None:
-    """Return the unit with the recorded sha256 replaced if this computer sees the same content.
+    """Return the unit with the recorded sha256 replaced, if this computer sees the same content.
 
-    Return None if the worker's file system is stale. A frame that was damaged after its capture
-    has another content than capture.json records; the stage decides what to do with it, on a worker
-    as on this computer.
+    Return None if the worker's file system is out of date. A frame that was damaged after its
+    capture differs from what capture.json records; the stage decides what to do with it, on a
+    worker as on this computer.
     """
     recorded = dict(unit.recorded)
     if answer.text not in recorded or _digest(unit.folder / answer.text) != answer.seen:

@@ -1,8 +1,8 @@
 """The session folder on disk: the only package that knows its file names.
 
-`writing` writes complete files or none; `lines` appends and recovers; `folder` has the paths;
-`plan_file`, `journal` and `day_files` are the formats; `files` has the files that pass from stage
-to stage.
+`writing` writes complete files or nothing; `lines` appends to files and recovers them; `folder` has
+the paths; `plan_file`, `journal` and `day_files` define formats; `files` has the files that one
+stage writes and another reads.
 """
 
 from fieldlum.session.day_files import (

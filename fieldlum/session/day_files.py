@@ -21,7 +21,7 @@ _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
 def encode_sample(sample: IrradianceSample) -> bytes:
-    """Return one row of a day file; the last column is the CRC-32 of the columns before it."""
+    """Return one row of a day file; its last column is the CRC-32 of the columns before it."""
     figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
     row = io.StringIO()
     texts = [
@@ -39,7 +39,7 @@ def encode_sample(sample: IrradianceSample) -> bytes:
 
 
 def decode_sample(line: bytes) -> IrradianceSample | None:
-    """Return the sample of a complete and undamaged row, else None."""
+    """Return the sample in a complete and undamaged row; None for any other row."""
     body, _, crc = line.rstrip(b"\n").rpartition(b",")
     try:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
@@ -52,7 +52,7 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
 
 
 class DayFiles:
-    """Appends samples to UTC day files, each row durable when `append` returns."""
+    """Appends samples to UTC day files; each row is on the disk when `append` returns."""
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
         self._folder, self._flush = session.irradiance, flush
@@ -75,7 +75,8 @@ class DayFiles:
             self.cut_bytes += cut_torn_tail(
                 path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None
             )
-        # Somebody saved the file with a spreadsheet: append to it; reading counts its lines.
+        # Somebody saved the file with a spreadsheet: append to it; readers count its lines as
+        # damaged.
         except InputError:
             spoilt = True
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)

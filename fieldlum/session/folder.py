@@ -1,4 +1,4 @@
-"""The session folder: paths, session.toml, and the lock for writers."""
+"""Define the session folder: its paths, session.toml, and the lock for writers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from fieldlum.session.writing import replacing, sha256
 from fieldlum.site_toml import site_from_table, site_table
 from fieldlum.version import __version__
 
-DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; chosen, `capture --grace` sets another
+# the sun moves by 1.3 degrees in this time; chosen, `capture --grace` sets another
+DEFAULT_GRACE_S = 300.0
 
 
 class _Place:
@@ -114,7 +115,7 @@ class Session:
 
     @property
     def grace(self) -> timedelta:
-        """How late a bracket may start: as in the last capture, else DEFAULT_GRACE_S."""
+        """How late a bracket may start: the value of the last capture, else DEFAULT_GRACE_S."""
         seconds = self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S)
         return timedelta(seconds=float(seconds))
 
@@ -132,16 +133,19 @@ def open_session(root: Path) -> Session:
     try:
         session.table()
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(session.toml, str(error), "TOML", "restore it from a copy") from None
+        raise InputError(
+            session.toml, str(error), "TOML", "restore session.toml from a copy"
+        ) from None
     return session
 
 
 def create_session(
     root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: PlanTable
 ) -> Session:
-    """Write plan.csv and session.toml. Raises InputError if there is a plan already.
+    """Write plan.csv and session.toml. Raises InputError if the folder already has a plan.
 
-    A plan.csv without session.toml is the result of a kill between the two, and is written again.
+    A plan.csv without session.toml is the result of an interruption between the two; it is written
+    again.
     """
     session = Session(root)
     if session.toml.exists():
@@ -167,7 +171,7 @@ def create_session(
 
 
 def update_session(session: Session, tables: SessionTable) -> None:
-    """Merge top-level tables into session.toml; a table replaces the one of the same name."""
+    """Write top-level tables into session.toml; each replaces the table of the same name."""
     import tomli_w
 
     known = session.table() if session.toml.exists() else {}
@@ -184,30 +188,31 @@ def store_grace(session: Session, grace_s: float) -> None:
 
 @contextmanager
 def sole_user(session: Session, purpose: str) -> Iterator[None]:
-    """Let one process at a time do `purpose` (capture, log) in a session.
+    """Let only one process at a time do `purpose` (capture, log) in a session.
 
-    The lock ends with the process, however it ends. Raises InputError if another one runs.
+    The lock ends with the process, even after a crash. Raises InputError if another process has the
+    lock.
     """
     path = session.root / f".{purpose}.lock"
     with path.open("a") as file:
         try:
             lock_now(file.fileno())
         except OSError as error:
-            if error.errno in NO_LOCKS:  # a share without them
+            if error.errno in NO_LOCKS:  # a network share without locks
                 found = f"a folder that cannot be locked ({error.strerror})"
                 raise InputError(
                     session.root,
                     found,
                     "a folder on a disk of this computer",
-                    "move the session to one",
+                    "move the session to a disk of this computer",
                 ) from None
             raise InputError(
                 session.root,
                 f"another fieldlum {purpose}{_process_of(path)} runs in it",
                 "one process at a time",
-                "stop the other one first",
+                "stop the other process first",
             ) from None
-        with suppress(OSError):  # a full disk
+        with suppress(OSError):  # if the disk is full
             file.truncate(0)
             file.write(f"{os.getpid()}\n")
             file.flush()
@@ -218,6 +223,6 @@ def _process_of(path: Path) -> str:
     """Return the process that wrote its number into a lock file, as text for a message."""
     try:
         number = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError):  # Windows lets nobody read a locked file
+    except (OSError, UnicodeDecodeError):  # on Windows nobody can read a locked file
         return ""
     return f" (process {number})" if number.isdigit() else ""

@@ -1,4 +1,4 @@
-"""journal.jsonl: all events of a session, one a line, never rewritten.
+"""journal.jsonl: all events of a session, one per line, never rewritten.
 
 Several processes may append: a capture runs while `fieldlum status --mark` marks a slot.
 """
@@ -17,10 +17,14 @@ from fieldlum.session.tables import EventFields, JournalEvent
 
 
 class Journal:
-    """The session's events, appended by any thread with a CRC and flushed to disk."""
+    """The session's events; any thread may append. Lines have a CRC and are flushed to disk."""
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
-        """Open the journal. flush=False survives a kill but not a power cut: for simulated time."""
+        """Open the journal.
+
+        flush: with False, lines survive a killed process but not a power cut; used for simulated
+        time.
+        """
         self._path, self._flush = session.journal, flush
         self._lock = threading.Lock()
         self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -28,7 +32,7 @@ class Journal:
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
     def append(self, event: str, t_utc: datetime, **fields: Unpack[EventFields]) -> None:
-        """Append an event; it is on disk on return.
+        """Append an event; it is on the disk when this returns.
 
         Raises OSError on a full disk, after removing a partly written line.
         """
@@ -44,7 +48,7 @@ class Journal:
 def append_event(
     session: Session, event: str, t_utc: datetime, **fields: Unpack[EventFields]
 ) -> None:
-    """Append one event to the journal, also during a capture by another process."""
+    """Append one event to the journal, even while another process captures."""
     journal = Journal(session)
     try:
         journal.append(event, t_utc, **fields)
@@ -53,7 +57,7 @@ def append_event(
 
 
 def read_journal(session: Session) -> list[JournalEvent]:
-    """Return all valid events in the order written; empty without a journal."""
+    """Return all valid events in the order of writing; empty if there is no journal."""
     if not session.journal.is_file():
         return []
     with session.journal.open("rb") as file:

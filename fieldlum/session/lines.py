@@ -1,4 +1,7 @@
-"""Append-only files: a CRC for each line, lines flushed to disk, a torn tail removed on opening."""
+"""Append to files line by line: with a CRC, flushed to disk.
+
+Remove an incomplete last line on opening.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,14 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.session.tables import JournalEvent
 
-# A line and its flush take milliseconds. After this time the line is appended without the lock: one
-# append mixes with another only on a file system that splits writes, and the CRC would show it.
+# Seconds. A line and its flush take milliseconds. After this time the line is appended without the
+# lock. Two lines could then mix only on a file system that splits writes, and the CRC would show
+# it.
 _MAX_LOCK_S = 0.25
-_LOCK_EVERY_S = 0.002  # not measured
+_LOCK_EVERY_S = 0.002  # pause between two tries to lock [s]; not measured
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system without locks
-_TAIL_BYTES = 1 << 20  # searched for the last valid line; a torn tail is far shorter
+# bytes that are searched for the last valid line; an incomplete line is far shorter; chosen
+_TAIL_BYTES = 1 << 20
 
 
 def encode_line(row: Mapping[str, object]) -> bytes:
@@ -30,7 +35,7 @@ def encode_line(row: Mapping[str, object]) -> bytes:
 
 
 def decode_line(line: bytes) -> JournalEvent | None:
-    """Return the row of a complete and undamaged line, else None."""
+    """Return the row in a complete and undamaged line; None for any other line."""
     crc, _, text = line.rstrip(b"\n").partition(b" ")
     try:
         sound = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
@@ -53,10 +58,10 @@ def lock_now(handle: int) -> None:
 
 @contextmanager
 def exclusive(handle: int) -> Iterator[None]:
-    """Lock an open file against other processes; wait for another one to finish its line.
+    """Lock an open file against other processes; wait until another process has finished its line.
 
-    On a file system without locks, continue without a lock; so too if another process holds the
-    lock for more than `_MAX_LOCK_S`: a capture must not wait for a stopped program.
+    Continue without a lock on a file system that has none, or if another process holds the lock for
+    more than `_MAX_LOCK_S`: a capture must not wait for a stopped program.
     """
     if sys.platform == "win32":
         import msvcrt
@@ -84,7 +89,7 @@ def exclusive(handle: int) -> Iterator[None]:
 
 
 def _held(handle: int) -> bool:
-    """Try to lock a file, repeatedly for `_MAX_LOCK_S`; return whether it is locked."""
+    """Try to lock a file repeatedly for `_MAX_LOCK_S`; return whether it is locked."""
     end = time.monotonic() + _MAX_LOCK_S
     while True:
         try:
@@ -112,7 +117,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
     A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
-    before the last valid one stay: readers skip and count them. Raises InputError if no line is
+    before the last valid one remain: readers skip and count them. Raises InputError if no line is
     valid.
     """
     if not path.is_file():
@@ -133,7 +138,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
                 path,
                 "it has no valid line",
                 "a file written by fieldlum",
-                "restore it from a copy, or move it away",
+                "restore the file from a copy, or move it away",
             )
         cut = len(tail) - keep
         if cut:
@@ -145,7 +150,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
 
 
 def append_whole(handle: int, data: bytes, *, flush: bool) -> None:
-    """Append all of `data`, or restore the earlier length if the disk has no space for it."""
+    """Append all of `data`; if the disk is full, restore the earlier length of the file."""
     before = os.fstat(handle).st_size
     try:
         append_durably(handle, data, flush=flush)

@@ -13,15 +13,15 @@ EVENT = "marked"
 NOTE = "note"
 MAX_NOTE = 500  # characters: a few sentences; chosen
 
-# Events that other programs than the capture write, at the time of their own clock. They say
-# nothing about the clock of the capture.
+# Events that programs other than the capture write, with the time of their own clock. They are no
+# evidence about the capture's clock.
 BY_PEOPLE = frozenset({EVENT, NOTE, "paused", "resumed"})
 
 
 def mark_slot(session: Session, slot: str, state: str) -> str:
     """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's full state.
 
-    It is safe during a capture. Raises InputError for an unknown slot or an unknown word.
+    This is safe during a capture. Raises InputError for an unknown slot or an unknown word.
     """
     known = {planned.id for planned in session.slots()}
     known |= {path.stem for path in session.panoramas.glob("*.exr")}
@@ -31,15 +31,17 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
     try:
         result = merged_state(marks(session).get(slot, ""), state)
     except ValueError as error:
-        raise InputError(session.root, str(error), USAGE, "write for example lamp=on") from None
+        raise InputError(
+            session.root, str(error), USAGE, "name the slot and its state, for example lamp=on"
+        ) from None
     append_event(session, EVENT, datetime.now(UTC), slot=slot, state=state)
     return result
 
 
 def add_note(session: Session, text: str) -> str:
-    """Append a person's note to the journal; return it on one line, without control characters.
+    """Append a user's note to the journal; return it on one line, without control characters.
 
-    Raises InputError for an empty note and for one of more than `MAX_NOTE` characters.
+    Raises InputError for an empty note and for a note of more than `MAX_NOTE` characters.
     """
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     if not 0 < len(line) <= MAX_NOTE:
@@ -50,7 +52,10 @@ def add_note(session: Session, text: str) -> str:
 
 
 def marks(session: Session) -> dict[str, str]:
-    """Return the state of each marked slot; a later mark replaces an earlier one of its word."""
+    """Return the state of each marked slot.
+
+    A later mark replaces an earlier one with the same word.
+    """
     states: dict[str, str] = {}
     for event in read_journal(session):
         if event["event"] == EVENT and "slot" in event:

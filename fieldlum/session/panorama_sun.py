@@ -1,4 +1,4 @@
-"""Read a panorama with its sun: merge's map joined with pair's table of suns."""
+"""Read a panorama with its sun: the map by merge, and the sun by pair's table."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from fieldlum.images import read_panorama
 from fieldlum.records import CLIPPED_SUN, Panorama
 from fieldlum.session.files.suns_csv import SunRow, read_suns
 
-MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
+# origins with which the picture itself measured the disc
+MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")
 _SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
 
 
 def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) -> Panorama:
-    """Read a panorama and join the sun that `pair` completed for it.
+    """Read a panorama and add the sun that `pair` computed for it.
 
-    The table is suns.csv in the folder above the picture's; `suns` is that table for a caller that
-    reads many pictures. A sun that the picture measured stays. `attributes["note"]` reports a sun
-    that is only a lower bound: it clipped, and no row of the table belongs to the picture. Raises
-    InputError for an unusable picture or table.
+    The table is suns.csv in the folder above the picture's; `suns` is that table, for a caller that
+    reads many pictures. A sun that the picture measured is not replaced. `attributes["note"]`
+    reports a sun that is only a lower bound: the picture is clipped there, and no row of the table
+    belongs to it. Raises InputError for an unusable picture or table.
     """
     panorama = read_panorama(path)
     sun = panorama.sun
@@ -33,12 +34,12 @@ def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) ->
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
-    """Return the table of suns of a panorama's session; empty without one."""
+    """Return the table of suns of a panorama's session; empty if there is none."""
     return read_suns(panorama.absolute().parent.parent / "suns.csv")
 
 
 def _key(panorama: Path) -> str:
-    path = panorama.absolute()  # not resolved: panoramas/ can be a link to another disk
+    path = panorama.absolute()  # not resolved, because panoramas/ can be a link to another disk
     return f"{path.parent.name}/{path.name}"
 
 
@@ -47,7 +48,7 @@ def _labelled(panorama: Panorama) -> Panorama:
     if sun is None or sun.origin != CLIPPED_SUN:
         return panorama
     note = (
-        f"the sun clipped in every frame: its {sun.normal_illuminance_lx:.0f} lx, Ev and DGP are "
-        "lower bounds until fieldlum pair completes it"
+        f"every frame is clipped at the sun: its {sun.normal_illuminance_lx:.0f} lx, Ev and "
+        "DGP are lower bounds; run fieldlum pair to complete them"
     )
     return replace(panorama, attributes={**panorama.attributes, "note": note})

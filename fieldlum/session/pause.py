@@ -1,4 +1,4 @@
-"""A pause requested by a person: while pause.json is valid, `capture` begins no bracket.
+"""Pause the capture at a user's request: while pause.json is valid, it begins no bracket.
 
 The capture only reads the file, so that it never waits for the program that writes it.
 """
@@ -14,14 +14,14 @@ from fieldlum.session.folder import Session
 from fieldlum.session.journal import append_event
 from fieldlum.session.writing import replacing
 
-# A forgotten pause must cost less than a day: half a day of daylight at most.
+# A forgotten pause must cost less than half a day of daylight. Chosen.
 MAX_PAUSE = timedelta(hours=4)
 
 
 def pause(session: Session, duration: timedelta) -> datetime:
     """Pause the capture from now on; return the end. A second pause replaces the first.
 
-    Raises InputError for a duration that is not within 0 and `MAX_PAUSE`.
+    Raises InputError for a duration that is not between 0 and `MAX_PAUSE`.
     """
     if not timedelta(0) < duration <= MAX_PAUSE:
         longest = f"{MAX_PAUSE.total_seconds() / 60:.0f}"
@@ -36,7 +36,7 @@ def pause(session: Session, duration: timedelta) -> datetime:
 
 
 def resume(session: Session) -> None:
-    """End a pause; without one nothing happens."""
+    """End a pause; do nothing if there is none."""
     now = datetime.now(UTC)
     was_paused = paused_until(session, now) is not None
     session.pause.unlink(missing_ok=True)
@@ -45,10 +45,10 @@ def resume(session: Session) -> None:
 
 
 def paused_until(session: Session, now_utc: datetime) -> datetime | None:
-    """Return the end of the present pause; None without one.
+    """Return the end of the present pause; None if there is none.
 
-    A file that cannot be read is no pause, nor is an end further away than `MAX_PAUSE`: a wrong
-    clock or a wrong file must not cost days of captures.
+    An unreadable file is ignored, and so is an end further away than `MAX_PAUSE`: a wrong clock or
+    a wrong file must not cost days of captures.
     """
     try:
         until = parse_utc(json.loads(session.pause.read_text(encoding="utf-8"))["until_utc"])

@@ -1,4 +1,4 @@
-"""plan.csv: the planned slots. The file is never changed."""
+"""plan.csv: the planned slots. The file is never changed after it is written."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def exposure_text(exposure: Exposure) -> str:
 
 
 def parse_exposure(text: str) -> Exposure:
-    """Return the exposure of a text. Raises ValueError for another text."""
+    """Return the exposure that a text describes. Raises ValueError for any other text."""
     shutter, f_number, iso, *nd = text.split()
     seconds = 1.0 / float(shutter[2:]) if shutter.startswith("1/") else float(shutter)
     if not f_number.startswith("f/") or not iso.startswith("ISO"):
@@ -43,7 +43,7 @@ def parse_exposure(text: str) -> Exposure:
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
-    """Write the slots; local times are for people only."""
+    """Write the slots; local times only serve readers of the file."""
     zone = ZoneInfo(timezone)
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -63,7 +63,7 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
 
 
 def read_plan(path: Path) -> list[Slot]:
-    """Return the slots of a plan. Raises InputError with the line."""
+    """Return the slots of a plan. Raises InputError, naming the line."""
     if not path.is_file():
         raise InputError(
             path,
@@ -81,7 +81,8 @@ def read_plan(path: Path) -> list[Slot]:
             )
         for number, row in enumerate(reader, start=2):
             try:
-                if None in row:  # commas instead of semicolons would give brackets of one frame
+                # with commas instead of semicolons each bracket would have one frame
+                if None in row:
                     raise ValueError(f"{len(PLAN_COLUMNS) + len(row.get(None) or ())} values")
                 t_utc: datetime = parse_utc(row["t_utc"])
                 if slot_id(t_utc) != row["slot"]:

@@ -1,6 +1,6 @@
 """Record what a result was computed from, and decide whether it must be computed again.
 
-A result has a note, a JSON object written after the result's files. Its key `inputs` holds
+A result has a note, a JSON object that is written after the result's files. Its key `inputs` has
 everything that the result depends on, as plain values; large inputs are stored as a digest.
 """
 
@@ -18,10 +18,10 @@ import numpy as np
 
 
 def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[str, Any] | None:
-    """Return a result's note if it records the same inputs and all files exist, else None.
+    """Return a result's note if its inputs are the same and all files exist, else None.
 
-    A damaged note counts as missing: the result is computed again. A note without the key `inputs`
-    is the inputs itself.
+    A damaged note counts as missing: the result is computed again. In a note without the key
+    `inputs`, the note itself is the inputs.
     """
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
@@ -33,7 +33,7 @@ def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[
 
 
 def digest(value: object) -> str:
-    """Return the SHA-256 of plain values (what JSON can hold), in hex."""
+    """Return the SHA-256 of plain values (those that JSON can store), in hex."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 

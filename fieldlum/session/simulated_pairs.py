@@ -9,9 +9,9 @@ from fieldlum.session.folder import Session
 
 
 def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
-    """Write truth/pairs.csv; and pairs.csv too, unless it holds pairs of merged panoramas.
+    """Write truth/pairs.csv; also write pairs.csv, unless it has pairs of merged panoramas.
 
-    rows: paths relative to the session's folder.
+    rows: with paths relative to the session's folder.
     """
     in_truth = tuple(
         replace(row, panorama=_from_truth(row.panorama), sunpatch=_from_truth(row.sunpatch))
@@ -35,7 +35,7 @@ def _is_simulated(pairs: PairsFile) -> bool:
 
 
 def _from_truth(name: str) -> str:
-    """Return a path relative to the session as one relative to its folder truth/."""
+    """Convert a path relative to the session to one relative to its folder truth/."""
     if not name:
         return ""
     return name.removeprefix("truth/") if name.startswith("truth/") else f"../{name}"

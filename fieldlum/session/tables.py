@@ -1,4 +1,4 @@
-"""The tables of session.toml, and the lines of the journal, as types."""
+"""Define the tables of session.toml and the lines of the journal as types."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from datetime import date
 from typing import Any, Required, TypedDict
 
 DeviceTable = dict[str, str | int | float | bool]
-"""What a device states about itself."""
+"What a device reports about itself."
 
 
 class PlanTable(TypedDict, total=False):
-    """[plan] of session.toml: the request, and what the plan costs."""
+    """[plan] of session.toml: the request, and the time and space that the plan needs."""
 
     set: str
     start: date
@@ -29,7 +29,7 @@ class PlanTable(TypedDict, total=False):
 
 
 class DevicesTable(TypedDict, total=False):
-    """[devices] of session.toml: the URIs by device, and what each device states about itself."""
+    """[devices] of session.toml: URIs by device, and what each device reports about itself."""
 
     uris: dict[str, str]
     camera: DeviceTable
@@ -38,7 +38,7 @@ class DevicesTable(TypedDict, total=False):
 
 
 class GraceTable(TypedDict, total=False):
-    """[capture] of session.toml."""
+    """[capture] of session.toml: how late a bracket may start."""
 
     grace_s: float
 
@@ -46,13 +46,14 @@ class GraceTable(TypedDict, total=False):
 class LoggerFileTable(TypedDict, total=False):
     """How a logger's file was read."""
 
-    file: Required[str]  # not the path: the file may have grown and come from another card
+    # the name without its folder, because the file may have grown and come from another card
+    file: Required[str]
     utc_offset_s: float
     columns: dict[str, str]
 
 
 class SessionTable(TypedDict, total=False):
-    """session.toml."""
+    """The content of session.toml."""
 
     setup: dict[str, Any]  # SITE.toml
     plan: PlanTable

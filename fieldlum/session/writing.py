@@ -1,4 +1,4 @@
-"""Write files so that a kill at any time leaves the old file or the complete new one."""
+"""Write files so that an interruption leaves the old file or the complete new one."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-OLD_SCRAP_S = 86400.0  # not measured: no file takes a day to write
+OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
 
 
 @contextmanager
 def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
-    """Yield a file that gets its name when it is complete.
+    """Yield a file that gets its name only when it is complete.
 
-    It is written under a temporary name in the same folder, flushed to disk, then renamed.
+    The file has a temporary name in the same folder, is flushed to disk, and is then renamed.
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file
@@ -41,14 +41,14 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
 
 def _host() -> str:
-    """Return this computer's name: processes of two computers can have the same number."""
+    """Return this computer's name, because processes of two computers can have the same number."""
     return "".join(c if c.isalnum() else "-" for c in platform.node()) or "host"
 
 
 def remove_scraps(folder: Path) -> None:
-    """Remove temporary files of processes that ended before they could rename them.
+    """Remove temporary files of processes that ended before they could rename the files.
 
-    Files of a process on another computer are removed after a day, as its state is unknown.
+    Files of a process on another computer are removed after a day, because its state is unknown.
     """
     for scrap in folder.glob(".*.tmp*"):
         host, _, rest = scrap.name[1:].partition(".")
@@ -85,7 +85,10 @@ def sync_folder(folder: Path) -> None:
 
 
 def disk_is_full(error: BaseException) -> bool:
-    """Return whether an error means no space: on the disk, in a quota, or for so large a file."""
+    """Return whether an error means that space is missing.
+
+    It may be missing on the disk, in a quota, or for so large a file.
+    """
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 

@@ -37,19 +37,21 @@ if TYPE_CHECKING:
     from fieldlum.models.transport.setting_scan import Setting
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
-FOLD_SHARE = 0.5  # of the time of slow models; the rest is for the stored model; not measured
-# Under one pass over the training pixels the network's errors depend on the processor's speed
-# (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the model
-# suits a room.
+# share of the time of slow models that their held-out days get; the stored model gets the rest; not
+# measured
+FOLD_SHARE = 0.5
+# With less than one pass over the training pixels, the network's errors depend on the processor's
+# speed (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the
+# model suits a room.
 MIN_PASSES_TO_JUDGE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A trained model and how it was chosen.
+    """A trained model, and how it was chosen.
 
-    not_judged: trials that were too short for their scores to count; data: the captures that were
-    learned from, without those of a changed room.
+    not_judged: trials that were too short for their scores to count; data: the captures of the
+    training, without those of a changed room.
     """
 
     fitted: Fitted
@@ -94,7 +96,8 @@ def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
 
 def _too_short(trial: Trial) -> str:
     return (
-        f"not judged: {trial.passes or 0.0:.2f} passes over the data, one is needed; raise --budget"
+        f"not judged: {trial.passes or 0.0:.2f} passes over the data, but at least one is "
+        "needed; raise --budget"
     )
 
 
@@ -114,10 +117,10 @@ def fit_and_score(
     checkpoint: Path | None = None,
     progress: Progress = quiet,
 ) -> Result:
-    """Run trials on held-out days, choose a model, and fit it on all of the data.
+    """Run trials on held-out days, choose a model, and fit it to all data.
 
-    budget: a budget that other steps share; `budget_s` from now on unless given. Two held-out folds
-    and one fit of each quick model, and the scan of the setting, are never left out. Raises
+    budget: a budget that other steps share; else `budget_s` from now on. Two held-out folds and one
+    fit of each quick model, and the scan of north and clock, are always run. Raises
     NotEnoughDataError if there are too few hours to hold any out.
     """
     budget = budget or TimeBudget.starting(budget_s)
@@ -126,7 +129,8 @@ def fit_and_score(
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
-            f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check"
+            f"{data.source}: {len(data)} usable hour, but at least 2 are needed to train and "
+            "to test; capture more hours"
         )
     names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
     trials: list[Trial] = []
@@ -217,17 +221,17 @@ def seen_skies(fitted: Fitted) -> list[str]:
 
 
 def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Return notes for a reader of the scores."""
+    """Return notes that a reader of the scores needs."""
     notes = list(data.notes)
     if one_day_only(data):
         notes.append(
-            "all hours are of one day: held-out hours are its neighbours, so the errors are too "
-            "small"
+            "all hours are from one day, so held-out hours are close to training hours and "
+            "the errors are too small: capture more days"
         )
     if patch == "none" and data.patch_cdm2 is None:
         notes.append(
-            "no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair for a "
-            "better model"
+            "no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair "
+            "for a better model"
         )
     errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
     floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
@@ -240,7 +244,7 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
 
 
 def default_folder(pairs: Path, model: str) -> Path:
-    """Return models/MODEL in a session, or in the folder of a pairs.csv."""
+    """Return the folder models/MODEL in a session, or next to a pairs.csv."""
     return (pairs if pairs.is_dir() else pairs.parent) / "models" / model
 
 
@@ -260,9 +264,9 @@ def run(
 ) -> TrainAnswer:
     """Train, write the model and its scores to `out`, and return what `train --json` prints.
 
-    A model that the same version trained from the same captures and options is not trained again:
-    the answer's `kept` is then True. An interrupted dense training continues from its checkpoint in
-    `out`. captures: also compute how many captures would have been enough.
+    If captures and options have not changed since the same version trained the model, nothing is
+    trained and the answer's `kept` is True. An interrupted dense training continues from its
+    checkpoint in `out`. captures: also compute how many captures would have been enough.
     """
     from fieldlum.models import distributed
     from fieldlum.train.captures import how_many
@@ -312,7 +316,8 @@ def run(
     # JSON has no NaN
     answer = cast(TrainAnswer, json.loads(text, parse_constant=lambda _: None))
     if distributed.rank() == 0:
-        (out / SCORES).unlink(missing_ok=True)  # written last: with it a model is complete
+        # this file is written last: it shows that the model is complete
+        (out / SCORES).unlink(missing_ok=True)
         models.save(
             out,
             result.fitted,

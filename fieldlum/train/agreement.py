@@ -1,6 +1,9 @@
-"""How well each capture agrees with the others, by a Gaussian process over the light outside.
+"""Measure how well each capture agrees with the others.
 
-All pixels share the process, so that leaving out any set of captures costs one small inverse.
+The captures are a Gaussian process over the light outside.
+
+All pixels share the process, so that predicting captures without themselves costs one small
+inverse.
 """
 
 from __future__ import annotations
@@ -25,31 +28,38 @@ from fieldlum.models.transport.window_sky import seen_sky
 Array = NDArray[Any]
 Rows = NDArray[np.intp]
 
-FEWEST_DAYS = 4  # fewer days do not show which of them is the exception
-_THIN_HEIGHT = 20  # rows of the maps that are compared, at least
-_PIXELS = 200  # drawn by solid angle
-_LEAST_LEVEL_CDM2 = 1.0  # median of a picture that can be judged: the floor of the scores
-OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches
-_PATCH_SHARE = 0.05  # of a pixel's luminance: a sun patch above it, or next to it, hides the rest
+FEWEST_DAYS = 4  # with fewer days it is unclear which day is the exception; chosen
+_THIN_HEIGHT = 20  # least number of rows of the maps that are compared; chosen
+_PIXELS = 200  # number of pixels, drawn by solid angle; chosen
+# least median luminance of a picture that can be judged: the floor of the scores
+_LEAST_LEVEL_CDM2 = 1.0
+OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches; chosen
+# share of a pixel's luminance above which a sun patch hides the rest, also next to the patch;
+# chosen
+_PATCH_SHARE = 0.05
 _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances; smaller ones are not resolved
 _LAMP_VARIANCE = 100.0  # prior variance of a lamp's light, as in fieldlum.light.Kernel
-_TRIM = 0.1  # share of the pixels with the largest deviations, which are edges of sun patches
-_LEAST_TYPICAL = 0.01  # of the variance that the process states
+# share of the pixels with the largest deviations that are omitted, because they are edges of sun
+# patches; chosen
+_TRIM = 0.1
+# share of the process's own variance; smaller typical deviations count as this; chosen
+_LEAST_TYPICAL = 0.01
 # Squared deviation over that of the median capture or day, in nine simulated rooms at 46 x 23
-# pixels. Largest without a change: 185 and 6; lamps of 10 cd/m2 at dusk: 140 and more; a day with a
-# blind half down: 20 and more. Above a limit a search begins; what is left out is decided by gain.
+# pixels. Largest without a change: 185 and 6. With lamps of 10 cd/m2 at dusk: 140 and more. With a
+# blind half down for a day: 20 and more. A larger value only starts a search; the gain decides what
+# is omitted.
 CAPTURE_LIMIT = 100.0
 DAY_LIMIT = 10.0
-_SOFT = 0.1  # of the limits: smaller deviations cost little
-PRICE = float(np.log1p(1.0 / _SOFT))  # of a capture that is left out: its cost at the limit
+_SOFT = 0.1  # of the limits: smaller deviations cost little; chosen
+PRICE = float(np.log1p(1.0 / _SOFT))  # cost of omitting a capture: that of a capture at the limit
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """The captures `rows` [k], each predicted by the others.
 
-    inverse [k, k] of their covariance; weights [k, P]: inverse times values; error [k, P]: measured
-    less predicted; variance [k] of the prediction and the noise.
+    inverse [k, k]: of their covariance; weights [k, P]: inverse times values; error [k, P]:
+    measured minus predicted; variance [k]: of the prediction and the noise.
     """
 
     rows: Rows
@@ -63,11 +73,11 @@ class LeftOut:
 class Process:
     """Captures as a Gaussian process over the light outside.
 
-    y, valid [n, P]: light of a pixel over its usual answer to the light outside, and where it is a
-    surface without direct sun; covariance [n, n]; spread [n]: relative variance of an hour, in
-    units of the noise; days [n]; judged [n]: pictures with enough light; total_lx [n]; beam [n]:
-    the sun's share of it; measured, direct [n, P]: the picture with hidden values, and the computed
-    sun patch, in units of y.
+    y, valid [n, P]: light of a pixel over its usual response to the light outside, and whether it
+    shows a surface without direct sun; covariance [n, n]; spread [n]: relative variance of an hour,
+    in units of the noise; days [n]; judged [n]: whether the picture has enough light; total_lx [n];
+    beam [n]: the sun's share of it; measured, direct [n, P]: the picture including hidden values,
+    and the computed sun patch, in units of y.
     """
 
     y: Array
@@ -87,7 +97,10 @@ class Process:
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:
-        """Return the process with more hidden values [n, P], which follow those that are seen."""
+        """Return the process with more hidden values [n, P].
+
+        These are predicted from the seen ones.
+        """
         valid, rows = self.valid & ~hidden, np.flatnonzero(self.judged)
         process = self
         for _ in range(2):
@@ -116,20 +129,24 @@ class Process:
         return self.covariance + np.diag(noise * self.spread)
 
     def left_out(self, rows: Rows, noise: float) -> LeftOut:
-        """Return what the captures `rows` deviate by from the others, each left out."""
+        """Return how far the captures `rows` deviate from predictions by the others."""
         inverse = np.linalg.inv(self.noisy(noise)[np.ix_(rows, rows)])
         weights = inverse @ self.y[rows]  # [k, P]
         variance = 1.0 / np.diagonal(inverse)
         return LeftOut(rows, inverse, weights, weights * variance[:, None], variance)
 
     def factor(self, rows: Rows, noise: float) -> NDArray[np.float64]:
-        """Return the median over pixels of measured light over that of other days, [n]."""
+        """Return the median over pixels of measured over predicted light, [n].
+
+        The other days predict it.
+        """
         factor = np.ones(len(self.days))
         for day in np.unique(self.days):
             block, others = np.flatnonzero(self.days == day), rows[self.days[rows] != day]
             noisy = self.noisy(noise)[np.ix_(others, others)]
             weights = np.linalg.solve(noisy, self.covariance[np.ix_(others, block)])
-            predicted = np.maximum(weights.T @ self.y[others], 0.05)  # of the usual light
+            # at least 5 % of the usual light
+            predicted = np.maximum(weights.T @ self.y[others], 0.05)
             factor[block] = np.median(self.y[block] / predicted, axis=1)
         return factor
 
@@ -140,9 +157,9 @@ class Process:
     def day_squares(self, out: LeftOut) -> dict[Any, float]:
         """Return the mean squared deviation of each day from what the other days predict.
 
-        All captures of the day count jointly, over their covariance. With the inverse Q of the
+        All captures of a day count jointly, over their covariance. With the inverse Q of the
         covariance and the rows D of a day, the deviation is e = Q_DD^-1 (Q y)_D and its covariance
-        Q_DD^-1 (the block form of the leave-one-out identity).
+        is Q_DD^-1 (the block form of the leave-one-out identity).
         """
         days, squares = self.days[out.rows], {}
         for day in np.unique(days):
@@ -172,7 +189,7 @@ def process_of(
     windows: bool = False,
     seen_skies: bool = False,
 ) -> Process:
-    """Return the captures as a process. Values that are hidden (a sun patch, flags) are filled.
+    """Return the captures as a process; hidden values (a sun patch, flags) are filled.
 
     It has `_PIXELS` pixels; `complete`: all seen pixels of `thinned(data)`. Windows are hidden
     unless `windows` is set. seen_skies: captures have the skies that the windows showed.
@@ -184,7 +201,7 @@ def process_of(
         arrays = replace(arrays, features=sky.features(arrays))
     luminance = np.maximum(arrays.luminance, LEAST_CDM2).astype(float)
     judged = np.median(luminance, axis=1) > _LEAST_LEVEL_CDM2
-    if arrays.patch is None:  # unknown sun patches look like a change
+    if arrays.patch is None:  # without a computed sun patch, direct sun looks like a change
         judged &= arrays.features.beam < OVERCAST
     usual = arrays.light.total_lx[:, None] * pixel_scale(arrays)
     y = luminance / usual
@@ -214,7 +231,7 @@ def _draw(arrays: TrainingArrays, valid: NDArray[np.bool_]) -> Rows:
 
 
 def _valid(arrays: TrainingArrays, data: Dataset, luminance: Array) -> NDArray[np.bool_]:
-    """Return where pixels have no direct sun, next to a luminance [n, P], [n, P]."""
+    """Return a mask [n, P] of pixels without direct sun in or next to them; luminance: [n, P]."""
     from scipy.ndimage import maximum_filter
 
     valid = ~arrays.filled
@@ -227,10 +244,10 @@ def _valid(arrays: TrainingArrays, data: Dataset, luminance: Array) -> NDArray[n
 
 @dataclass(frozen=True, slots=True)
 class Typical:
-    """What deviations are compared with.
+    """The usual deviations, with which others are compared.
 
-    noise: its relative variance; pixel [P]: median squared deviation of each pixel; capture, day:
-    of the median capture and the median day.
+    noise: relative variance of a capture; pixel [P]: median squared deviation of each pixel;
+    capture, day: deviation of the median capture and of the median day.
     """
 
     noise: float
@@ -263,7 +280,7 @@ def _likely_noise(process: Process, rows: Rows) -> float:
 
 
 def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dict[Any, float]]:
-    """Return the deviation of each capture of `rows` [k] and of their days, over the limits."""
+    """Return the deviations of each capture of `rows` [k] and of their days, over the limits."""
     out = process.left_out(rows, usual.noise)
     squares = process.squares(out) / usual.pixel
     count = max(1, round((1.0 - _TRIM) * squares.shape[1]))
@@ -275,7 +292,7 @@ def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dic
 def disagreement(process: Process, rows: Rows, usual: Typical) -> float:
     """Return how much the captures `rows` contradict each other.
 
-    Each deviation counts by its logarithm, so that one large deviation does not decide.
+    Each deviation counts by its logarithm, so that a single large one does not decide.
     """
     captures, days = deviations(process, rows, usual)
     live, counts = np.unique(process.days[rows], return_counts=True)

@@ -16,16 +16,17 @@ from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import evaluate_folds
 
 SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve
-FOLDS = 3  # enough for a curve, and faster than `folds.MOST_FOLDS`
-FEWEST = 12  # captures; with fewer there are too few points for a curve
-THIN_HEIGHT = 20  # rows; errors are the same on average, and fits take seconds
-_NEXT_POINT = 2.0  # time of the next point over that of the last one: at most twice the captures
+FOLDS = 3  # enough for a curve, and faster than `folds.MOST_FOLDS`; chosen
+FEWEST = 12  # least number of captures; fewer give too few points for a curve; chosen
+THIN_HEIGHT = 20  # number of rows; the mean errors are the same, and fits take seconds; chosen
+# largest time of the next point over that of the last one, as captures at most double
+_NEXT_POINT = 2.0
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
-    """Return row numbers [n], the most informative capture first.
+    """Return row indices [n], the most informative capture first.
 
-    Each next capture is the one that lowers the variance over all captures most.
+    Each next capture is the one that most lowers the variance over all captures.
     """
     kernel = Kernel(facades_of(data.setup.room))
     known = light_features(data.light)
@@ -41,12 +42,12 @@ def how_many(
     fit_s: float = 0.0,
     progress: Progress = quiet,
 ) -> CaptureCurve | None:
-    """Return the error on held-out days against the number of captures, in the order of use.
+    """Return the error on held-out days by the number of captures, in the order of use.
 
-    curve: captures that were fitted, error, standard error over days. enough: the fewest captures
-    within one standard error of all of them. added_nothing: slots after those in the order of use.
-    fit_s: time of one fit [s], by which the first point is judged. The result is empty for too few
-    captures, None if the budget ends before the last point.
+    curve: number of captures, error, standard error over days. enough: the fewest captures whose
+    error is within one standard error of that of all captures. added_nothing: slots after these in
+    the order of use. fit_s: time of one fit [s], which decides about the first point. The result is
+    empty for too few captures, None if the budget ends before the last point.
     """
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}

@@ -1,6 +1,6 @@
-"""Changes in a part of the picture that nobody marked: compact regions that contradict the rest.
+"""Detect unmarked changes in a part of the picture: compact regions that contradict the rest.
 
-A person or an object darkens a region of single captures; a piece of furniture that was moved
+A person or an object darkens a region of single captures. A piece of furniture that was moved
 changes a region of all captures from one day on.
 """
 
@@ -19,31 +19,35 @@ from fieldlum.train.agreement import Process, Rows, process_of, thinned
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-_NOISE = 3e-3  # relative variance of a capture, with which the others predict it
-_ROUNDS = 2  # a region that was found no longer disturbs the prediction of the others
+_NOISE = 3e-3  # relative variance of a capture, when the other captures predict it; chosen
+_ROUNDS = 2  # rounds, so that a detected region no longer disturbs the prediction of others; chosen
 # Limits, chosen on ten rooms without a change at 46 x 23 pixels: none has a region with them. With
 # 2.0 and 4.0, four of 40 draws of noise (3 % of pixels and of levels) have one.
-_OVER_USUAL = 3.0  # of what 95 % of the captures deviate by in a pixel and its neighbours
+# multiple of the deviation that 95 % of the captures have in a pixel and its neighbours
+_OVER_USUAL = 3.0
 _USUAL_SHARE = 0.95
-_LEAST_SDS = 4.5  # of a region, in standard deviations that the process states for the capture
-_OVER_CAPTURE = 6.0  # of a pixel, in robust standard deviations of its capture
+_LEAST_SDS = 4.5  # least deviation of a region, in standard deviations by the process
+_OVER_CAPTURE = 6.0  # least deviation of a pixel, in robust standard deviations of its capture
 _LEAST_SD = 0.02
-_LEAST_LOG = float(np.log(1.2))  # of a pixel
-_LEAST_REGION_LOG = float(np.log(1.25))  # median of a region
-_LEAST_STEP_LOG = float(np.log(1.4))  # of what lasts: a knocked camera changes edges by 1.27
-_LASTING = 0.6  # share of a step that remains, whichever day is left out
+_LEAST_LOG = float(np.log(1.2))  # least deviation of a pixel, ln of light
+_LEAST_REGION_LOG = float(np.log(1.25))  # least median deviation of a region, ln of light
+# least lasting change, ln of light; a knocked camera changes edges by a factor of 1.27
+_LEAST_STEP_LOG = float(np.log(1.4))
+_LASTING = 0.6  # share of a step that must remain, whichever day is omitted
 _FEWEST_PIXELS = 3
-_SIZE_SR = (0.02, 1.5)  # a person 6 m and 0.6 m away
-# An object ends at an edge; a wrong prediction fades out: deviation next to a region over its own.
+_SIZE_SR = (0.02, 1.5)  # smallest and largest region: a person at 6 m and at 0.6 m
+# Largest deviation next to a region over that within it: an object ends at an edge, but a wrong
+# prediction fades out. Chosen.
 _MOST_OUTSIDE = 0.35
-_DARKEST_STEP = -0.9  # darker is no furniture but a wrong prediction
+_DARKEST_STEP = -0.9  # ln of light: a darker region is a wrong prediction, not furniture; chosen
 _MAD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
 
 
 def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
-    """Return where something darkens a single capture, [n, H, W].
+    """Return a mask [n, H, W] of pixels that something darkens in a single capture.
 
-    What brightens a region is not searched for: it can be direct sun that the room does not show.
+    Brightened regions are not searched, because they can be direct sun that the room does not
+    explain.
     """
     small = thinned(data)
     process = process_of(data, with_patch=with_patch, complete=True, windows=True)
@@ -63,10 +67,10 @@ def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
 
 
 def _deviation(process: Process, rows: Rows, seen: Mask) -> tuple[Array, Array, Array]:
-    """Return ln of measured over predicted light and its least size for a change, [k, P] each.
+    """Return ln of measured over predicted light, and the least deviation that counts, [k, P] each.
 
-    The last result is the standard deviation of the prediction, [k]. A pixel that a sun patch
-    hides is predicted to have it.
+    The third result is the standard deviation of the prediction, [k]. For a pixel that a sun patch
+    hides, the patch is part of the prediction.
     """
     out, valid = process.left_out(rows, _NOISE), process.valid[rows]
     level = np.median(process.y[rows], axis=1, keepdims=True)  # [k, 1]
@@ -83,7 +87,10 @@ def _deviation(process: Process, rows: Rows, seen: Mask) -> tuple[Array, Array, 
 
 @dataclass(frozen=True, slots=True)
 class MovedObject:
-    """A region that is `factor` times as bright from a day on; its middle and its size."""
+    """A region of the picture whose light changed by `factor` from a day on.
+
+    Its middle and size.
+    """
 
     day: Any
     factor: float
@@ -93,10 +100,11 @@ class MovedObject:
 
 
 def moved_object(data: Dataset, *, with_patch: bool) -> MovedObject | None:
-    """Return the clearest change of a region that lasts from one day on; None without any.
+    """Return the clearest change of a region that lasts from one day on; None if there is none.
 
-    For each day, generalised least squares estimate the step of each pixel next to what the light
-    explains: a = X'Qy / X'QX with the inverse covariance Q and X the usual light from that day on.
+    For each day, generalised least squares estimate the step of each pixel in addition to what the
+    light explains: a = X'Qy / X'QX, with the inverse covariance Q, and with X the usual light from
+    that day on.
     """
     small = thinned(data)
     process = process_of(data, with_patch=with_patch, complete=True)
@@ -128,7 +136,7 @@ def moved_object(data: Dataset, *, with_patch: bool) -> MovedObject | None:
 
 
 def _lasts(process: Process, rows: Rows, step: Array, region: Mask) -> bool:
-    """Return whether the step of a region [P] does not come from a single day."""
+    """Return whether the step of a region [P] is due to more than a single day."""
     y = process.y[rows][:, region].mean(axis=1) - np.median(process.y[rows], axis=1)
     noisy, days = process.noisy(_NOISE)[np.ix_(rows, rows)], process.days[rows]
 
@@ -154,9 +162,12 @@ def _placed(day: Any, factor: float, region: Mask, heading_deg: float) -> MovedO
 
 
 def _regions(deviation: Array, least: Array, valid: Mask, least_region: float) -> list[Mask]:
-    """Return the compact regions that deviate and end at an edge, [H, W] each.
+    """Return the regions with a deviation that ends at an edge, as masks [H, W].
 
-    deviation, least [H, W]: positive inside; valid pixels decide, others only complete a region.
+    deviation [H, W]: size of the deviation; least [H, W]: smallest size that counts, 0 where
+    nothing may count; valid: pixels that decide about a region, others only complete it;
+    least_region: least median deviation of a region. A region is kept if its size is that of an
+    object, and if the deviation next to it is much smaller.
     """
     from scipy.ndimage import label
 

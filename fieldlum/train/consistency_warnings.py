@@ -13,15 +13,17 @@ if TYPE_CHECKING:
     from fieldlum.models import Fitted
     from fieldlum.models.data import Dataset
 
-POOR_MSE = 0.02  # log10: a factor of 1.4, which a steady room with right irradiance does not reach
+# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach
+POOR_MSE = 0.02
 ODD_TIMES = 4.0  # a day this many times worse than the median day is reported; not measured
 
 
-HARD_SHARE = 0.1  # of the captures; clean sets have under 2 %, a lamp or a moved camera 20 to 60 %
+# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %
+HARD_SHARE = 0.1
 
 
 def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a note if the other days predict many captures badly.
+    """Return a note if the other days predict many captures wrongly.
 
     The list is empty for a model without held-out errors.
     """
@@ -51,8 +53,8 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     if len(odd):
         shown = ", ".join(str(day) for day in odd[:5]) + (" ..." if len(odd) > 5 else "")
         said.append(
-            f"WARNING: the captures of {shown} disagree with all others: check whether a blind was "
-            f"moved or a lamp was on"
+            f"WARNING: the captures of {shown} disagree with those of all other days: check "
+            "whether a blind was moved or a lamp was on"
         )
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())

@@ -1,4 +1,4 @@
-"""Split training data into held-out days, so that a score describes hours the fit has not seen."""
+"""Split training data into held-out days, so that a score describes hours outside the fit."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ MOST_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 o
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Row numbers of a fold; no day is on both sides (no hour, if there is only one day)."""
+    """Row indices of a fold: to train, and to test.
+
+    No day is in both (no hour, if there is only one day).
+    """
 
     teach: NDArray[np.int64]
     check: NDArray[np.int64]
 
 
 def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
-    """Deal days to folds in turn, so that each fold has days of every season.
+    """Distribute days over folds in turn, so that each fold has days of every season.
 
-    Deal hours if there is one day only. Neighbouring days of a season are in different folds: a
-    fold tests days between captured ones, not seasons that nobody captured.
+    If there is only one day, its hours are distributed. Neighbouring days are in different folds: a
+    fold tests days between captured ones, not seasons without captures.
     """
     unique, which = np.unique(data.days, return_inverse=True)
     groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))

@@ -1,8 +1,8 @@
-"""Captures of a changed room that nobody marked: find them by the captures of all other days.
+"""Detect unmarked changes of the room, by comparing captures with those of all other days.
 
-Two kinds are searched for, each priced by the captures that it takes: a lamp was on in the mornings
-or evenings of some days, and captures, complete days or a season contradict the rest. In the
-captures that remain, regions with an object are searched for (`changed_regions`).
+Two kinds are searched, each at a cost for the captures that it explains. Either a lamp was on in
+the mornings or evenings of some days; or captures, complete days or a season contradict the rest.
+In the remaining captures, regions with an object are searched (`changed_regions`).
 """
 
 from __future__ import annotations
@@ -31,23 +31,24 @@ from fieldlum.train.agreement import (
 )
 from fieldlum.train.changed_regions import MovedObject, moved_object, object_pixels
 
-# Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10, lamps
-# of 10 cd/m2 93 to 285, a blind half down on one day 87 to 106 (docs/results/troubles.md).
+# Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10; lamps
+# of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106 (docs/results/troubles.md).
 _LEAST_GAIN = 25.0
-_LAMP_PRICE = 1.0  # of a capture with a lamp: less than PRICE, its light is explained
-_EVENINGS_H = (14.0, 15.0, 16.0, 17.0, 18.0)  # local standard time from which lamps may be on
-_MORNINGS_H = (8.0, 9.0, 10.0)  # and until which
-# With more days than these, pairs of days or any days are not tried: minutes of search.
+_LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its light is explained
+# local standard times from which lamps may be on; chosen
+_EVENINGS_H = (14.0, 15.0, 16.0, 17.0, 18.0)
+_MORNINGS_H = (8.0, 9.0, 10.0)  # local standard times until which lamps may be on; chosen
+# With more days, pairs of days are not tried, because the search would take minutes. Chosen.
 _MOST_DAYS_IN_PAIRS = 12
 _MOST_DAYS = 40
-_NOISE = 1e-2  # relative variance with which the other days predict what is reported
-_SUSPECT = 0.1  # of the limits: what a change elsewhere may hide
-_MOST_SHARE = 1.0 / 3.0  # of captures that may be left out: more are no exception
+_NOISE = 1e-2  # relative variance with which other days predict what is reported; chosen
+_SUSPECT = 0.1  # of the limits: deviations that a change elsewhere may hide; chosen
+_MOST_SHARE = 1.0 / 3.0  # largest share of captures that may be omitted: more are not an exception
 
 
 @dataclass(frozen=True, slots=True)
 class RoomChanges:
-    """Rows of the captures in which a lamp was on, and of those that contradict the rest.
+    """Indices of captures in which a lamp was on, and of captures that contradict the rest.
 
     complete_days: days of which all captures contradict the rest; factor [n]: measured light over
     that predicted by the other days, median over the picture.
@@ -65,7 +66,7 @@ _NO_ROWS = np.empty(0, np.intp)
 def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[str]]:
     """Return the captures of the usual room, and a warning for each change.
 
-    Pixels that an object darkens in a capture have the weight 0 there.
+    Pixels that an object darkens in a capture get weight 0 in that capture.
     """
     notes: list[str] = []
     changes = find_changes(data, with_patch=with_patch)
@@ -79,9 +80,9 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     rows = np.flatnonzero(objects.any(axis=(1, 2)))
     if len(rows):
         notes.append(
-            f"WARNING: in {len(rows)} of {len(data)} captures something darkens a part of the "
-            f"picture, such as a person, an object or clipped pixels. These pixels are left out "
-            f"there; look at the captures: {_slots(data, rows)}"
+            f"WARNING: in {len(rows)} of {len(data)} captures something darkens a part of "
+            "the picture, such as a person, an object or clipped pixels. These pixels are "
+            f"ignored in these captures; look at them: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts
         data = replace(data, counts=np.where(objects, np.float16(0.0), counts))
@@ -91,11 +92,11 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
 
 def _moved_warning(moved: MovedObject) -> str:
     return (
-        f"WARNING: from {moved.day} on, the light is {moved.factor:.2f} times that of the days "
-        f"before in a region {moved.size_sr:.2f} sr large at azimuth {moved.azimuth_deg:.0f}, "
-        f"altitude {moved.altitude_deg:.0f} degrees: a piece of furniture was moved, or something "
-        f"was put there. The model shows a mean of both; to have one of them, train without the "
-        f"days before or after (ok = 0 in pairs.csv)"
+        f"WARNING: from {moved.day} on, the light is {moved.factor:.2f} times that of the "
+        f"days before in a region {moved.size_sr:.2f} sr large at azimuth "
+        f"{moved.azimuth_deg:.0f}, altitude {moved.altitude_deg:.0f} degrees: a piece of "
+        "furniture was moved or added. The model is a mean of both states; for one state, "
+        "set ok = 0 in pairs.csv for the days before or after, and train again"
     )
 
 
@@ -119,15 +120,15 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
 
 
 def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
-    """Return a line for the lamp, for each complete day, and for other captures."""
+    """Return a warning about the lamp, about each complete day, and about other captures."""
     notes = []
     if len(changes.lamp):
         days = ", ".join(sorted({str(data.days[row]) for row in changes.lamp}))
         notes.append(
-            f"WARNING: a lamp was on in {len(changes.lamp)} of {len(data)} captures, which nobody "
-            f"marked ({days}): the same light is added in all of them. They are left out; "
-            f"mark them to learn the lamp (fieldlum status SESSION --mark SLOT lamp=on), and train "
-            f"again: {_slots(data, changes.lamp)}"
+            f"WARNING: a lamp was on in {len(changes.lamp)} of {len(data)} captures without "
+            f"a mark ({days}): the same light is added in all of them. They are left out; "
+            "mark them to learn the lamp (fieldlum status SESSION --mark SLOT lamp=on), and "
+            f"train again: {_slots(data, changes.lamp)}"
         )
     groups = [(str(day), np.flatnonzero(data.days == day)) for day in changes.complete_days]
     whole = np.array([day in changes.complete_days for day in data.days[changes.unexplained]], bool)
@@ -138,11 +139,11 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
             f"the {len(rows)} captures of {day}" if day else f"{len(rows)} of {len(data)} captures"
         )
         notes.append(
-            f"WARNING: {subject} contradict the other days and are left out: their median light is "
-            f"{np.median(changes.factor[rows]):.2f} times that predicted. A moved blind, a lamp, "
-            f"snow or a wrong irradiance can be the cause; look at them, mark what was different "
-            f"(fieldlum status SESSION --mark SLOT blind=half), and train again: "
-            f"{_slots(data, rows)}"
+            f"WARNING: {subject} contradict the other days and are left out: their median "
+            f"light is {np.median(changes.factor[rows]):.2f} times the predicted light. "
+            "Possible causes are a moved blind, a lamp, snow or wrong irradiance; look at "
+            "them, mark what was different (fieldlum status SESSION --mark SLOT "
+            f"blind=half), and train again: {_slots(data, rows)}"
         )
     return notes
 
@@ -177,7 +178,7 @@ def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]
         if not len(lit):
             return without
         if process.lamp_light(lit, usual.noise) <= 0.0:
-            return np.inf  # the lamp was on in the others
+            return np.inf  # infinite, because the lamp was on in the other captures
         price = _LAMP_PRICE * len(lit)
         return disagreement(process.with_lamp(lit), rows, usual) + price
 
@@ -194,7 +195,7 @@ def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]
 
 
 def _lit_days(process: Process, block: NDArray[np.bool_], cost: Callable[[Rows], float]) -> Rows:
-    """Return the captures of a block of hours [n] on the days on which a lamp explains most."""
+    """Return the captures of a block of hours [n], on the days on which a lamp explains most."""
 
     def rows_of(days: set[Any]) -> Rows:
         rows = _rows_of(process, days)
@@ -202,7 +203,7 @@ def _lit_days(process: Process, block: NDArray[np.bool_], cost: Callable[[Rows],
 
     days = list(np.unique(process.days[block]))
     steps = [{day} for day in days]
-    if len(days) <= _MOST_DAYS_IN_PAIRS:  # the first of two days with a lamp explains little
+    if len(days) <= _MOST_DAYS_IN_PAIRS:  # of two days with a lamp, the first alone explains little
         steps += [set(pair) for pair in combinations(days, 2)]
     chosen: set[Any] = set()
     best = cost(rows_of(chosen))
@@ -215,7 +216,7 @@ def _lit_days(process: Process, block: NDArray[np.bool_], cost: Callable[[Rows],
 
 
 def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) -> Rows:
-    """Return `lit` with single captures added or taken away, where that explains more."""
+    """Return `lit` after adding or removing single captures where this explains more."""
     best = cost(lit)
     for row in np.flatnonzero(process.judged):
         other = np.setxor1d(lit, [row])
@@ -230,7 +231,7 @@ def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) ->
 
 
 def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
-    """Return captures that contradict the rest [k], and the days of which all captures do."""
+    """Return captures that contradict the rest [k], and days of which all captures do."""
     judged = np.flatnonzero(process.judged)
     rows, whole = judged, []
     while True:
@@ -251,9 +252,9 @@ def _rows_of(process: Process, days: Collection[Any]) -> Rows:
 
 
 def _worst_unit(process: Process, rows: Rows, usual: Typical) -> Rows | None:
-    """Return the capture, the day or the season without which the rest agrees best.
+    """Return the capture, day or season without which the rest agrees best.
 
-    None if leaving out each of them gains too little.
+    Return None if omitting each of them gains too little.
     """
     captures, days = deviations(process, rows, usual)
     if max(captures.max(), *days.values()) <= 1.0:

@@ -15,27 +15,28 @@ from fieldlum.statistics import is_no_worse, standard_error
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Scores of a candidate on held-out days."""
+    """The scores of a candidate on held-out days, and the cost of its fits."""
 
     name: str
     scores: Scores
-    fit_s: float  # mean of its folds, by the clock
+    fit_s: float  # mean time of its folds [s], by the clock
     fit_cpu_s: float
-    n_train: int  # mean of its folds
+    n_train: int  # mean over its folds
     folds: int
-    passes: float | None = None  # over the data, minimum of its folds; None: solved in closed form
+    # passes over the data, minimum of its folds; None for a closed form
+    passes: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ModelSelection:
-    """The chosen model and the reason."""
+    """The name of the chosen model, and the reason for it."""
 
     name: str
     reason: str
 
 
 def _size(label: str) -> int:
-    """Return the size rank of ``NAME``, ``NAME:PATCH`` or ``NAME (folder)``."""
+    """Return the rank by size of ``NAME``, ``NAME:PATCH`` or ``NAME (folder)``."""
     return MODELS[label.replace(":", " ").split()[0]].size
 
 
@@ -48,12 +49,12 @@ def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
 
 
 def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
-    """Choose by the one-standard-error rule, smallest first, among the most tested candidates.
+    """Choose by the one-standard-error rule among the most tested candidates, smallest first.
 
-    A candidate that had time for fewer hours (the dense network) replaces the winner only if it is
-    better on the days that both were tested on, at least two, by more than the standard error of
-    the paired differences: a few days of a slow model must not outweigh quick models that were
-    tested on all days.
+    A candidate with time for fewer hours (the dense network) replaces the winner only under one
+    condition: on the days that both were tested on, at least two, it is better by more than the
+    standard error of the paired differences. A few days of a slow model must not outweigh quick
+    models that were tested on all days.
     """
     widest = max(len(trial.scores.slots) for trial in trials)
     thorough = [trial for trial in trials if len(trial.scores.slots) == widest]
@@ -67,8 +68,8 @@ def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
         gain = _daily(winner, data, shared) - _daily(trial, data, shared)
         if len(gain) > 1 and gain.mean() > standard_error(gain):
             said = (
-                f"{trial.name} is better than {winner.name} by {gain.mean():.2e} on the "
-                f"{len(gain)} days it was tested on"
+                f"{trial.name} has a log10 MSE lower by {gain.mean():.2e} than "
+                f"{winner.name}, on the {len(gain)} days on which both were tested"
             )
             winner, choice = trial, ModelSelection(trial.name, said)
     return choice

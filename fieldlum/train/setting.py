@@ -72,7 +72,7 @@ def settle(
 
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
-    """Return one line on what is wrong and one on what to change; empty if nothing is wrong."""
+    """Return a line on what is wrong and a line on what to change; empty if nothing is wrong."""
     if found.room is not None:
         return [_measure_warning(found, found.room)]
     cause = found.wrong
@@ -92,7 +92,7 @@ def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
 
 
 def _measure_warning(found: Setting, measure: RoomError) -> str:
-    """Return a warning where a wrong measure of the room explains as much as north or clock."""
+    """Return a warning if a wrong measure of the room explains as much as north or clock."""
     first = found.findings[0]
     return (
         f"WARNING: captured sun patches are not where [room] puts them ({found.hours} hours): "

@@ -1,4 +1,4 @@
-"""The time that one training may take, and how its parts share it."""
+"""Divide the time that one training may take among its parts."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-# Shares of the budget. The quick models' held-out days come first; a slow model (the dense network)
-# gets half of the rest for its held-out days and half for the stored model. What is kept back is
-# for the setting scan and the learning curve: together about a fifth of the time of a training
-# with the default budget (108 captures at 230 x 115).
+# Shares of the budget. The quick models' held-out days come first. A slow model (the dense network)
+# gets half of the rest for its held-out days and half for the stored model. The reserve is for the
+# scan of north and clock and for the learning curve: together about a fifth of the time of a
+# training with the default budget (108 captures at 230 x 115).
 QUICK_SHARE = 0.4
 KEPT_BACK_SHARE = 0.2
-_LEAST_S = 1e-3  # a slow model without time still takes a step, and is then not judged
+_LEAST_S = 1e-3  # a slow model without time still takes one step, and is then not judged
 
 
 @dataclass(frozen=True, slots=True)
 class TimeBudget:
-    """Seconds for all parts together.
+    """The time that all parts together may take [s].
 
-    clock: returns seconds of any origin, so that tests count their own.
+    clock: returns seconds since any start, so that tests can simulate time.
     """
 
     total_s: float
@@ -43,5 +43,5 @@ class TimeBudget:
 
     @property
     def slow_s(self) -> float:
-        """Seconds that remain for a slow model, without what is kept back."""
+        """Seconds that remain for a slow model, without the reserve."""
         return max(self.left_s - KEPT_BACK_SHARE * self.total_s, _LEAST_S)

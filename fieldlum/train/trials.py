@@ -22,18 +22,19 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 LEAST_FOLDS = 2  # one fold gives no standard error
-LEAST_FOLD_S = (
-    60.0  # a shorter training of a dense fold does not describe the network; not measured
-)
+LEAST_FOLD_S = 60.0  # a shorter training of a dense fold is no measure of the network; not measured
 
 
 def passes_over_data(fitted: Fitted) -> float | None:
-    """Return how often training saw each pixel on average; None for a model in closed form."""
+    """Return how often, on average, training saw each pixel; None for a model in closed form."""
     return getattr(fitted, "training", {}).get("pixels_seen_per_pixel")
 
 
 class Spent(NamedTuple):
-    """Seconds by the wall clock, and of computing; on a busy machine only `cpu_s` is meaningful."""
+    """Seconds of a task by the wall clock, and of computing.
+
+    On a busy computer only `cpu_s` is meaningful.
+    """
 
     wall_s: float
     cpu_s: float
@@ -71,11 +72,11 @@ def evaluate_folds(
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
-    """Fit on each fold's training rows and compare on its held-out rows.
+    """Fit to each fold's training rows and compare with its held-out rows.
 
-    budget_s: for all folds together [s]. A slow model divides it over the folds. A quick one skips
-    the remaining folds if the next one would exceed it, but never runs fewer than two, so that
-    large maps of a month do not delay the result.
+    budget_s: for all folds together [s]. A slow model divides it among the folds. A quick model
+    skips the remaining folds if the next one would exceed it, but always runs two, so that large
+    maps of a month do not delay the result.
     """
     parts: list[Scores] = []
     passes: list[float] = []
@@ -111,7 +112,7 @@ def evaluate_folds(
 
 
 def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64]:
-    """Return the angle from the sun of each stored map to the nearest training sun [n] deg."""
+    """Return the angle between the sun of each stored map and the nearest training sun [n] deg."""
     assert scores.maps is not None
     row = {data.slots[k]: k for k in fold.check}
     suns = data.light.sun_direction
@@ -120,7 +121,7 @@ def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64
 
 
 def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
-    """Return as many folds as the dense network can be trained for in its share, at least one."""
+    """Return as many folds as the dense network has time to train on, at least one."""
     return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])
 
 

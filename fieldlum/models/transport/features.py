@@ -1,4 +1,4 @@
-"""Arrange captures for the solver: pixels in rows, patches as columns, sky seen through windows."""
+"""Arrange captures for the solver: pixels in rows, patches in columns, sky behind windows."""
 
 from __future__ import annotations
 
@@ -26,26 +26,33 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-CELL_ROWS = CELL_COLUMNS = 23  # cells of the patch descriptor: about 8 x 16 degrees; not measured
-# Upper limit for the descriptor only: a sunlit white wall. Above it is a window pixel or a disc.
+# cells of the patch descriptor, about 8 x 16 degrees each; not measured
+CELL_ROWS = CELL_COLUMNS = 23
+# Upper limit for the descriptor only: the luminance of a sunlit white wall. Brighter pixels show a
+# window or a disc. Chosen.
 MOST_PATCH_CDM2 = 3e4
-LEAST_CDM2 = 0.1  # below it relative errors are meaningless; not measured
-FAINT_SUN_LX = 20.0  # direct light below it does not show in a room; not measured
-DISC_MARGIN = 2  # pixels around the sun that removing its disc can have changed
-LOWEST_SUN_DEG = 1.0  # of readings on the horizontal that are used for the sun's normal
-# Below it closure divides by less than 0.05: 2 W/m2 in the horizontal become 40 W/m2 in the normal,
-# and sun.dni_by_closure gives 0 under 2 degrees.
+LEAST_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
+FAINT_SUN_LX = 20.0  # less direct light is not visible in a room; not measured
+DISC_MARGIN = 2  # pixels around the sun that may have changed when its disc was removed; chosen
+# lowest sun for which horizontal readings give the sun's normal irradiance; chosen
+LOWEST_SUN_DEG = 1.0
+# At a lower sun, closure divides by less than 0.05, so that 2 W/m2 in the horizontal become 40 W/m2
+# in the normal; sun.dni_by_closure gives 0 under 2 degrees.
 UNMEASURED_SUN_DEG = 3.0
-UNMEASURED_VARIANCE = 1.0  # relative: such a sun may give as much light as the sky
-UNSURE = 1e-2  # relative variance of the irradiance at which an hour counts half; not measured
-WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky is treated as a surface
-# Window pixels follow the sky behind them at least twice as closely as the total light.
+UNMEASURED_VARIANCE = 1.0  # relative variance: such a sun may give as much light as the sky; chosen
+UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half weight; not measured
+WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky counts as a surface; chosen
+# Largest ratio of two scatters for a window pixel: of its luminance over the sky behind it, and
+# over the total light. Chosen.
 WINDOW_SCATTER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class StateColumns:
-    """States of the room in the captures. always: a lamp that is on in all of them."""
+    """The states of the room in the captures.
+
+    always: whether a lamp is on in all captures.
+    """
 
     always: bool = False
     lamps: tuple[str, ...] = ()  # states that add light
@@ -69,7 +76,7 @@ USUAL = StateColumns()  # lamps off, blinds up
 
 
 def state_columns(light: Light) -> StateColumns:
-    """Return the states that captures are marked with."""
+    """Return the room's states that mark the captures."""
     parts = sorted({part for text in light.states or () for part in parse_state(text)})
     lamps = tuple(part for part in parts if part.startswith(ADDED))
     return StateColumns(False, lamps, tuple(part for part in parts if part not in lamps))
@@ -77,10 +84,10 @@ def state_columns(light: Light) -> StateColumns:
 
 @dataclass(frozen=True, slots=True)
 class PatchDescriptor:
-    """Turns maps of sun patches into features: the direct flux in view by cells of the picture.
+    """Turns maps of sun patches into features: direct flux in view by cells of the picture.
 
-    The shape gives the cell edges; cells_norm comes from the captured hours, so that the features
-    are about one when the sun is in the room.
+    The shape of the map gives the cell edges; cells_norm is from the captured hours, so that the
+    features are about one when the sun is in the room.
     """
 
     cells_norm: float
@@ -88,7 +95,10 @@ class PatchDescriptor:
     def add(
         self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
     ) -> Features:
-        """Return `features` with cells; patch [n, H, W] cd/m2; open_sky [H, W] marks windows."""
+        """Return `features` with these cells; patch [n, H, W] cd/m2.
+
+        Open_sky [H, W] marks windows.
+        """
         cells = patch_cells(patch, open_sky)  # [n, c]
         unit = light.total_lx[:, None] * self.cells_norm  # [n, 1]
         return replace(features, cells=(cells / unit).astype(np.float32))
@@ -110,7 +120,7 @@ def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
 
 
 def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the direct flux in view [lx] by cells, over the root of their solid angle, [n, c]."""
+    """Return each cell's direct flux in view [lx], over the root of its solid angle, [n, c]."""
     height, width = patch.shape[1:]
     omega = equirect_solid_angles(height, width).astype(np.float32)
     weights = np.where(open_sky, np.float32(0.0), omega)  # [H, W]
@@ -131,9 +141,10 @@ def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> 
 def describe_patches(
     patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
 ) -> PatchDescriptor:
-    """Choose the norm: the 75th percentile over sunny hours, at least a tenth of the largest.
+    """Choose the norm of the descriptor: the 75th percentile over sunny hours.
 
-    patch: [n, H, W] cd/m2; open_sky: [H, W] marks windows.
+    It is at least a tenth of the largest value. patch: [n, H, W] cd/m2; open_sky: [H, W] marks
+    windows.
     """
     cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
@@ -146,7 +157,7 @@ def describe_patches(
 def facades_seen(data: Dataset) -> Facades:
     """Return the walls that let the sun in.
 
-    They follow from the room's windows. Without a room, they follow from the hours with a patch, by
+    They follow from the room's windows. Without a room they are fitted to the hours with a patch:
     non-negative least squares of the direct flux in view on the cosines to sixteen azimuths.
     """
     if data.setup.room is not None and data.setup.room.kind == "box" and data.setup.room.window:
@@ -176,9 +187,10 @@ def facades_seen(data: Dataset) -> Facades:
 
 @dataclass(frozen=True, slots=True)
 class OpenSky:
-    """Pixels (of those seen) that show sky through glass.
+    """The k seen pixels that show sky through glass.
 
-    index: [k]; share: open sky times transmittance [k]; directions: [k, 3].
+    index: of the pixels among the seen ones [k]; share: open sky times transmittance [k];
+    directions: [k, 3].
     """
 
     index: NDArray[np.intp]
@@ -190,7 +202,7 @@ class OpenSky:
         return light.sky_at(self.directions) * self.share
 
     def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return these pixels as a mask, [H, W]."""
+        """Return a mask [H, W] of these pixels."""
         flat = np.zeros(int(seen.sum()), bool)
         flat[self.index] = True
         out = np.zeros(seen.shape, bool)
@@ -201,11 +213,11 @@ class OpenSky:
 def open_sky_from_captures(
     luminance: NDArray[np.floating], patch: NDArray[np.floating] | None, light: Light, rays: Array
 ) -> OpenSky:
-    """Find the window pixels without any geometry: those that follow the Perez sky behind them.
+    """Find the window pixels without any geometry: they follow the Perez sky behind them.
 
     luminance, patch: [n, P]; rays: [P, 3]. A pixel is a window if the logarithm of its ratio to the
     sky scatters less than half as much as that of its ratio to the total light. Its share is a low
-    quantile of the ratio, so that no more light is subtracted than there was.
+    quantile of the ratio, so that at most the light that was there is subtracted.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     behind = light.sky_at(rays[above])
@@ -231,14 +243,13 @@ def open_sky_from_captures(
 class TrainingArrays:
     """Captures as arrays for the solver: n hours, P seen pixels.
 
-    weights: mean 1 [P]; patch: in cd/m2 of this room, with the gain that was found [n, P]; sky: the
-    known window sky [n, P]; filled: values that were not seen, where the sun's disc was removed,
-    and that have no weight [n, P]; unsure: relative variance of the irradiance (`light_variance`)
-    [n]; counts: weight of each value by merge's flags and uncertainties [n, P]; None: all equal;
-    perez_sky: `Features.sky` of Perez's skies [n, 2305], where `features` has the skies that the
-    windows showed;
-    fitted_patches: the patches are of a room that was measured or fitted, so that their edges are
-    some centimetres off.
+    weights: with mean 1 [P]; patch: in cd/m2 of this room, with the fitted gain [n, P]; sky: the
+    known window sky [n, P]; filled: unseen values where the sun's disc was removed, which have no
+    weight [n, P]; unsure: relative variance of the irradiance (`light_variance`) [n]; counts:
+    weight of each value by merge's flags and uncertainties [n, P], None if all are equal;
+    perez_sky: `Features.sky` of Perez's skies [n, 2305], set if `features` has the skies that the
+    windows showed; fitted_patches: whether the patches are from a measured or fitted room, so that
+    their edges are off by some centimetres.
     """
 
     light: Light
@@ -265,16 +276,16 @@ class TrainingArrays:
         return trust if self.counts is None else trust * self.counts
 
     def without_flagged(self, error: Array) -> Array:
-        """Return errors [n, P], zero where a value is flagged and no truth to compare with."""
+        """Return errors [n, P] with zero at flagged values, which have no truth to compare with."""
         return error if self.counts is None else np.where(self.counts > 0.0, error, 0.0)
 
     @property
     def sureness(self) -> Array:
-        """Weight of each hour: one where its light was steady, [n]."""
+        """Weight of each hour: 1 if its light was steady, [n]."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
-        """Return some of the pixels."""
+        """Return the arrays of some pixels."""
         return replace(
             self,
             luminance=self.luminance[:, pixels],
@@ -286,13 +297,13 @@ class TrainingArrays:
         )
 
     def with_patch_scaled(self, factor: float) -> TrainingArrays:
-        """Return the arrays with all patches times a factor."""
+        """Return the arrays with all patches multiplied by a factor."""
         assert self.patch is not None
         return replace(self, patch=self.patch * np.float32(factor))
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
-    """Flatten the seen pixels, find the windows, describe the light."""
+    """Return the seen pixels as rows, with the windows among them and the features of the light."""
     height, width = data.shape
     rays = equirect_rays(height, width, data.heading_deg)[data.seen]
     luminance = data.luminance_cdm2[:, data.seen]
@@ -329,12 +340,12 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
 
 
 def light_variance(data: Dataset) -> Array:
-    """Return the relative variance of the irradiance from its own readings, [n].
+    """Return the relative variance of the irradiance, estimated from its own readings, [n].
 
-    The range of the readings over the bracket (change or noise) is treated as the width of a
-    rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is two horizontal
-    readings divided by the sine of its altitude, and their errors too. Under 3 degrees they give no
-    value: a direct irradiance of zero there is unknown.
+    The range of the readings over the bracket (change or noise) counts as the width of a
+    rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is a difference of
+    two horizontal readings divided by the sine of its altitude, and so are its errors. For a sun
+    under 3 degrees the readings give no value: a direct irradiance of zero is then unknown.
     """
     light = data.light
     altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
@@ -344,7 +355,7 @@ def light_variance(data: Dataset) -> Array:
 
 
 def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
-    """Mark pixels that a computed sun patch reaches while a blind was not up, [n, H, W]."""
+    """Mark the pixels that a computed sun patch reaches while a blind was not up, [n, H, W]."""
     out = np.zeros(data.luminance_cdm2.shape, bool)
     if data.patch_cdm2 is None or data.light.states is None:
         return out
@@ -355,7 +366,10 @@ def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
 
 
 def around_disc(data: Dataset) -> NDArray[np.bool_]:
-    """Return pixels from which a visible disc was removed, with a margin of two, [n, H, W]."""
+    """Return a mask [n, H, W] of pixels from which a visible disc was removed.
+
+    It includes a margin of two pixels.
+    """
     height, width = data.shape
     out = np.zeros((len(data), height, width), bool)
     hours = np.flatnonzero(data.disc_lx > 0.0)
@@ -375,10 +389,10 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
 
 
 def pixel_scale(arrays: TrainingArrays) -> Array:
-    """Return the mean light of each pixel per unit of total light, in hours without sun on it, [P].
+    """Return each pixel's mean light per unit of total light, over hours without sun on it, [P].
 
-    A pixel with fewer than three such hours gets their value within the range of the other pixels,
-    else the median of all pixels.
+    A pixel with fewer than three such hours gets its value from these, limited to the range of
+    other pixels; with no such hour it gets the median of all pixels.
     """
     total = arrays.light.total_lx[:, None]
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)

@@ -1,4 +1,4 @@
-"""The fitted transport model: its content, prediction and fit.
+"""Define the fitted transport model: its content, prediction and fit.
 
     L(t, p) = E(t) m(p) max(F(t) b(p), least(p)) + g(p) s(t, p) + h(p) Q(t, p)
 
@@ -58,22 +58,24 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-# Pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not measured.
+# Number of pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not
+# measured.
 SAMPLE = 600
-HOURS_AT_ONCE = 64  # bounds the work memory of a prediction to some 100 MB at 460 x 230
-LEAST_HOURS = 3  # fewer give no kernel to choose; not measured
+HOURS_AT_ONCE = 64  # limits the memory of a prediction to some 100 MB at 460 x 230; chosen
+LEAST_HOURS = 3  # least number of hours from which a kernel can be chosen; not measured
 
 
 @dataclass(frozen=True)
 class Transport:
-    """A room's light transport: its response to light, and the uncertainty."""
+    """A fitted light transport model: the room's response to light, and the uncertainty."""
 
     response: RoomResponse
     heading_deg: float
     uncertainty: Uncertainty
     held_out_mse: Array | None = None  # [captures]
-    table: tuple[Mapping[str, float], ...] = ()  # recipes that were tried
-    sky_field: SkyField | None = None  # how the captured skies differed from Perez's, if used
+    table: tuple[Mapping[str, float], ...] = ()  # scores of the recipes that were tried
+    # how captured skies differed from Perez's, if the fit used this
+    sky_field: SkyField | None = None
     name: str = field(default="transport", init=False)
 
     @property
@@ -97,8 +99,8 @@ class Transport:
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict maps of the hours of `light` without the sun's disc, [n, H, W].
 
-        patch_cdm2 [n, H, W]: direct sun on surfaces without the disc, needed exactly when the
-        model was fitted with patches. Work memory does not grow with n. Raises InputError for
+        patch_cdm2 [n, H, W]: direct sun on surfaces without the disc; required if and only if the
+        model was fitted with patches. The memory needed does not grow with n. Raises InputError for
         patches that are missing or of another size.
         """
         self._check(light, patch_cdm2)
@@ -120,7 +122,7 @@ class Transport:
     def _belief(
         self, light: Light, maps: SurfaceMaps, patch: NDArray[np.float32] | None
     ) -> tuple[NDArray[np.floating], Array, NDArray[np.bool_]]:
-        """Return sd of log10 L [n, P], expected log10 MSE [n], trusted [n]."""
+        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n]."""
         basis, recipe, unsure = self.response.basis, self.recipe, self.uncertainty
         features, luminance = maps.features, np.maximum(maps.luminance, np.float32(LEAST_CDM2))
         variance = unsure.variance(maps.cross, basis.kernel.diagonal(features))  # [n]
@@ -150,14 +152,16 @@ class Transport:
         if patch is not None and patch.shape != (len(light), *self.shape):
             wanted = f"{len(light)} x {self.shape[0]} x {self.shape[1]}"
             shape = " x ".join(map(str, patch.shape))
-            raise InputError("sun patches", shape, wanted, "compute them at the model's size")
+            raise InputError(
+                "sun patches", shape, wanted, "compute the sun patches at the model's size"
+            )
 
     def doubting(self, slip_deg: float) -> Transport:
-        """Return the same model with sun patches known only to within `slip_deg`."""
+        """Return the same model with sun patches that are uncertain by `slip_deg`."""
         return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
 
     def _weights(self) -> Array:
-        """Return the share of each seen pixel in the solid angle of all, [P]."""
+        """Return each seen pixel's share of the solid angle of all seen pixels, [P]."""
         from fieldlum.projection import equirect_solid_angles
 
         weights = equirect_solid_angles(*self.shape)[self.response.seen]
@@ -185,7 +189,7 @@ class Transport:
 def from_state(state: ModelState) -> Transport:
     """Return the model that `Transport.state` described.
 
-    Raises KeyError, TypeError or ValueError for what is missing or wrong.
+    Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
     own: TransportTable = state.config["transport"]
     return Transport(
@@ -210,15 +214,16 @@ def fit(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> Transport:
-    """Learn a room from captures in closed form; seconds, so that `budget_s` is never reached.
+    """Fit a room's light transport to captures, in closed form.
 
-    patch "none": sun patches are not used. Otherwise one factor for all of them is found, so that
-    "absolute" (cd/m2) and "gain" (up to a factor) are the same. Raises NotEnoughDataError for fewer
-    than three captures.
+    This takes seconds, so that `budget_s` is never reached. patch: with "none", sun patches are not
+    used. Otherwise one factor for all patches is fitted, so that "absolute" (cd/m2) and "gain" (up
+    to a factor) give the same. Raises NotEnoughDataError for fewer than three captures.
     """
     if len(data) < LEAST_HOURS:
         raise NotEnoughDataError(
-            f"{len(data)} captures: light transport needs at least {LEAST_HOURS}"
+            f"{len(data)} captures; light transport needs at least {LEAST_HOURS}; capture "
+            "more hours"
         )
     with_patch = patch != "none" and data.patch_cdm2 is not None
     progress(0, 100, "describing light")
@@ -276,7 +281,7 @@ def held_out_errors(data: Dataset, seed: int = 0) -> Array:
 
 
 def _draw(arrays: TrainingArrays, seed: int) -> NDArray[np.intp]:
-    """Return numbers of some pixels, drawn by solid angle."""
+    """Return indices of some pixels, drawn with probabilities by solid angle."""
     rng = np.random.default_rng(seed)
     count = min(SAMPLE, len(arrays.weights))
     return rng.choice(len(arrays.weights), count, p=arrays.weights / arrays.weights.sum())
@@ -289,7 +294,10 @@ def _uncertainty(
     chosen: SelectedRecipe,
     drawn: NDArray[np.intp],
 ) -> Uncertainty:
-    """Calibrate by the held-out errors of the pixels `drawn`, with all pixels' own residuals."""
+    """Calibrate the uncertainty by the held-out errors of the pixels `drawn`.
+
+    The residuals of each pixel are included.
+    """
     patch = None if arrays.patch is None else data.patch_cdm2
     fitted = [
         response.maps(data.light[rows], None if patch is None else patch[rows]).luminance

@@ -1,9 +1,9 @@
-"""Where the sun's light would go in the room of [room]: a coarse prior that captures correct.
+"""Compute where the sun's light would go in the stated room: a coarse prior that captures correct.
 
-A room file is rough: furniture is missing, reflectances are guesses. So the computed light is not
-added to anything. It only decides which hours are alike: two hours that light the room's surfaces
-in the same way are informative about each other, also when the sun has just cleared the house
-across the street.
+A room file is rough: furniture is missing, reflectances are guesses. Therefore the computed light
+is not added to anything. It only decides which hours are alike: two hours that light the room's
+surfaces in the same way are informative about each other, even if the sun has just appeared above
+the house across the street.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-HEIGHT = 16  # rows of the coarse panorama that the modes are computed from; not measured
+HEIGHT = 16  # rows of the coarse panorama from which the modes are computed; not measured
 QUALITY = "draft"
-MODES = 48  # singular modes kept; not measured
+MODES = 48  # number of singular modes; not measured
 FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`
 
 
@@ -36,9 +36,10 @@ FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`
 class Physics:
     """A coarse model of the sun's light in the room, after all bounces.
 
-    modes: singular modes of the camera's light from sun on the room's p surface pieces, divided by
-    `norm`, so that their features are about one with the sun in the room [k, p]. position [m, 3],
-    axis, sign, share, piece [m]: points of the pieces that are tested for sun, in room coordinates.
+    modes [k, p]: singular modes of the camera's light due to sun on the room's p surface pieces,
+    divided by `norm`, so that their features are about one with the sun in the room. position [m,
+    3], axis, sign, share, piece [m]: points of the pieces that are tested for sun, in room
+    coordinates.
     """
 
     room: Room
@@ -68,7 +69,7 @@ class Physics:
         )
 
     def features(self, light: Light) -> NDArray[np.float32]:
-        """Return the coarse bounced sunlight of each hour per unit of total light, [n, k]."""
+        """Return the coarse bounced sunlight of each hour, per unit of total light, [n, k]."""
         points = self._points
         toward = points.scene.to_room(light.shown_sun_direction)
         beam = light.direct_lx / light.total_lx / self.norm
@@ -83,9 +84,9 @@ class Physics:
 
 
 def physics_of(setup: SiteFile, light: Light) -> Physics | None:
-    """Return the room's physics with its norm from the captured hours.
+    """Return the room's coarse model, with its norm from the captured hours.
 
-    Return None without a box room or without any sun.
+    Return None without a box room, or if no hour has sun.
     """
     room = setup.room
     if room is None or room.kind != "box" or not room.window:
@@ -101,7 +102,7 @@ def physics_of(setup: SiteFile, light: Light) -> Physics | None:
 
 @lru_cache(maxsize=4)
 def _modes_of(setup: SiteFile) -> Physics:
-    """Gather the room's light between surfaces once: training fits the same room some 20 times."""
+    """Compute the modes of a room; stored, because training fits the same room some 20 times."""
     from fieldlum.simulate.gather import FIRST_PIECE
     from fieldlum.simulate.truth import ground_truth
 
@@ -111,7 +112,8 @@ def _modes_of(setup: SiteFile) -> Physics:
     seen = (truth.to_pixels @ truth.from_points[:, FIRST_PIECE:]).toarray()
     bounce = truth.from_pieces[:, FIRST_PIECE:].multiply(reflect[:, None]).T.tocsr()
     whole = seen
-    for _ in range(20):  # each bounce keeps less than half: the rest is below a millionth
+    # each bounce leaves less than half of the light, so the rest is below a millionth
+    for _ in range(20):
         whole = seen + (bounce @ whole.T).T
     whole = whole * reflect * np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).ravel()[:, None]
     _, values, modes = np.linalg.svd(whole, full_matrices=False)

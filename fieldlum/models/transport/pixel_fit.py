@@ -20,27 +20,29 @@ from fieldlum.models.transport.ridge import (
 
 Array = NDArray[Any]
 
-RANK = 100  # features; bounds memory and time
-_GAIN_NOISE = 1e-2  # variance of log residuals while the patches' factor is searched; not measured
+RANK = 100  # number of features; chosen, limits memory and time
+# variance of log residuals while the gain of the patches is fitted; not measured
+_GAIN_NOISE = 1e-2
 SKY_GAIN_VARIANCE = 0.04  # prior variance of a window pixel's sky gain; not measured
-LOG_STEPS = 2  # unbiased solves after the first fit
-LOG_STEP_FROM = 0.03  # rms log error under which the bias (1.5 of its square) is below 0.2 %
-ROBUST_WIDTH = 0.15  # log residual at which a capture counts half; not measured
+LOG_STEPS = 2  # number of unbiased solves after the first fit; chosen
+LOG_STEP_FROM = 0.03  # rms log error below which the bias (1.5 of its square) is under 0.2 %
+ROBUST_WIDTH = 0.15  # log residual at which a capture has half weight; not measured
 SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
 SECOND_SEASON = 0.02  # variance of changes with the season, with or without sun; not measured
-# Of a pixel's usual light: a darker value (a hand in front of the lens) gets no more weight.
+# of a pixel's usual light: darker values (a hand in front of the lens) get no more weight than this
+# one; chosen
 DARK_SHARE = 0.03
-LEAST_SHARE = 0.3  # of the darkest value of a pixel: predictions go no lower; not measured
+LEAST_SHARE = 0.3  # of a pixel's darkest value: predictions are never lower; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Settings of a fit that held-out days choose.
+    """Settings of a fit, which held-out days choose.
 
-    noise: relative variance; patch_variance: prior variance of each pixel's patch gain; rounds: of
-    robust reweighting; second: width of the second stage on the log residual (0: none); below:
-    doubtful patches do not teach the light, which is then found below them as if there were none,
-    and they are added unchanged.
+    noise: relative variance; patch_variance: prior variance of each pixel's patch gain; rounds:
+    number of robust rounds; second: width of the second stage on the log residual (0: no second
+    stage); below: the light is found without using the patches, because doubtful patches would
+    teach wrong light, and the patches are then added unchanged.
     """
 
     noise: float
@@ -53,10 +55,10 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """Eigenfeatures of the kernel on the training hours.
+    """Eigenfeatures of the kernel on the n training hours.
 
-    values: [n, r]; the features of a new hour are k(hour, train) @ projector; assumed: those of the
-    training hours if they are predicted as unseen ones, under Perez's skies [n, r].
+    values: [n, r]; the features of a new hour are k(hour, train) @ projector; assumed: features of
+    the training hours if they are predicted as new hours, under Perez's skies [n, r].
     """
 
     values: Array
@@ -67,7 +69,7 @@ class Basis:
 def basis_of(covariance: Array, rank: int) -> Basis:
     """Return the `rank` leading eigenvectors of a covariance [n, n], scaled by their eigenvalues.
 
-    Eigenvalues under a millionth of the largest are left out.
+    Those with eigenvalues below a millionth of the largest are omitted.
     """
     value, vector = np.linalg.eigh(covariance)
     keep = np.argsort(value)[::-1][:rank]
@@ -78,17 +80,17 @@ def basis_of(covariance: Array, rank: int) -> Basis:
 
 
 def leading(basis: Basis, rank: int) -> Basis:
-    """Return a basis of the first `rank` features."""
+    """Return a basis with the first `rank` features only."""
     return Basis(basis.values[:, :rank], basis.projector[:, :rank], basis.assumed[:, :rank])
 
 
 @dataclass(frozen=True, slots=True)
 class PixelFit:
-    """Fitted values of each pixel.
+    """Fitted values of P pixels.
 
     scale: light per unit of total light [P]; b: [P, r]; patch_gain, sky_gain: [P]; least: lower
-    bound of the surface part, in units of the scale [P]; second: weights of the second stage, m can
-    be 0 [m, P].
+    bound of the surface part, in units of the scale [P]; second: weights of the second stage [m,
+    P], with m = 0 without one.
     """
 
     scale: Array
@@ -100,17 +102,17 @@ class PixelFit:
 
 
 def light_arrays(arrays: TrainingArrays, recipe: Recipe) -> TrainingArrays:
-    """Return the arrays that the light is learnt from."""
+    """Return the arrays to which the light is fitted; the recipe decides about patches."""
     return replace(arrays, patch=None) if recipe.below else arrays
 
 
 def with_patches(surface: Array, arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Array:
-    """Return a fit with the patches that it did not learn from, [n, P]."""
+    """Return fitted light with the patches that were not used in the fit added, [n, P]."""
     return surface + arrays.patch / unit if recipe.below and arrays.patch is not None else surface
 
 
 def _columns(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
-    """Return patch (if there is one) and window sky in units of total light and pixel scale."""
+    """Return patch (if there is one) and window sky, in units of total light and pixel scale."""
     sky = arrays.sky / unit
     if arrays.patch is None:
         return Columns(sky[None], np.ones(1), np.array([SKY_GAIN_VARIANCE]))
@@ -122,8 +124,8 @@ def _columns(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
 class ChunkFit:
     """The fit of some pixels.
 
-    target: captured light in units of the scale [n, P]; response, weights: what the last solve
-    fitted, and the weight of each value [n, P].
+    target: captured light in units of the scale [n, P]; response, weights: values that the last
+    solve fitted, and their weights [n, P].
     """
 
     columns: Columns
@@ -139,7 +141,7 @@ def fit_chunk(
 ) -> ChunkFit:
     """Fit some pixels: relative errors, then robust rounds, then the unbiased solves.
 
-    scale: light of each pixel per unit of total light [P]; products: of `pair_products`.
+    scale: light of each pixel per unit of total light [P]; products: result of `pair_products`.
     """
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, LEAST_CDM2) / unit
@@ -160,12 +162,13 @@ def fit_chunk(
 
 
 def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, products: tuple) -> None:
-    """Take one Gauss-Newton step (in place) towards the least squared error of the logarithm.
+    """Take one Gauss-Newton step, in place, towards the least squared error of the logarithm.
 
-    Weights 1 / y^2 favour hours whose y is too small by noise: at 20 % noise of the level the fit
-    is 6 % too dark. Squared log errors, linearised about the fit f, are ridge again, with response
-    f (1 + ln(y / f)) and weights 1 / f^2. The prior shrinks the level too, so a last factor makes
-    the mean signed log error zero. Pixels that already fit within LOG_STEP_FROM do not change.
+    Weights 1 / y^2 favour hours in which noise makes y too small: at a noise of 20 % the fit is 6 %
+    too dark. Squared log errors, linearised about the fit f, are a ridge problem again, with
+    response f (1 + ln(y / f)) and weights 1 / f^2. The prior also shrinks the level, so a last
+    factor makes the mean signed log error zero. Pixels that already fit within LOG_STEP_FROM do not
+    change.
     """
     found = basis.values @ fit.b.T + np.einsum("knp,pk->np", fit.columns.values, fit.gains)
     near = np.clip(found, 0.2 * fit.target, 5.0 * fit.target)  # [n, P]
@@ -184,14 +187,14 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
     b, gains = solve(basis.values, columns, response, weights, recipe.noise, products)
     found = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
     left = np.log(fit.target[:, rows] / np.clip(found, 0.2 * near, 5.0 * near))
-    counts = weights * near**2  # trust, and robust weights
+    counts = weights * near**2  # trust times robust weights
     factor = np.exp((counts * left).sum(axis=0) / np.maximum(counts.sum(axis=0), 1e-9))  # [rows]
     fit.response[:, rows], fit.weights[:, rows] = response, weights
     fit.b[rows], fit.gains[rows] = b * factor[:, None], gains * factor[:, None]
 
 
 def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Array) -> Array:
-    """Return the lower bound of the surface part: a share of the least seen or fitted, [P]."""
+    """Return the lower bound of the surface part: a share of the least value seen or fitted."""
     unit = arrays.light.total_lx[:, None] * scale
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
     seen = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit
@@ -201,14 +204,14 @@ def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Ar
 
 
 def compose(surface: Array, least: Array, gains: Array, columns: NDArray[np.floating]) -> Array:
-    """Return the surface part, at least `least`, plus columns with non-negative gains, [n, P]."""
+    """Return the surface part, at least `least`, plus columns with gains of at least 0, [n, P]."""
     return np.maximum(surface, least) + np.einsum("knp,pk->np", columns, np.maximum(gains, 0.0))
 
 
 def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width: float) -> Array:
     """Return the covariance of the second stage between hours, [len(a), len(b)].
 
-    It has two parts: what the sun causes from nearly the same direction, and the season. share_a,
+    It has two parts: effects of the sun from nearly the same direction, and the season. share_a,
     share_b: the sun's share of the total light, [len(a)] and [len(b)].
     """
     cosine = np.clip(a.sun_direction @ b.sun_direction.T, -1.0, 1.0)
@@ -222,7 +225,7 @@ def fit_pixels(
     recipe: Recipe,
     tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> PixelFit:
-    """Fit all pixels in chunks of bounded memory."""
+    """Fit all pixels in chunks, so that the memory is bounded."""
     count, r = arrays.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
     taught = light_arrays(arrays, recipe)
@@ -272,8 +275,8 @@ def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
 def find_patch_gain(arrays: TrainingArrays, kernel: Kernel) -> float:
     """Return one factor for all patches of unknown scale.
 
-    Start at the median of (L - median(L / E) E) / s over lit values, then run three robust fits of
-    pixels that are lit at least three times. Return 1.0 if no pixel is ever lit.
+    The start is the median of (L - median(L / E) E) / s over lit values. Three robust fits follow,
+    of pixels that are lit at least three times. Return 1.0 if no pixel is ever lit.
     """
     patch = arrays.patch
     assert patch is not None

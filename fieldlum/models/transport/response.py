@@ -1,4 +1,4 @@
-"""The linear response of a room's pixels to light."""
+"""Compute the linear response of a room's pixels to light."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class LightBasis:
-    """Captured hours that the kernel compares a new hour with.
+    """The captured hours, with which the kernel compares a new hour.
 
-    captured: features of the n captured hours; captured_light: their sun; projector: [n, r];
-    physics: the coarse room model, if used; patches: descriptor of sun patches, if known.
+    captured: features of the n captured hours; captured_light: their sun and sky; projector: [n,
+    r]; physics: the coarse room model, if used; patches: descriptor of sun patches, if known.
     """
 
     kernel: Kernel
@@ -37,9 +37,9 @@ class LightBasis:
 class SurfaceMaps:
     """Predicted hours at the P seen pixels, and the inputs of their uncertainty.
 
-    luminance: [n, P] cd/m2; patch: the part of direct sun [n, P] cd/m2; unit: luminance for F b = 1
-    [n, P] cd/m2; cross: kernel [n, captures]; second: kernel of the second stage [n, captures or
-    0].
+    luminance: [n, P] cd/m2; patch: the part due to direct sun [n, P] cd/m2; unit: luminance for F b
+    = 1 [n, P] cd/m2; cross: kernel [n, captures]; second: kernel of the second stage [n, captures],
+    or [n, 0] without one.
     """
 
     luminance: NDArray[np.floating]
@@ -52,17 +52,20 @@ class SurfaceMaps:
 
 @dataclass(frozen=True, slots=True)
 class RoomResponse:
-    """The linear response of the seen pixels to light. seen: [H, W]; pixel arrays are over seen."""
+    """The linear response of the seen pixels to light.
+
+    seen: [H, W]; arrays of pixels have the seen pixels only.
+    """
 
     seen: NDArray[np.bool_]
     basis: LightBasis
     pixels: PixelFit
     open_sky: OpenSky
-    patch_scale: float  # factor found for all sun patches
+    patch_scale: float  # fitted factor on all sun patches
     recipe: Recipe
 
     def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
-        """Return the features of n hours that the kernel compares; patch: [n, H, W] cd/m2."""
+        """Return the features of n hours for the kernel; patch: [n, H, W] cd/m2."""
         basis = self.basis
         features = basis.states.add(light_features(light), light)
         if basis.physics is not None:

@@ -1,8 +1,8 @@
-"""Weighted Bayesian ridge for all pixels at once, and its predictions of held-out days.
+"""Solve weighted Bayesian ridge for all pixels at once, and predict held-out days.
 
 Each pixel minimises  sum_t w_t (y_t - F_t b - C_t g)^2 / noise + |b|^2 + sum_k (g_k - mean_k)^2 /
-variance_k,
-with features F common to all pixels and columns C of its own. Everything is in closed form.
+variance_k, with features F that all pixels share and columns C of its own. Everything is in closed
+form.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from threadpoolctl import threadpool_limits
 
 Array = NDArray[Any]
 
-# Pixels per core at a time: bounds the memory of the normal matrices to some 100 MB each.
+# Pixels per core at a time, which limits the memory of the normal matrices to some 100 MB each.
+# Chosen.
 CHUNK = 1024
-HELD_OUT_CHUNK = 128  # smaller, as each pixel has a hat matrix
-MOST_THREADS = 8  # bounds the memory
+HELD_OUT_CHUNK = 128  # smaller, because each pixel has a hat matrix; chosen
+MOST_THREADS = 8  # limits the memory; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Covariates of each pixel, values [k, n, P], with a Gaussian prior on their gains, [k]."""
+    """Covariates of each pixel, values [k, n, P]; their gains have a Gaussian prior, [k]."""
 
     values: NDArray[np.floating]
     mean: Array
@@ -46,8 +47,8 @@ def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
 def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
     """Call `work` for every chunk, on all cores; yield the number of finished pixels.
 
-    BLAS uses one thread meanwhile: on systems of a hundred unknowns its threads wait for each
-    other.
+    Meanwhile BLAS uses one thread, because on systems of a hundred unknowns its threads wait for
+    each other.
     """
     parts = list(chunks(count, size))
     workers = min(os.cpu_count() or 1, MOST_THREADS)
@@ -57,7 +58,7 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> 
 
 
 def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return products F_a F_b of every hour for a <= b, [n, r (r + 1) / 2], and indices a and b."""
+    """Return products F_a F_b of each hour for a <= b, [n, r (r + 1) / 2], and indices a and b."""
     a, b = np.triu_indices(features.shape[1])
     return features[:, a] * features[:, b], a, b
 
@@ -72,7 +73,7 @@ def normal_matrices(
 ) -> tuple[Array, Array]:
     """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
 
-    x is the deviation from the prior mean. target, weights: [n, P]. The block common to all pixels
+    x is the deviation from the prior mean. target, weights: [n, P]. The block that all pixels share
     is one matrix product of weights and `pair_products`.
     """
     count, r, k = target.shape[1], features.shape[1], len(columns.mean)
@@ -123,12 +124,12 @@ def held_out_days(
 ) -> Array:
     """Return each hour as predicted by a fit without its day, [n, P].
 
-    assumed [n, r]: the features that the predicted hour is assumed to have; None: `features`.
+    assumed [n, r]: the features with which hours are predicted; None: `features`.
 
-    With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals
-    without the day are d = (1 - H_DD)^-1 e_D (block form of the leave-one-out identity), and the
-    fit without the day is that of all less A^-1 X_D' W_D d, so no refit is needed. Features and
-    weights are those of the full fit.
+    The fit is not repeated. With hat matrix H = X A^-1 X' W of the full fit, residuals e and a
+    day's rows D, the residuals without the day are d = (1 - H_DD)^-1 e_D (block form of the
+    leave-one-out identity), and the fit without the day is the full fit minus A^-1 X_D' W_D d.
+    Features and weights are those of the full fit.
     """
     out = np.empty(target.shape)
     products = pair_products(features)
@@ -178,7 +179,7 @@ def _held_out(
 
 
 def held_out_days_shared(covariance: Array, noise: float, target: Array, days: NDArray) -> Array:
-    """Return `held_out_days` of a Gaussian process common to all pixels, [n, P].
+    """Return `held_out_days` of a Gaussian process that all pixels share, [n, P].
 
     covariance: [n, n]; target: [n, P].
     """

@@ -32,9 +32,10 @@ from fieldlum.statistics import is_no_worse, standard_error
 
 Array = NDArray[Any]
 
-FLOOR_CDM2 = 1.0  # lower values are raised to it for scores (the paper's floor)
-ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
-SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days between two seasons
+FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the paper)
+# captures with a smaller range of the sun's declination are from one season; chosen
+ONE_SEASON_DEG = 20.0
+SEASONS_APART_DEG = 10.0  # least gap between the declinations of two seasons' days; chosen
 NOISES = (
     1e-4,
     1e-3,
@@ -42,22 +43,26 @@ NOISES = (
     1e-2,
     3e-2,
     1e-1,
-)  # from a clean rendering to a room that changes; not measured
-# Least noise for captures of one season: their held-out days do not test other seasons.
+)  # noises from that of a clean rendering to that of a room that changes; not measured
+# Least noise for captures of one season, because their held-out days do not test other seasons.
+# Chosen.
 ONE_SEASON_NOISE = 3e-3
-CHOOSING = 250  # pixels that choose kernel and recipe; bounds the time
-# Weight of the facade term next to a room model, which knows when the sun is hidden.
+CHOOSING = 250  # number of pixels that choose kernel and recipe; chosen, limits the time
+# Weight of the facade term if there is a room model, which knows when the sun is hidden. Chosen.
 BESIDE_ROOM = 0.3
-# Chord of the sun's direction within which a sun patch is still the same.
+# Largest chords between two sun directions with the same sun patch, to be tried. Chosen.
 SECOND_WIDTHS = (0.1, 0.15, 0.2)
-LAMP_NOISES = (1e-3, 1e-2)  # tried with a lamp that is always on
-SKY_NOISES = (1e-3, 1e-2, 1e-1)  # tried with the skies that the windows showed
-SKY_DAYS = 4  # fewer days do not show that a sky teaches more; chosen
-SKY_GAIN = 0.1  # share of the held-out error that these skies must explain; not measured
-LAMP_GAIN = 0.3  # share of the held-out error that a lamp always on must explain; not measured
+LAMP_NOISES = (1e-3, 1e-2)  # noises to be tried with a lamp that is always on; chosen
+SKY_NOISES = (1e-3, 1e-2, 1e-1)  # noises to be tried with the skies that windows showed; chosen
+SKY_DAYS = 4  # fewer days do not show that other skies teach more; chosen
+# share of the held-out error that skies seen through windows must explain; not measured
+SKY_GAIN = 0.1
+LAMP_GAIN = 0.3  # share of the held-out error that a constant lamp must explain; not measured
 PATCH_GAIN_VARIANCE = 0.0025  # prior variance of a pixel's patch gain
-FEWER = (40, 60)  # features tried before RANK of them; for under forty captures all are used
-FEWER_COST = 1.05  # allowed held-out error of fewer features over that of RANK; not measured
+# numbers of features to try before RANK of them; with under forty captures all are used; chosen
+FEWER = (40, 60)
+# largest ratio of held-out errors, of fewer features to RANK of them; not measured
+FEWER_COST = 1.05
 
 
 # ----------------------------------------------------------------------------------------------
@@ -73,17 +78,17 @@ def _declination_deg(days: NDArray) -> Array:
 
 
 def one_season(days: NDArray) -> bool:
-    """Return whether all days [n] are of one season, so that they do not test other seasons.
+    """Return whether all days [n] are from one season, so that they do not test other seasons.
 
-    That is so if the sun's declination changed by less than ONE_SEASON_DEG.
+    This is true if the sun's declination changed by less than ONE_SEASON_DEG.
     """
     return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
 
 def seasons(days: NDArray) -> NDArray[np.intp]:
-    """Return the number of the season of each day, [n].
+    """Return the index of the season of each day, [n].
 
-    Days whose declinations have a gap between them are of two seasons.
+    A gap between the days' declinations separates two seasons.
     """
     declination = _declination_deg(days)
     known = np.unique(declination)
@@ -93,10 +98,10 @@ def seasons(days: NDArray) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class HeldOutFit:
-    """Each hour predicted without its day.
+    """Each hour as predicted by a fit without its day.
 
-    luminance: [n, P] cd/m2; error: log10 error above the floor of 1 cd/m2 [n, P]; sureness: weight
-    of the hours [n].
+    luminance: [n, P] cd/m2; error: log10 error above the floor of 1 cd/m2 [n, P]; scale: usual
+    light of each pixel; sureness: weight of the hours [n].
     """
 
     luminance: Array
@@ -111,12 +116,12 @@ class HeldOutFit:
 
     @property
     def judged(self) -> Array:
-        """Errors that choices are made by, [n]: `per_hour`, with less weight for unsteady light."""
+        """Errors for choices, [n]: `per_hour`, with less weight for unsteady light."""
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """Return the log10 error in the shape of both luminances [cd/m2], at least at the floor."""
+    """Return the log10 error in the shape of both luminances [cd/m2], raised to the floor."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 
@@ -124,7 +129,7 @@ def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
 class _First:
     """The first stage's prediction of each hour without its day, and the captured light.
 
-    Both are [n, P] in units of the scale.
+    found, target: [n, P] in units of the scale.
     """
 
     found: Array
@@ -133,7 +138,7 @@ class _First:
 
 
 def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _First:
-    """Leave one day out in closed form.
+    """Predict each hour without its day, in closed form.
 
     Features, robust weights and pixel scales are those of the full fit.
     """
@@ -159,7 +164,10 @@ def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _Fi
 def hold_out(
     arrays: TrainingArrays, basis: Basis, recipe: Recipe, first: _First | None = None
 ) -> HeldOutFit:
-    """Return each hour as predicted by the hours of other days; `first` if it is known already."""
+    """Return each hour as predicted by the hours of other days.
+
+    first: the result of the first stage, if it was already computed.
+    """
     first = first or _hold_out_first(arrays, basis, recipe)
     found = first.found
     if recipe.second:
@@ -172,7 +180,7 @@ def hold_out(
 
 
 def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> HeldOutFit | None:
-    """Return `hold_out` with complete seasons; None where there are no gaps between seasons."""
+    """Return `hold_out` with complete seasons held out; None if no gap separates seasons."""
     groups = seasons(arrays.days)
     return hold_out(replace(arrays, days=groups), basis, recipe) if groups.max() > 0 else None
 
@@ -180,7 +188,7 @@ def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> He
 def choose(
     arrays: TrainingArrays, basis: Basis, recipes: list[Recipe]
 ) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
-    """Return the recipe of least error on held-out days, and a table of all.
+    """Return the recipe with the least error on held-out days, and a table of all recipes.
 
     A row has the recipe, its error, and the error's standard error over days.
     """
@@ -204,10 +212,10 @@ def _day_error(per_hour: Array, days: NDArray) -> float:
 
 
 def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
-    """Return recipes that find the light below all patches.
+    """Return recipes that find the light without using the patches.
 
-    For one season there is one width: its days, with the sun at nearly the same places, would
-    accept any width.
+    For one season there is a single width: all its days have the sun at nearly the same places, and
+    would accept any width.
     """
     widths = SECOND_WIDTHS[:1] if one_season else SECOND_WIDTHS
     return [
@@ -218,10 +226,11 @@ def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
 def recipes_for(
     with_patch: bool, one_season: bool, *, fitted_patches: bool = False
 ) -> list[Recipe]:
-    """Return the recipes that held-out days choose among, simplest first.
+    """Return the recipes among which held-out days choose, simplest first.
 
-    fitted_patches: only robust recipes. Patch edges that are 2 cm off teach a plain fit wrong light
-    in all sunny hours, and held-out days next to captured ones do not show it (decision 0013).
+    fitted_patches: return only robust recipes. Patch edges that are 2 cm off teach a plain fit
+    wrong light in all sunny hours, and held-out days next to captured ones do not show it (decision
+    0013).
     """
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
     if not with_patch:
@@ -233,7 +242,10 @@ def recipes_for(
 
 @dataclass(frozen=True, slots=True)
 class SelectedRecipe:
-    """Choice of held-out days: kernel, features and recipe; table: everything that was tried."""
+    """The choice of held-out days: kernel, features and recipe.
+
+    Table: everything that was tried.
+    """
 
     kernel: Kernel
     features: Features
@@ -254,8 +266,8 @@ def choose_model(
 ) -> SelectedRecipe:
     """Return the best choice on held-out days, at the pixels `drawn`.
 
-    bounced: the sun's light in a coarse model of the room [n, k]; sky: what the windows showed. The
-    use of that sky, and a lamp that is on in all captures, are among the choices.
+    bounced: the sun's light in a coarse model of the room [n, k]; sky: the skies that windows
+    showed. The choices include the use of these skies, and a lamp that is on in all captures.
     """
     drawn, field = _with_seen_sky(drawn, kernel, sky)
     chosen = replace(_choose_recipe(drawn, kernel, bounced), sky_field=field)
@@ -271,12 +283,12 @@ def choose_model(
 def _with_seen_sky(
     drawn: TrainingArrays, kernel: Kernel, sky: SeenSky | None
 ) -> tuple[TrainingArrays, SkyField | None]:
-    """Return the arrays with the skies that the windows showed, if these teach more than Perez's.
+    """Return the arrays with the skies that windows showed, if these teach more than Perez's skies.
 
-    Held-out hours under the skies that were seen must be better by a tenth and by one standard
-    error. Under Perez's skies, as a year is predicted, they must be no worse. Then the field is the
-    second value. All later choices predict held-out hours under the seen skies, which shows the
-    room's response better.
+    Two conditions apply. With these skies, held-out hours must be better by a tenth and by one
+    standard error. Under Perez's skies, as a year is predicted, they must not be worse. Then the
+    second value is the field, and all later choices predict held-out hours under the seen skies,
+    which show the room's response better.
     """
     if sky is None or len(np.unique(drawn.days)) < SKY_DAYS:
         return drawn, None
@@ -300,7 +312,7 @@ def plain_held_out(drawn: TrainingArrays, kernel: Kernel) -> HeldOutFit:
 
 
 def _under_perez(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
-    """Return the choice with held-out hours that are predicted under Perez's skies."""
+    """Return the choice with held-out hours predicted under Perez's skies."""
     if drawn.perez_sky is None:
         return chosen
     assumed = replace(chosen.features, sky=drawn.perez_sky)
@@ -326,7 +338,7 @@ def _choose_recipe(
     if with_patch and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
     chosen = replace(chosen, states=drawn.states)
-    # Skip feature reduction if all captures are of one season, or if patch errors dominate the
+    # Keep all features if all captures are from one season, or if errors of patches dominate the
     # held-out score.
     return chosen if alike or chosen.recipe.second else fewest_features(drawn, chosen)
 
@@ -339,9 +351,9 @@ def _choose_kernel(
 ) -> SelectedRecipe:
     """Return the kernel and recipe with the least error on held-out days, tested on some pixels.
 
-    A room model (its features `bounced`) describes suns that no capture had, which held-out days do
-    not test: it stays unless it is worse by more than a standard error. With it, the facade term
-    has less weight.
+    A room model (its features are `bounced`) describes suns without a capture, which held-out days
+    do not test: it is used unless it is worse by more than a standard error. With it the facade
+    term has less weight.
     """
 
     def tried(kernel: Kernel, features: Features) -> SelectedRecipe:
@@ -368,9 +380,9 @@ def _doubted(
     bounced: NDArray[np.float32] | None,
     trusting: SelectedRecipe,
 ) -> SelectedRecipe:
-    """Also test on held-out days whether the light is better learnt without the patches.
+    """Return the better choice: light fitted with or without patches, by held-out days.
 
-    Do so where robust rounds had to correct patches.
+    The test is made if robust rounds had to correct patches.
     """
     bare = replace(drawn, features=replace(drawn.features, cells=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
@@ -381,9 +393,9 @@ def _doubted(
 def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
     """Return the choice with the fewest features that held-out days allow.
 
-    It is the first of FEWER whose error exceeds that of all features by at most 5 %. Noisy data
-    (pixels, irradiance, a sky that is not Perez's) support fewer features than a clean rendering
-    does, and a smaller model is faster everywhere.
+    It is the first of FEWER whose error is at most 5 % above that of all features. Noisy data
+    (pixels, irradiance, a sky that differs from Perez's) support fewer features than a clean
+    rendering, and a smaller model is faster.
     """
     drawn, table = replace(drawn, features=chosen.features), [*chosen.table]
     for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):

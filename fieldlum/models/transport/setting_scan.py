@@ -1,9 +1,9 @@
-"""Test north, clock, camera and room against the captures, by where the sun falls.
+"""Test north, clock, camera and room against the captures, by the places of sun patches.
 
-Sun patches have edges as sharp as the pixels. If computed patches are displaced from the captured
-ones, a sunlit pixel is predicted dark and a dark one sunlit, in every capture. Held-out days then
-show large errors, but not their cause. Here patches are computed for other settings, and the
-setting is found under which they cover the captured ones.
+Sun patches have sharp edges. If computed patches are displaced from the captured ones, a sunlit
+pixel is predicted dark and a dark pixel sunlit, in every capture. Held-out days then have large
+errors, but do not show the cause. Here patches are computed for other settings, to find the setting
+under which they match the captured ones.
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Amount = tuple[float, ...]
 
-TURNS_DEG = (MOST_TURN_DEG, 1.0, 0.125)  # reach, coarse and fine step
+TURNS_DEG = (MOST_TURN_DEG, 1.0, 0.125)  # reach, coarse step and fine step; chosen
 MINUTES, SHIFTS_PX = (20.0, 4.0, 0.5), (float(MOST_SHIFT_PX), 1.0, 0.25)  # as TURNS_DEG
-RESAMPLES = 200  # of the bootstrap
-MOST_MOVES = 6  # of the joint search; bounds the time
-SURE = 3.0  # standard errors that an amount must have
-# Share of the misfit that another setting must explain, and on most of the days.
+RESAMPLES = 200  # number of bootstrap samples; chosen
+MOST_MOVES = 6  # most moves of the joint search; chosen, limits the time
+SURE = 3.0  # least ratio of an amount to its standard error; chosen
+# Share of the misfit that another setting must explain, on most of the days. Chosen.
 LEAST_GAIN = 0.005
-ALIKE = 0.8  # another cause that explains this share of the best one's gain is reported too
-# Patches moved by parts of a pixel are blurred, which draws the best amount to integer pixels.
+# another cause that explains at least this share of the best cause's gain is reported too; chosen
+ALIKE = 0.8
+# Blur in px: patches moved by fractions of a pixel are blurred, which would favour integer amounts.
 BLUR_PX = 0.25
 
 
@@ -47,9 +48,9 @@ BLUR_PX = 0.25
 class SettingFinding:
     """What one cause alone would explain.
 
-    amount: by how much it is wrong; error: standard errors over days; misfit, stated: the misfit
-    that remains and that of the stated setting; sigmas: their difference in standard errors over
-    days.
+    amount: how wrong the setting would be; error: standard errors over days; misfit: misfit that
+    remains; stated: misfit of the stated setting; sigmas: difference of the two in standard errors
+    over days.
     """
 
     cause: str
@@ -61,7 +62,7 @@ class SettingFinding:
 
     @property
     def gain(self) -> float:
-        """Misfit that the cause explains."""
+        """Misfit that this cause explains."""
         return self.stated - self.misfit
 
     @property
@@ -73,26 +74,30 @@ class SettingFinding:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Findings, those that explain most first.
+    """The findings about a setting, those that explain most first.
 
     Causes are "north" (deg: room and camera are turned further clockwise than stated), "clock"
     (min: the stated times are later than the true ones), "north and clock" (both), "wall" (deg:
     only the room is turned further clockwise), "camera" (px: patches must move right and down).
     misfit: share of the pixels near sun patches that are wrong, over `hours` sunny hours. alike:
     other causes that explain nearly as much as the first. slip_deg: displacement of the patches
-    from the captured ones as seen from the camera; 0 if no cause is certain: then the captures do
-    not contradict the setting.
+    from the captured ones as seen from the camera; 0 if no cause is certain, which means that the
+    captures do not contradict the setting.
     """
 
     findings: tuple[SettingFinding, ...]
     alike: tuple[SettingFinding, ...]
     slip_deg: float
     hours: int
-    room: RoomError | None = None  # a measure of the room that explains as much as the first
+    # a wrong measure of the room that explains as much as the first cause
+    room: RoomError | None = None
 
     @property
     def wrong(self) -> SettingFinding | None:
-        """The cause that explains most, if it is certain and no measure of the room explains it."""
+        """The cause that explains most.
+
+        None if it is uncertain or a measure of the room explains it.
+        """
         return self.findings[0] if self.slip_deg > 0.0 and self.room is None else None
 
 
@@ -101,7 +106,7 @@ class Setting:
 
 
 class _Curve:
-    """Misfits [n] at the amounts that were tried."""
+    """Misfits [n] at each amount that was tried."""
 
     def __init__(self, misfit: Callable[..., Array]) -> None:
         self.misfit = misfit
@@ -118,7 +123,7 @@ class _Curve:
 
 
 def _along(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
-    """Search with coarse steps over the full reach, then fine ones around the best."""
+    """Search one amount: coarse steps over the full reach, then fine steps around the best."""
     for amount in np.arange(-reach, reach + coarse / 2, coarse):
         curve.at(float(amount))
     middle = curve.best()[0]
@@ -127,7 +132,7 @@ def _along(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
 
 
 def _across(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
-    """Search as `_along` in two directions."""
+    """Search two amounts in the same way as `_along`."""
     steps = np.arange(-reach, reach + coarse / 2, coarse)
     for a in steps:
         for b in steps:
@@ -157,9 +162,9 @@ def _jointly(curve: _Curve, start: Amount) -> None:
 
 
 def _spread(curve: _Curve, groups: NDArray) -> Amount:
-    """Return standard errors of the best amount among those tried.
+    """Return the standard errors of the best amount, one for each of its components.
 
-    Complete groups are drawn again with replacement.
+    Days are drawn again with replacement; each draw has its own best amount among those tried.
     """
     amounts = np.array(list(curve.tried))
     losses = np.array(list(curve.tried.values()))
@@ -179,10 +184,10 @@ def _sigmas(gain: Array, groups: NDArray) -> float:
 
 
 def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
-    """Return the setting under which computed sun patches cover the captured ones.
+    """Return the setting under which computed sun patches match the captured ones.
 
-    It needs patches; north, clock and wall also need a box room. Return None if too few hours have
-    direct sun in view.
+    Sun patches are required; north, clock and wall also require a box room. Return None if too few
+    hours have direct sun in view.
     """
     progress(0, 100, "setting: light without patches")
     found = evidence_of(data)
@@ -255,9 +260,9 @@ def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) ->
 
 
 def _ranked(findings: list[SettingFinding]) -> list[SettingFinding]:
-    """Return findings by what they explain, the most first.
+    """Return the findings, those that explain most first.
 
-    Two causes at once must each be certain and explain far more.
+    A finding of two causes must have both certain, and must explain far more than one cause.
     """
     single = [f for f in findings if f.cause != "north and clock"]
     most = max(f.gain for f in single)
@@ -272,7 +277,7 @@ def _ranked(findings: list[SettingFinding]) -> list[SettingFinding]:
 
 
 def _slip_deg(found: Evidence, cause: str, best: Array) -> float:
-    """Return the displacement in degrees between the stated and the best patches.
+    """Return the displacement between the stated and the best patches [deg].
 
     It is the shift across edges whose expected square equals that between the two.
     """

@@ -1,4 +1,4 @@
-"""Convert a transport model to plain arrays and settings, and back; also models of 0.1.0."""
+"""Convert a transport model to plain arrays and settings, and back; also read models of 0.1.0."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class TransportTable(TypedDict):
     kernel: fields of `Kernel` without facades, in 0.1.0 those of `FluxKernel`; recipe: fields of
     `Recipe`; room: as in SITE.toml, None without `Physics`; patchwork: fields of `PatchDescriptor`;
     states: of `StateColumns`, absent in 0.1.0; trust: figures of `Uncertainty`; tried: recipes;
-    sky_field: fields of `SkyField`, if the captures taught under the skies that windows showed.
+    sky_field: fields of `SkyField`, present if the fit used the skies that windows showed.
     """
 
     kernel: dict[str, float]
@@ -136,7 +136,7 @@ def _basis(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> LightBasi
 
 
 def _states(own: TransportTable) -> StateColumns:
-    """Return the states; models of 0.1.0 have none."""
+    """Return the room's states in a table; models of 0.1.0 have none."""
     table = own.get("states", {})
     lamps, changed = tuple(table.get("lamps", ())), tuple(table.get("changed", ()))
     return StateColumns(bool(table.get("always", False)), lamps, changed)
@@ -148,7 +148,7 @@ def _kernel(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Kernel:
     if "flux_width" not in settings:
         return Kernel(facades, **settings)
     width = settings.pop("flux_width")
-    settings.pop("around")  # 0 in every model of 0.1.0, which had no way to set it
+    settings.pop("around")  # 0 in every model of 0.1.0, where it could not be set
     if "train_flux" not in arrays:
         return Kernel(facades, **settings)
     height, columns = arrays["seen"].shape
@@ -161,7 +161,7 @@ def _kernel(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Kernel:
 class FluxKernel(Kernel):
     """The kernel of 0.1.0, which also compared the total direct flux in view.
 
-    flux_of_cells [c]: what each cell adds to the flux.
+    flux_of_cells [c]: contribution of each cell to the flux.
     """
 
     flux_width: float = 0.8

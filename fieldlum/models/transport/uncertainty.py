@@ -25,19 +25,24 @@ Array = NDArray[Any]
 
 LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
-# The sun's share of the light between overcast, intermediate and clear hours. Not measured.
+# limits of the sun's share of the light between overcast, intermediate and clear hours; not
+# measured
 CLASSES = (0.05, 0.5)
-MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)  # of the classes
+# middles of the classes
+MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)
 LEAST_SD = 1e-4  # avoids division by zero
 LEAST_VARIANCE = 1e-9  # avoids division by zero
-# Cap the sd of ln L: beyond a factor of ten, one pixel would dominate the hour's mean.
+# Largest standard deviation of ln L: with more than a factor of ten, one pixel would dominate the
+# hour's mean.
 MOST_SD = 2.3
-# Hours are alike within this chord of the sun's direction and difference of its share; FEW is the
-# weight of the estimate next to them. Not measured.
+# Hours are alike within this chord of the sun's direction and within this difference of its share.
+# FEW is the weight of the general estimate next to similar hours. Not measured.
 NEAR_SUN, NEAR_BEAM, FEW = 0.2, 0.1, 0.1
-# log10: an hour that a shift of its sun patch would change by over a quarter is not trusted
+# log10 MSE: an hour that a shift of its sun patch would change by over a quarter is not trusted;
+# chosen
 SLIP_MSE = 0.01
-# An hour can be this much further from the captures than a held-out day was, and is still trusted.
+# An hour may be this many times further from the captures than a held-out day and still be trusted.
+# Chosen.
 NOVEL = 1.5
 
 
@@ -56,15 +61,15 @@ def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Uncertainty of each pixel and hour.
+    """Calibrated uncertainty of each pixel and hour.
 
-    inverse: of kernel + noise over sureness [n, n]; novelty: the largest of a held-out day;
+    inverse: of kernel + noise over sureness [n, n]; novelty: largest value of a held-out day;
     factors: on the standard deviation in overcast, intermediate and clear hours, from held-out days
-    and, if there are several, from held-out seasons [1 or 2, 3]; variances: predictive variances of
-    both [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error to its
-    estimate; second: as inverse, of the second stage, n can be 0 [n, n]; noise_dull: residual sd of
-    ln L in overcast hours [P]; noise_sun: its growth with the sun [P]; slip_deg: displacement of
-    the computed sun patches from the captured ones, if `setting_scan` finds one.
+    and, if there are several seasons, from held-out seasons [1 or 2, 3]; variances: predictive
+    variances of both [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out
+    error to its estimate; second: as inverse, of the second stage [n, n], n = 0 without one;
+    noise_dull: residual sd of ln L in overcast hours [P]; noise_sun: its increase with the sun [P];
+    slip_deg: displacement of computed from captured sun patches, if `setting_scan` detects one.
     """
 
     inverse: Array
@@ -96,7 +101,8 @@ class Uncertainty:
         """Return the standard deviation of log10 L, [m, P]; at most a factor of ten.
 
         surface_share [m, P]: unit of the pixel over L; patch_share: patch over L; beam [m]: the
-        sun's share of the light; cross_second [m, n or 0]: covariance of the second stage.
+        sun's share of the light; cross_second [m, n]: covariance of the second stage, n = 0 without
+        one.
         """
         kind = surface_share.dtype
         noise = self.noise_dull.astype(kind), self.noise_sun.astype(kind)
@@ -108,7 +114,8 @@ class Uncertainty:
     def _sun_doubt(self, beam: Array, cross: Array) -> Array:
         """Return the factor on a pixel's sun noise, [m].
 
-        It is the sun's share; with a second stage, the sun's distance from captured directions.
+        It is the sun's share of the light; with a second stage, it also depends on the sun's
+        distance from captured directions.
         """
         if not len(self.second):
             return beam
@@ -122,23 +129,23 @@ class Uncertainty:
         gain: NDArray[np.float32],
         dark: NDArray[np.floating],
     ) -> NDArray[np.floating]:
-        """Return the variance of log10 L from displaced sun patches [m, H, W], [m, P]."""
+        """Return the variance of log10 L due to displaced sun patches [m, H, W], [m, P]."""
         slip_px = self.slip_deg * patch.shape[1] / 180.0
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
-        """Return whether the expected log10 MSE [m] from displaced patches is small."""
+        """Return a mask [m] of hours whose expected log10 MSE from displaced patches is small."""
         return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
-        """Return whether hours are near enough to the captures, [m]."""
+        """Return a mask [m] of hours that are near enough to the captures."""
         return variance <= NOVEL * self.novelty
 
     def factor(self, beam: Array, variance: Array) -> Array:
         """Return the factor of each hour's class, [m], continuous between the classes' middles.
 
-        Hours as near to captures as held-out days get their factor, hours as far as held-out
-        seasons get those of the seasons.
+        Hours as near to captures as held-out days have the days' factor; hours as far as held-out
+        seasons have the seasons' factor.
         """
         factors, variances = (
             [np.interp(beam, MIDDLES, row) for row in np.log(a)]
@@ -153,10 +160,11 @@ class Uncertainty:
 
 
 def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
-    """Return least and most of sun patches [n, H, W] within `slip_px` of each pixel, at least one.
+    """Return the least and most of sun patches [n, H, W] within `slip_px` of each pixel.
 
-    The third value is the probability that a pixel in that range is on the other side of a
-    displaced edge: the range around a straight edge has both its sides.
+    The distance is at least one pixel. The third value is the probability that a pixel in that
+    range is on the other side of a displaced edge, because the range around a straight edge
+    includes both its sides.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -178,7 +186,7 @@ def slip_variance(
     dark: NDArray[np.floating],
     slip_px: float,
 ) -> NDArray[np.floating]:
-    """Return the variance of ln L from sun patches [n, H, W] displaced by `slip_px`, [n, P].
+    """Return the variance of ln L due to sun patches [n, H, W] displaced by `slip_px`, [n, P].
 
     dark: luminance without the patch [n, P]; gain: of the patch [P].
     """
@@ -190,11 +198,11 @@ def slip_variance(
 def experience(
     light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array
 ) -> Array:
-    """Return the error to expect in m hours by the held-out errors of similar captures, [m].
+    """Return the error to expect in m hours, from the held-out errors of similar captures, [m].
 
-    It is their mean, weighted by how near the sun is and how similar its share of the light. Where
-    few captures are similar it approaches `guess` [m]; it is never below `guess`. beam [m],
-    train_beam [n]: the sun's share of the light; held_out_mse [n].
+    It is their mean, weighted by the distance of the sun's directions and by the similarity of the
+    sun's share. Where few captures are similar it approaches `guess` [m]; it is never below
+    `guess`. beam [m], train_beam [n]: the sun's share of the light; held_out_mse [n].
     """
     cosine = np.clip(light.sun_direction @ train.sun_direction.T, -1.0, 1.0)
     near = np.exp(
@@ -214,7 +222,7 @@ def log_sd(
     """Return the uncalibrated standard deviation of ln L, [m, P].
 
     surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual
-    sd, and its growth with `doubt` about the sun [m].
+    sd, and its increase with `doubt` about the sun [m].
     """
     kind = surface_share.dtype
     total = surface_share**2 * variance.astype(kind)[:, None]
@@ -226,9 +234,9 @@ def log_sd(
 def residual_noise(
     arrays: TrainingArrays, fitted: NDArray[np.floating], doubt: Array
 ) -> tuple[Array, Array]:
-    """Return the residual sd of ln L of each pixel in overcast hours, and its growth with doubt.
+    """Return the residual sd of ln L of each pixel in overcast hours, and its increase with doubt.
 
-    Both are [P]; the growth is per unit of doubt about the sun.
+    Both are [P]; the increase is per unit of doubt about the sun.
     """
     error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(arrays.luminance, FLOOR_CDM2))
     error = np.where(arrays.filled, 0.0, error) ** 2
@@ -244,7 +252,7 @@ def residual_noise(
 
 
 def sun_doubt(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the factor on each captured hour's sun noise without its day, [n]."""
+    """Return the factor on each captured hour's sun noise, computed without its day, [n]."""
     if not recipe.second:
         return arrays.features.beam
     noise = np.full(len(arrays.light), SECOND_NOISE)
@@ -260,13 +268,13 @@ def calibrate(
     second: Array,
     seasons_out: HeldOutFit | None = None,
 ) -> Uncertainty:
-    """Fit the factors so that 90 % of the held-out errors are within 1.645 standard deviations.
+    """Fit the factors so that 90 % of held-out errors are within 1.645 standard deviations.
 
-    That is so in each class. arrays, noise: of the pixels that calibrate; noise_of_all: of all
+    This holds for each class. arrays, noise: of the pixels that calibrate; noise_of_all: of all
     pixels, in overcast and in sunny hours [P] each; doubt: of each hour [n]; second: inverse of the
-    second stage [n, n]. Errors of days in one season are too small, so there the worst class sets
-    all three factors. With several seasons, `seasons_out` holds out each as a block: its factors,
-    where they are larger, are for hours as far from the captures.
+    second stage [n, n]. Held-out errors of days in one season are too small: then the worst class
+    sets all three factors. With several seasons, `seasons_out` holds out each season; its factors,
+    if they are larger, are for hours as far from the captures.
     """
     groups = [(chosen.held, arrays.days)]
     groups += [] if seasons_out is None else [(seasons_out, seasons(arrays.days))]
@@ -297,7 +305,7 @@ def calibrate(
 
 
 def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
-    """Return the relative sd of a sun patch, from held-out pixels that it dominates."""
+    """Return the relative sd of a sun patch, from held-out pixels with mostly direct sun."""
     if arrays.patch is None:
         return 0.0
     lit = (arrays.patch > 0.3 * np.maximum(held.luminance, LEAST_CDM2)) & ~arrays.filled

@@ -1,10 +1,10 @@
-"""The sky of each capture as its windows showed it.
+"""Estimate the sky of each capture from its windows.
 
 Perez's model gives one smooth sky for each irradiance. A real sky has clouds, which every capture
-shows through its windows. The field between the two skies is treated as log-normal and smooth in
-direction: window pixels give it where they look, and it returns to Perez's sky away from them. The
-diffuse illuminance stays as it was measured. A predicted year has no windows to look at and keeps
-Perez's sky.
+shows through its windows. The ratio of the two skies is treated as a log-normal field that is
+smooth in direction: window pixels determine it in their directions, and away from them it returns
+to Perez's sky. The diffuse illuminance remains as measured. A predicted year has no windows to look
+at and uses Perez's sky.
 """
 
 from __future__ import annotations
@@ -22,22 +22,28 @@ from fieldlum.sky import reinhart_patches
 
 Array = NDArray[Any]
 
-# What is tried: sd of ln luminance, chord over which the field changes, sd of a patch's mean. From
-# a nearly clear sky to broken clouds; the likelihood chooses.
+# Values to be tried: sd of ln luminance, chord over which the field changes, sd of a patch's mean.
+# They range from a nearly clear sky to broken clouds; the likelihood chooses.
 SDS = (0.1, 0.2, 0.3, 0.45, 0.7)
 WIDTHS = (0.1, 0.2, 0.35, 0.6, 1.0)
 NOISES = (0.01, 0.03, 0.06, 0.12, 0.25)
-LIT_SHARE = 0.02  # of a window pixel's luminance: with more direct sun it does not show the sky
-LEAST_SKY_CDM2 = 5.0  # a darker sky is not told from the room's reflection in the glass; chosen
-LEAST_CHANGE = 0.05  # rms of ln luminance that is worth a trial: half the least sd
-FEWEST_HOURS = 5  # captures in which a patch must be seen, for its median to be its usual share
-MOST_HOURS = 48  # captures from which the likelihood chooses; bounds the time
-MOST_PATCHES = 80  # sky patches that are used; bounds the time
+# of a window pixel's luminance: with more direct sun the pixel does not show the sky; chosen
+LIT_SHARE = 0.02
+# cd/m2: a darker sky cannot be separated from the room's reflection in the glass; chosen
+LEAST_SKY_CDM2 = 5.0
+LEAST_CHANGE = 0.05  # least rms of ln luminance that is worth a test: half of the least sd; chosen
+# least number of captures that show a sky patch, so that its median is its usual share; chosen
+FEWEST_HOURS = 5
+MOST_HOURS = 48  # number of captures from which the likelihood chooses; chosen, limits the time
+MOST_PATCHES = 80  # most sky patches that are used; chosen, limits the time
 
 
 @dataclass(frozen=True, slots=True)
 class SkyField:
-    """A log-normal field over the sky: sd of ln luminance, width as a chord, noise of a patch."""
+    """A log-normal field over the sky.
+
+    sd: of ln luminance; width: as a chord; noise: sd of a patch's mean.
+    """
 
     sd: float
     width: float
@@ -68,10 +74,10 @@ class SeenSky:
 
 
 def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
-    """Return the skies that the windows showed; None where they showed no other sky than Perez's.
+    """Return the skies that windows showed; None if these do not differ from Perez's.
 
-    Each window pixel's usual share of the sky behind it (its median over the captures) is taken as
-    the glass, so that only differences between captures count.
+    Each window pixel's usual share of the sky behind it (its median over the captures) counts as
+    the glass, so that only differences between captures matter.
     """
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
     seen = ratios[np.isfinite(ratios)]
@@ -90,9 +96,10 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
 
 
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
-    """Return ln of seen over usual luminance by sky patch, and the directions of the patches.
+    """Return ln of seen over usual luminance of k sky patches, and the patches' directions.
 
-    Both are of the k patches that windows show, [n, k] and [k, 3]; NaN where a capture shows none.
+    They are [n, k] and [k, 3], for the patches that windows show; NaN if a capture does not show a
+    patch.
     """
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]
@@ -100,7 +107,8 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     valid = ~arrays.filled[:, window] & (perez > LEAST_SKY_CDM2)
     if arrays.patch is not None:
         valid &= arrays.patch[:, window] < LIT_SHARE * seen
-    if arrays.light.states is not None:  # a blind, or a lamp that the glass reflects
+    # omit hours with a blind, or with a lamp that the glass reflects
+    if arrays.light.states is not None:
         valid &= np.array([not state for state in arrays.light.states])[:, None]
     often = np.flatnonzero(valid.sum(axis=0) >= FEWEST_HOURS)
     valid, seen, perez = valid[:, often], seen[:, often], perez[:, often]
@@ -124,7 +132,7 @@ def _spread(count: int, most: int) -> NDArray[np.intp]:
 
 
 def _likeliest(ratios: Array, directions: Array) -> SkyField | None:
-    """Return the field under which the ratios are likeliest; None if it is noise alone."""
+    """Return the most likely field for the ratios; None if noise alone is as likely."""
     seen = np.flatnonzero(np.isfinite(ratios).any(axis=1))
     hours = ratios[seen[_spread(len(seen), MOST_HOURS)]]
     values = hours[np.isfinite(hours)]
@@ -157,7 +165,7 @@ def _interpolated(field: SkyField, ratios: Array, directions: Array, asked: Arra
 
 
 def _by_patches_seen(ratios: Array) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Return captures that show the same patches: indices of the patches, rows of the captures."""
+    """Group captures that show the same patches: return indices of patches and rows of captures."""
     masks, group = np.unique(np.isfinite(ratios), axis=0, return_inverse=True)
     groups = [
         (np.flatnonzero(mask), np.flatnonzero(group.ravel() == k)) for k, mask in enumerate(masks)

@@ -1,4 +1,4 @@
-"""NAME.alignment.csv next to NAME.csv of pairs: how the camera of each picture was turned."""
+"""NAME.alignment.csv next to NAME.csv of pairs: how far the camera of each picture was turned."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fieldlum.session.writing import replacing
 
 @dataclass(frozen=True, slots=True)
 class AlignmentRow:
-    """One picture; the fields are the columns.
+    """The pose of one picture; the fields are the columns.
 
     digest: of its pixels, so that another picture of the same name is compared again. Turns are
     relative to the pose of most pictures [deg]: heading clockwise, tilt up, roll clockwise.
@@ -49,7 +49,7 @@ def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
 
 
 def _row(cells: dict[str, str]) -> AlignmentRow:
-    """Return a row. Raises KeyError, TypeError or ValueError for a missing or wrong cell."""
+    """Return the row of some cells. Raises KeyError, TypeError or ValueError for a wrong cell."""
     numbers = [float(cells[name]) for name in _COLUMNS[2:8]]
     if not all(math.isfinite(number) for number in numbers):
         raise ValueError("a number that is not finite")

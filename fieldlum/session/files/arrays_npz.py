@@ -1,4 +1,4 @@
-"""Arrays of an .npz file from elsewhere: a small file cannot fill the memory."""
+"""Read the arrays of an .npz file from elsewhere; a small file cannot fill the memory."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Most bytes of a compressed member, which may hide a huge array. Models of 0.1.0 compress their
-# mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels.
+# Most bytes of a compressed member, which could expand to a huge array. Models of 0.1.0 compress
+# their mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels.
 MAX_COMPRESSED_BYTES = 16 * 2**20
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
@@ -32,7 +32,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise ValueError(f"{name} holds values that are not finite")
+            raise ValueError(f"{name} has values that are not finite")
     return arrays
 
 
@@ -51,7 +51,7 @@ def _check_members(file: IO[bytes]) -> None:
                     raise ValueError(f"{member.filename} has array format {version}")
                 shape, _, dtype = _HEADERS[version](data)
                 header = data.tell()
-            count = 1  # of Python's own integers: hostile lengths do not overflow
+            count = 1  # Python's own integers, so that hostile lengths do not overflow
             for length in shape:
                 count *= int(length)
             if dtype.hasobject or count * dtype.itemsize != member.file_size - header:

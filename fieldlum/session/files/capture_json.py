@@ -1,4 +1,4 @@
-"""raw/SLOT/capture.json: the frames of one bracket, and when they were taken."""
+"""raw/SLOT/capture.json: the frames of one bracket, and the time of each."""
 
 from __future__ import annotations
 
@@ -14,16 +14,19 @@ from fieldlum.session.tables import FrameTable
 
 FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED = "the frames of a bracket, as capture and import write them"
-_REMEDY = "restore the file from a copy, or import the card again"
+_REMEDY = "restore the file from a copy, or import the card again (fieldlum import)"
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One journalled frame: its file, relative to the slot's folder, and the file's hash."""
+    """One frame in the journal: its file, exposure, times and sha256.
+
+    file: relative to the slot's folder.
+    """
 
     index: int
     file: str
-    exposure: Exposure  # as requested; from EXIF where that differs, and then `doubt` is set
+    exposure: Exposure  # as requested; from EXIF if EXIF differs, and then `doubt` is set
     heading_deg: float | None
     t_utc: datetime
     seconds: float = 0.0  # from the request to the file on disk
@@ -58,7 +61,11 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
 
 @dataclass(frozen=True, slots=True)
 class CaptureFile:
-    """One capture.json. The interval is from the first request to the last file on disk."""
+    """The content of one capture.json.
+
+    t_open_utc is the first request to the camera; t_close_utc is when the last file was on the
+    disk.
+    """
 
     slot: str
     frames: tuple[Frame, ...]
@@ -72,7 +79,10 @@ class CaptureFile:
 
     @property
     def t_mid_utc(self) -> datetime:
-        """The bracket's time, which its panorama, pair and row of suns.csv have too."""
+        """Middle of the bracket [UTC].
+
+        Its panorama, its pair and its row of suns.csv have the same time.
+        """
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
     @classmethod
@@ -88,7 +98,7 @@ class CaptureFile:
 
     @classmethod
     def find(cls, path: Path) -> CaptureFile | None:
-        """Read the file; return None if it is missing, for frames copied into raw/SLOT."""
+        """Read the file; return None if it is missing, as for frames copied by hand."""
         return cls.read(path) if path.is_file() else None
 
     def write(self, path: Path) -> None:
@@ -111,7 +121,10 @@ class CaptureFile:
 
 
 def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
-    """Return the first request and the last file on disk. Raises ValueError without frames."""
+    """Return the times of the first request and of the last file.
+
+    Raises ValueError without frames.
+    """
     if not frames:
         raise ValueError("no frames and no t_open_utc")
     opened = min(frame.t_utc for frame in frames)

@@ -13,7 +13,7 @@ from fieldlum.session.writing import replacing
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
 MEASURED, DERIVED = "measured", "derived:dirint"
-_BLOCK_ROWS = 20_000  # texts of a million rows at once would take 300 MB
+_BLOCK_ROWS = 20_000  # the texts of a million rows at once would take 300 MB; chosen
 _AROUND_ROWS = 30  # rows on each side for the usual time between rows; not measured
 
 Array = NDArray[np.float64]
@@ -21,7 +21,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class CleanIrradiance:
-    """Arrays [n] in order of time [W/m2]; NaN is unusable. flags: words separated by spaces."""
+    """Quality-checked irradiance: arrays [n] in order of time [W/m2]; NaN is unusable.
+
+    flags: words separated by spaces.
+    """
 
     t_unix_s: Array
     ghi_wm2: Array
@@ -43,7 +46,9 @@ class CleanIrradiance:
 
         if not path.is_file():
             expected = "quality-checked irradiance"
-            remedy = "log or import irradiance, then pair"
+            remedy = (
+                "log or import irradiance (fieldlum log, fieldlum import), then run fieldlum pair"
+            )
             raise InputError(path, "no such file", expected, remedy)
         try:
             table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
@@ -54,8 +59,10 @@ class CleanIrradiance:
                 table[name].fillna("").to_numpy(object) for name in ("source", "flags")
             )
         except (ValueError, KeyError, TypeError) as error:
-            remedy = "delete it; fieldlum pair writes it again"
-            raise InputError(path, f"{error}", "what fieldlum pair writes", remedy) from None
+            remedy = "delete the file and run fieldlum pair, which writes it again"
+            raise InputError(
+                path, f"{error}", "the columns that fieldlum pair writes", remedy
+            ) from None
         return cls(t, ghi, dhi, dni, source, flags)
 
     def write(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""models/NAME/held_out.npz: measured and predicted maps of the hours behind scores.json."""
+"""models/NAME/held_out.npz: measured and predicted maps of the hours that scores.json is about."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from fieldlum.errors import InputError
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
-MOST_MAPS = 150  # in the file, spread evenly: 4 MB at 116 x 58
+MOST_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOutMaps:
-    """Hours that the fit which predicted them had not seen, in the order of the folds.
+    """Hours that were held out of the fit which predicted them, in the order of the folds.
 
     slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted, as in
-    scores.json [n]; dgp_measured, dgp_predicted: with the true sun disc [n, 10];
-    contrast_measured, contrast_predicted: of each pyramid level [n, 5] cd/m2; measured_log10,
-    predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2 %), every f-th pixel, without the
-    disc; season_deg: angle to the nearest sun that the fit had seen [n] deg.
+    scores.json [n]; dgp_measured, dgp_predicted: with the true sun disc [n, 10]; contrast_measured,
+    contrast_predicted: of each pyramid level [n, 5] cd/m2; measured_log10, predicted_log10: log10
+    of cd/m2 [n, h, w], float16 (to 0.2 %), every f-th pixel, without the disc; season_deg: angle to
+    the nearest sun in that fit's training data [n] deg.
     """
 
     slots: NDArray[np.str_]
@@ -50,7 +50,7 @@ class HeldOutMaps:
 
     @classmethod
     def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
-        """Return the hours of several tests as one; None without any test."""
+        """Return the hours of several tests as one object; None without any test."""
         if not parts:
             return None
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
@@ -70,7 +70,10 @@ class HeldOutMaps:
 
     @classmethod
     def find(cls, folder: Path) -> HeldOutMaps | None:
-        """Read the file; return None if it is missing, as in models of 0.1.0. Raises InputError."""
+        """Read the file; return None if it is missing, as in models of 0.1.0.
+
+        Raises InputError for other content.
+        """
         path = folder / "held_out.npz"
         if not path.is_file():
             return None
@@ -81,7 +84,9 @@ class HeldOutMaps:
                 return cls(*(stored[name] for name in _ARRAYS))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             expected = f"held-out maps of format 1 to {FORMAT}"
-            raise InputError(path, str(error), expected, "train the model again") from None
+            raise InputError(
+                path, str(error), expected, "train the model again (fieldlum train)"
+            ) from None
 
 
 _ARRAYS = tuple(field.name for field in fields(HeldOutMaps))

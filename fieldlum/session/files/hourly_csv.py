@@ -29,7 +29,7 @@ HOUR_COLUMNS = (
     "expected_log10_mse",
     "disturbed_share",
 )
-VIEW_COLUMNS = {  # name: digits written
+VIEW_COLUMNS = {  # name and number of digits written
     "dgp": 4,
     "u_dgp": 4,
     "dgp_low": 4,
@@ -43,17 +43,17 @@ VIEW_COLUMNS = {  # name: digits written
     "window_to_task": 2,
     "uniformity": 3,
 }
-# Version 0.1.0 did not write these columns; they are NaN for its years.
+# Version 0.1.0 did not write these columns; in its years they are NaN.
 LATER_COLUMNS = ("dgp_low", "dgp_high")
 LATER_HOUR_COLUMNS = ("disturbed_share",)
 
 
 @dataclass(frozen=True, slots=True)
 class HourlyFile:
-    """One hourly.csv.
+    """The content of one hourly.csv.
 
     hours: `HOUR_COLUMNS`, [n] each. views: `VIEW_COLUMNS`, [n, d] each, named ``metric@azimuth`` in
-    the file. NaN, an empty cell, is undefined.
+    the file. NaN, an empty cell, means undefined.
     """
 
     t_utc: tuple[datetime, ...]
@@ -63,23 +63,23 @@ class HourlyFile:
 
     @classmethod
     def read(cls, folder: Path, azimuths_deg: NDArray[np.float64], count: int) -> HourlyFile:
-        """Read `count` rows of these directions. Raises InputError for other content."""
+        """Read `count` rows of figures in some directions. Raises InputError for other content."""
         path = folder / NAME
         try:
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.reader(file))
         except OSError as error:
-            found, remedy = error.strerror or str(error), "write it with: fieldlum predict"
+            found, remedy = error.strerror or str(error), "write the file with: fieldlum predict"
             raise InputError(path, found, NAME, remedy) from None
         try:
             head, body = rows[0], rows[1:]
             if len(body) != count:
-                raise ValueError(f"{len(body)} hours, {count} in predict.json")
+                raise ValueError(f"{len(body)} hours, but {count} in predict.json")
             times = tuple(parse_utc(row[0]) for row in body)
             cells = [[float(cell) if cell else np.nan for cell in row[2:]] for row in body]
             column = dict(zip(head[2:], np.array(cells).T, strict=True))
             if column.get("format", np.ones(1)).max() > FORMAT:
-                raise ValueError(f"a format over {FORMAT}: read it with a newer fieldlum")
+                raise ValueError(f"a format over {FORMAT}: read the file with a newer fieldlum")
             blank = np.full(len(body), np.nan)
             for name in LATER_HOUR_COLUMNS:
                 column.setdefault(name, blank)
@@ -92,7 +92,7 @@ class HourlyFile:
             }
             return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
         except (ValueError, KeyError, IndexError) as error:
-            expected, remedy = "what fieldlum predict wrote", "predict again"
+            expected, remedy = "what fieldlum predict wrote", "run fieldlum predict again"
             raise InputError(path, str(error), expected, remedy) from None
 
     def write(self, folder: Path, timezone: str) -> None:

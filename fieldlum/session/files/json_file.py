@@ -1,4 +1,4 @@
-"""Read JSON objects strictly; write them so that a kill leaves the old file or the new one."""
+"""Read JSON objects strictly; write them so that an interruption leaves the old or the new file."""
 
 from __future__ import annotations
 
@@ -41,13 +41,16 @@ def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
     version = table.get("format", 1)
     if not isinstance(version, int) or not 1 <= version <= newest:
         raise InputError(
-            path, f"format {version}", f"format 1 to {newest}", "read it with a newer fieldlum"
+            path,
+            f"format {version}",
+            f"format 1 to {newest}",
+            "read the file with a newer fieldlum",
         )
     return version
 
 
 def build_known(cls: type[T], table: Mapping[str, Any], where: str) -> T:
-    """Build a frozen dataclass strictly from its keys; ignore other keys, which are additions.
+    """Build a frozen dataclass from its keys, strictly; ignore other keys, which are additions.
 
     Raises InputError for a missing key or a value of the wrong type.
     """
@@ -71,8 +74,9 @@ def from_json(cls: type[T], table: Mapping[str, Any]) -> T:
     """Build a frozen dataclass from a JSON object; convert each value to the type of its field.
 
     Other keys are additions and are ignored. Null counts as absent; an absent field gets its
-    default, or None if it may be None. A nested dataclass with a `from_table` is built by it.
-    Raises KeyError for an absent field, TypeError or ValueError for a value that does not convert.
+    default, or None if its type allows that. A nested dataclass with a method `from_table` is built
+    by that method. Raises KeyError for an absent field, TypeError or ValueError for a value that
+    cannot be converted.
     """
     values: dict[str, Any] = {}
     for name, hint, has_default in _fields_of(cls):
@@ -86,7 +90,10 @@ def from_json(cls: type[T], table: Mapping[str, Any]) -> T:
 
 
 def to_json(record: Any) -> dict[str, Any]:
-    """Return a dataclass as a JSON object, the inverse of `from_json`; a nested `table` is used."""
+    """Return a dataclass as a JSON object, as the inverse of `from_json`.
+
+    A nested object with a method `table` is stored as that method returns it.
+    """
     return {field.name: _as_json(getattr(record, field.name)) for field in fields(record)}
 
 
@@ -110,7 +117,10 @@ def _fields_of(cls: type[Any]) -> list[tuple[str, Any, bool]]:
 
 
 def _converted(hint: Any, value: Any) -> Any:
-    """Return a JSON value as the type `hint`. An empty text or object is None where that may be."""
+    """Return a JSON value as the type `hint`.
+
+    An empty text or object is None if the type allows it.
+    """
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (types.UnionType, typing.Union):
         inner = next(a for a in arguments if a is not type(None))
@@ -133,7 +143,7 @@ def _converted(hint: Any, value: Any) -> Any:
 
 
 def write_object(path: Path, table: Mapping[str, object]) -> None:
-    """Write a JSON object; arrays become lists, values of unknown types become text."""
+    """Write a JSON object; arrays become lists, and values of unknown types become text."""
     with replacing(path, "w", encoding="utf-8") as file:
         json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)
 

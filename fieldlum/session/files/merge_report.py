@@ -1,6 +1,6 @@
-"""The table `quality` of a panorama's sidecar: how well the frames of a bracket agreed.
+"""Define the table `quality` of a panorama's sidecar: how well the frames of a bracket agreed.
 
-`fieldlum merge --json` prints the same table. Its keys are a contract: additions only.
+`fieldlum merge --json` prints the same table. Its keys are a contract: keys are only added.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fieldlum.records import Exposure, JsonTable, utc_text
 from fieldlum.session.files.json_file import from_json, to_json
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 
-# Fields whose key in the file is an older name.
+# Fields whose keys in the file are older names.
 _KEYS = {
     "deviations": "exposure_told",
     "noise_over_profile": "noise_over_said",
@@ -25,10 +25,10 @@ _KEYS = {
 
 @dataclass(frozen=True, slots=True)
 class FrameQuality:
-    """One frame. correction: fitted over assumed exposure; u_percent: its standard uncertainty.
+    """How one frame fits into its bracket.
 
-    dropped_percent: share of its pixels that were left out because something moved; None where
-    this was not requested.
+    correction: fitted over assumed exposure; u_percent: its standard uncertainty. dropped_percent:
+    share of its pixels that were excluded because something moved; None if this was not requested.
     """
 
     file: str
@@ -70,7 +70,7 @@ class FrameQuality:
 
 @dataclass(frozen=True, slots=True)
 class NeighbourQuality:
-    """Disagreement [%] of two frames next to each other in exposure, after all corrections.
+    """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
 
     long, short: numbers of the frames within their heading.
     """
@@ -84,9 +84,9 @@ class NeighbourQuality:
 
 @dataclass(frozen=True, slots=True)
 class ShiftQuality:
-    """Turn of the camera between two frames, by their file names.
+    """Turn of the camera between two frames, which are named by their files.
 
-    shift_px is in sensor pixels at the lens's axis; sure_px is what three standard errors leave.
+    shift_px: in sensor pixels at the lens's axis; sure_px: the shift minus three standard errors.
     """
 
     long: str
@@ -101,8 +101,8 @@ class ShiftQuality:
 class MergeReport:
     """The figures of one merged bracket; shares are percent of the solid angle seen.
 
-    None or empty: not determined, or a sidecar of an earlier version. deviations: a text for each
-    heading whose exposures differ from the profile's. lost: frames that could not be read.
+    None or empty: not determined, or not written by the version of the sidecar. deviations: a text
+    for each heading whose exposures differ from the profile's. lost: frames that could not be read.
     """
 
     frames: tuple[FrameQuality, ...] = ()

@@ -11,15 +11,15 @@ from fieldlum.errors import InputError
 from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
 
 FORMAT = 1  # of the file; docs/file-formats.md
-# Ten times the rows that EN 17037's glare needs; a model of more pixels is no model of this tool.
+# Ten times the rows that glare by EN 17037 needs; a model with more pixels is not from this tool.
 MAX_HEIGHT = 4096
 _COMMON = ("model", "height", "width", "heading_deg", "patch", "seed")  # keys of every model
-_EXPECTED, _REMEDY = "a model folder", "train one: fieldlum train"
+_EXPECTED, _REMEDY = "a model folder", "train one with: fieldlum train"
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingNote:
-    """Training data of a model: the csv, its slots, its local standard dates."""
+    """Training data of a model: the csv, its slots, and its days in local standard time."""
 
     source: str = ""
     slots: tuple[str, ...] = ()
@@ -27,9 +27,9 @@ class TrainingNote:
 
 
 class UsedScene(TypedDict):
-    """The fitted scene that a model was trained with; absent without one.
+    """The fitted scene that a model was trained with; absent if no scene was fitted.
 
-    stated: SITE.toml as a table before the fit, stated_heading_deg that of the captures;
+    stated: SITE.toml as a table before the fit; stated_heading_deg: heading of the captures;
     room_draws: values of the room's parameters in draws from the fit's uncertainty.
     """
 
@@ -43,7 +43,10 @@ class UsedScene(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """One config.json. setup: SITE.toml as a table; state: all keys, for `from_state`."""
+    """The content of one config.json.
+
+    setup: SITE.toml as a table; state: all keys, from which `from_state` builds the model.
+    """
 
     model: str
     height: int = 0  # of its maps [px]; 0: not stated
@@ -57,7 +60,7 @@ class ModelConfig:
 
     @property
     def scene(self) -> UsedScene | None:
-        """The fitted scene that the model was trained with."""
+        """The fitted scene that the model was trained with; None if no scene was fitted."""
         return self.state.get("scene")
 
     @classmethod
@@ -66,7 +69,7 @@ class ModelConfig:
         path = folder / "config.json"
         if not path.is_file():
             raise InputError(folder, "no config.json in it", _EXPECTED, _REMEDY)
-        table = read_object(path, "JSON", "train the model again")
+        table = read_object(path, "JSON", "train the model again (fieldlum train)")
         check_format(table, FORMAT, path)
         setup = table.get("setup")
         if setup is not None and not isinstance(setup, dict):
@@ -75,7 +78,7 @@ class ModelConfig:
         config = build_known(cls, common, str(path))
         if not (0 <= config.height <= MAX_HEIGHT and config.width in (0, 2 * config.height)):
             found = f"maps of {config.width} x {config.height}"
-            raise InputError(path, found, f"W = 2H, at most {MAX_HEIGHT} rows", _REMEDY)
+            raise InputError(path, found, f"W = 2H, with at most {MAX_HEIGHT} rows", _REMEDY)
         training = build_known(TrainingNote, table.get("training") or {}, str(path))
         return replace(config, setup=setup or {}, training=training, state=table)
 

@@ -1,4 +1,4 @@
-"""pairs.csv: one row for each panorama with its light; the first four columns are required."""
+"""pairs.csv: one row for each panorama with its light; only the first four columns are required."""
 
 from __future__ import annotations
 
@@ -34,13 +34,17 @@ NEEDED = PAIR_COLUMNS[:4]
 OPTIONAL = (*PAIR_COLUMNS, "state", "refraction")
 MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement
 MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
-NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 and an unreadable time
+NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
 _YES, _NO = ("", "1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
 
 
 @dataclass(frozen=True, slots=True)
 class PairRow:
-    """One row. Paths are relative to the csv; empty: none; NaN: unknown. line: its line number."""
+    """One panorama and its light.
+
+    Paths are relative to the csv. An empty text means that there is none; NaN means unknown. line:
+    number of the line in the csv.
+    """
 
     t_utc: datetime
     panorama: str
@@ -48,7 +52,7 @@ class PairRow:
     dhi_wm2: float
     ghi_wm2: float = math.nan
     source: str = ""
-    sun_altitude_deg: float = math.nan  # true
+    sun_altitude_deg: float = math.nan  # true altitude, without refraction
     sun_azimuth_deg: float = math.nan
     steadiness: float = 0.0
     sunpatch: str = ""
@@ -56,7 +60,7 @@ class PairRow:
     ok: bool = True
     why: str = ""
     state: str = ""
-    refraction: bool = True  # False: a rendering that shows the sun at its true altitude
+    refraction: bool = True  # False for a rendering that shows the sun at its true altitude
     line: int = 0
 
 
@@ -71,17 +75,20 @@ class PairsFile:
 
     @property
     def usable(self) -> tuple[PairRow, ...]:
-        """Rows with ok = 1."""
+        """Rows with ok = 1, which training uses."""
         return tuple(row for row in self.rows if row.ok)
 
     @property
     def refused(self) -> tuple[PairRow, ...]:
-        """Rows with ok = 0."""
+        """Rows with ok = 0, which training ignores; `why` has the reason."""
         return tuple(row for row in self.rows if not row.ok)
 
     @classmethod
     def read(cls, path: Path) -> PairsFile:
-        """Read the file, without numbers of rows with ok = 0. Raises InputError with the line."""
+        """Read the file; numbers in rows with ok = 0 are not read.
+
+        Raises InputError, naming the line.
+        """
         reader = _reader(path)
         names = reader.fieldnames or ()
         rows = [_row(path, reader.line_num, cells) for cells in reader]
@@ -111,7 +118,7 @@ def _reader(path: Path) -> csv.DictReader[str]:
             path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a readable pairs.csv") from None
+        raise InputError(path, str(error), "a readable csv of pairs") from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     names = reader.fieldnames or ()
     missing = [name for name in NEEDED if name not in names]
@@ -133,21 +140,21 @@ def _separator_remedy(names: Sequence[str]) -> str:
 
 
 def _format(path: Path, names: Sequence[str]) -> int:
-    """Return the largest version in the column `format`; 1 without that column."""
+    """Return the largest version in the column `format`; 1 if there is no such column."""
     if "format" not in names:
         return 1
     texts = {(cells["format"] or "1").strip() for cells in _reader(path)}
     newest = max((int(text) if text.isdigit() else 1 for text in texts), default=FORMAT)
     if newest > FORMAT:
         raise InputError(
-            path, f"format {newest}", f"format 1 to {FORMAT}", "read it with a newer fieldlum"
+            path, f"format {newest}", f"format 1 to {FORMAT}", "read the file with a newer fieldlum"
         )
     return newest
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
     if None in cells or any(value is None for value in cells.values()):
-        found = f"line {line}: another number of cells than the header"
+        found = f"line {line}: the number of cells differs from the header"
         raise InputError(path, found, "one cell for each column")
 
     def number(name: str, default: float = math.nan) -> float:
@@ -161,7 +168,7 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
     if not text["panorama"]:
         found = f"line {line}: panorama is empty"
-        raise InputError(path, found, "a picture's path", "fill it in, or set ok = 0")
+        raise InputError(path, found, "a picture's path", "write the picture's path, or set ok = 0")
     return PairRow(
         _time(path, line, cells["t_utc"]),
         text["panorama"],
@@ -198,9 +205,9 @@ def _time(path: Path, line: int, text: str) -> datetime:
 
 
 def _is_ok(path: Path, line: int, text: str) -> bool:
-    """Return whether a row is usable; an empty cell means yes, for csv of renderings.
+    """Return whether a row is usable; an empty cell means yes, as in a csv of renderings.
 
-    Raises InputError.
+    Raises InputError for a value other than 0 and 1.
     """
     word = text.strip().lower()
     if word in _YES or word in _NO:
@@ -226,7 +233,9 @@ def _irradiance(path: Path, line: int, name: str, text: str) -> float:
     value = _number(path, line, name, text, math.nan)
     if not MIN_IRRADIANCE_WM2 <= value <= MAX_IRRADIANCE_WM2:
         expected = f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2"
-        raise InputError(path, f"line {line}: {name} is '{text}'", expected, "set ok = 0")
+        raise InputError(
+            path, f"line {line}: {name} is '{text}'", expected, "correct that cell, or set ok = 0"
+        )
     return max(value, 0.0)
 
 

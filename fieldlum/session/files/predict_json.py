@@ -23,17 +23,17 @@ NAME = "predict.json"
 
 @dataclass(frozen=True, slots=True)
 class DirectionYear:
-    """Glare of one view direction over the occupied hours; the key `class` is `glare_class`.
+    """Glare of one view direction over the occupied hours; `glare_class` is the key `class`.
 
-    seen: how much of the view the lens saw, in the words of `predict`. dgp_exceeded: DGP that
-    `share` of the hours exceed, with its 95 % interval low to high; None: unknown. hours_over:
-    count of hours above each limit of DGP.
+    seen: how much of the view lenses saw, in the words of `predict`. dgp_exceeded: DGP that is
+    exceeded in `share` of the hours, with its 95 % interval low to high; None: unknown. hours_over:
+    number of hours above each limit of DGP.
     """
 
     azimuth_deg: float
     glare_class: str
     certain: bool = False
-    seen: str = "seen"  # version 0.1.0 had no such key: every direction was fully seen
+    seen: str = "seen"  # 0.1.0 had no such key, because every direction was fully seen
     dgp_exceeded: float | None = None
     low: float | None = None
     high: float | None = None
@@ -53,7 +53,7 @@ class DirectionYear:
 
 @dataclass(frozen=True, slots=True)
 class SkyToCapture:
-    """An hour whose sky would decide an open class, in local time; worth: relative gain."""
+    """An hour whose sky would settle an open class, in local time; worth: relative gain."""
 
     date: str
     hour: str
@@ -64,7 +64,11 @@ class SkyToCapture:
 
 @dataclass(frozen=True, slots=True)
 class YearOccupancy:
-    """The occupied hours: their rule in words, count, lit ones, and the share of untrusted."""
+    """The occupied hours of a year.
+
+    text: their rule; hours: their number; lit: number of those with daylight; untrusted_share:
+    share of the lit hours for which the model does not vouch.
+    """
 
     text: str = ""
     hours: int = 0
@@ -74,7 +78,7 @@ class YearOccupancy:
 
 @dataclass(frozen=True, slots=True)
 class YearWeather:
-    """The weather of a year and its repairs."""
+    """The weather of a year, and what was repaired in it."""
 
     name: str = ""
     synthetic: bool = False
@@ -83,7 +87,7 @@ class YearWeather:
 
 @dataclass(frozen=True, slots=True)
 class PredictFile:
-    """One predict.json, as `predict --json` prints it. hours: rows of hourly.csv."""
+    """The content of one predict.json, as `predict --json` prints it; hours: rows of hourly.csv."""
 
     software: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, Any] = field(default_factory=dict)
@@ -115,7 +119,7 @@ class PredictFile:
         """Read predict.json. Raises InputError if `folder` has no complete year."""
         path = folder / NAME
         if not path.is_file():
-            expected, remedy = "a predicted year", "predict one: fieldlum predict"
+            expected, remedy = "a predicted year", "predict one with: fieldlum predict"
             raise InputError(folder, f"no {NAME} in it", expected, remedy)
         expected, remedy = "what fieldlum predict wrote", "predict again"
         table = read_object(path, expected, remedy)

@@ -1,4 +1,4 @@
-"""panoramas/quality.csv: one row for each merged bracket, for people and spreadsheets."""
+"""panoramas/quality.csv: one row for each merged bracket, to read or to open in a spreadsheet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from fieldlum.session.writing import replacing
 
 @dataclass(frozen=True, slots=True)
 class QualityRow:
-    """One row; the fields are the columns. None, an empty cell: could not be determined."""
+    """Figures of one merged bracket; the fields are the columns.
+
+    None, an empty cell, means that a figure could not be determined.
+    """
 
     slot: str
     t_utc: str

@@ -10,7 +10,7 @@ from typing import Any, NotRequired, TypedDict, cast
 from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
 
 FORMAT = 1  # of the file; docs/file-formats.md
-_REMEDY = "train the model again"
+_REMEDY = "train the model again (fieldlum train)"
 
 
 class ScoreFigures(TypedDict):
@@ -54,7 +54,7 @@ class ScoreRow(ScoreFigures):
 
 
 class CurvePoint(TypedDict):
-    """A fit of some captures: their number, held-out log10 MSE and its standard error."""
+    """A fit to some of the captures: their number, held-out log10 MSE and its standard error."""
 
     captures: int
     mse: float
@@ -62,7 +62,7 @@ class CurvePoint(TypedDict):
 
 
 class CaptureCurve(TypedDict, total=False):
-    """How many captures would have been enough; without keys for too few captures."""
+    """How many captures would have been enough; without keys if there are too few captures."""
 
     curve: list[CurvePoint]
     enough: int
@@ -86,7 +86,10 @@ class TrainAnswer(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class ScoresFile:
-    """One scores.json. models: one row per model, columns as in `train --json` (docs/cli.md)."""
+    """The content of one scores.json.
+
+    models: one row for each model, with the columns of `train --json` (docs/cli.md).
+    """
 
     models: tuple[ScoreRow, ...]
     chosen: str
@@ -99,7 +102,10 @@ class ScoresFile:
 
     @property
     def judged_row(self) -> ScoreRow | None:
-        """The chosen model's row; None if it has none, or there was no time to judge it."""
+        """Row of the chosen model.
+
+        None if the file has no row for it, or if the time limit ended before it could be judged.
+        """
         rows = (row for row in self.models if row.get("name") == self.chosen)
         row = next(rows, None)
         return row if row is not None and row.get("median") is not None else None
@@ -121,7 +127,7 @@ class ScoresFile:
 
     @classmethod
     def find(cls, folder: Path) -> ScoresFile | None:
-        """Read the file, or return None if there is none."""
+        """Read the file; return None if it is missing."""
         return cls.read(folder) if (folder / "scores.json").is_file() else None
 
     def table(self) -> TrainAnswer:

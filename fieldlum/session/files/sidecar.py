@@ -20,7 +20,7 @@ from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.folder import Session
 
 FORMAT = 1  # of the file; docs/file-formats.md
-_EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket again"
+_EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket again (fieldlum merge)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +50,8 @@ class MeasuredSun:
 class SidecarSun:
     """The sun's disc that was removed from a panorama.
 
-    Angles are the apparent ones of the ephemeris. u_mosaic_percent: uncertainty of the illuminance
-    from too few pixels under the disc. lower_bound: every frame clips in the disc.
+    Angles are apparent ones, by the ephemeris. u_mosaic_percent: uncertainty of the illuminance
+    because few pixels are under the disc. lower_bound: every frame is clipped at the disc.
     """
 
     altitude_deg: float | None = None
@@ -65,7 +65,7 @@ class SidecarSun:
 
 @dataclass(frozen=True, slots=True)
 class Sidecar:
-    """One sidecar. report: how well the bracket was merged, the key `quality` of the file."""
+    """The content of one sidecar; report: the key `quality` of the file."""
 
     slot: str
     t_utc: datetime | None = None
@@ -81,7 +81,7 @@ class Sidecar:
 
     @property
     def command_options(self) -> tuple[str, ...]:
-        """Options of `fieldlum merge` that merge another bracket in the same way."""
+        """Options of `fieldlum merge` that merge another bracket in the same way as this one."""
         height, fit = self.inputs.get("height"), self.inputs.get("fit")
         size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
         fitted = () if fit is None else ("--fit" if fit else "--no-fit",)
@@ -89,7 +89,7 @@ class Sidecar:
 
     @property
     def sun_u_percent(self) -> float:
-        """Uncertainty of the sun's illuminance from few usable pixels on the disc [%]."""
+        """Uncertainty of the sun's illuminance because few pixels are under the disc [%]."""
         return self.sun.u_mosaic_percent if self.sun else 0.0
 
     @classmethod
@@ -112,7 +112,7 @@ class Sidecar:
 
     @classmethod
     def find(cls, path: Path) -> Sidecar | None:
-        """Read the file; return None if it is missing, for a panorama copied here."""
+        """Read the file; return None if it is missing, as for a panorama copied here by hand."""
         return cls.read(path) if path.is_file() else None
 
     def write(self, path: Path) -> None:
@@ -136,7 +136,7 @@ class Sidecar:
 
 
 def newest_sidecar(session: Session) -> Sidecar | None:
-    """Return the sidecar of the latest panorama that has a readable one; None without any."""
+    """Return the sidecar of the latest panorama with a readable sidecar; None if there is none."""
     for path in reversed(session.sidecar_files()):
         try:
             return Sidecar.read(path)

@@ -17,14 +17,14 @@ _EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
 
 @dataclass(frozen=True, slots=True)
 class SunRow:
-    """One row.
+    """The sun of one panorama.
 
     panorama: path relative to the csv. bound_lx: illuminance of the sun that the picture records.
     The row belongs to the picture only while the picture records the same `bound_lx`.
     """
 
     panorama: str
-    altitude_deg: float  # apparent
+    altitude_deg: float  # apparent altitude
     azimuth_deg: float
     normal_illuminance_lx: float
     visible_fraction: float
@@ -34,7 +34,7 @@ class SunRow:
 
     @property
     def source(self) -> SunSource:
-        """The sun as an object."""
+        """The sun as a `SunSource`."""
         return SunSource(
             self.altitude_deg,
             self.azimuth_deg,

@@ -36,7 +36,9 @@ class TruthIrradiance:
             times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
             light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
         except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(path, str(error), expected, f"write it again: {remedy}") from None
+            raise InputError(
+                path, str(error), expected, f"write the file again with: {remedy}"
+            ) from None
         if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
             found = f"{len(times)} rows"
             raise InputError(path, found, "two or more sorted rows of numbers", remedy)
