@@ -138,6 +138,7 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
         "exact geometry": exact_pair(path, *exact, clock),
         "exact patches": exact,
     }
+    pairs = {name: pairs[name] for name in wanted.geometries.split(",")}
     seen = draw_pixels(user, np.random.default_rng(9), wanted.scored)
     errors = {name: error_of(*pair, seen)[0] for name, pair in pairs.items()}
     return Judged(path.stem, draw, errors, scene, offsets(path, found, stated, north, clock), cpu)
@@ -234,7 +235,7 @@ def judge_rooms(wanted: argparse.Namespace) -> None:
                 label = f"{name}, {number} clear hours" if number.isdigit() else name
                 label = f"{name}, two days" if number == "two-days" else label
                 print(replace(row, name=label).row, flush=True)
-                if number:
+                if number or wanted.verdicts:
                     print(f"   {row.scene.verdict}; {'; '.join(row.scene.notes)}", flush=True)
     print("\n" + summary(rows))
 
@@ -246,7 +247,10 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--scored", type=int, default=1500, help="pixels that errors are taken at")
     parser.add_argument("--pixels", type=int, default=PIXELS, help="pixels of the fit's evidence")
+    every = ",".join(GEOMETRIES)
+    parser.add_argument("--geometries", default=every, help="of which errors are taken")
     parser.add_argument("--pictures", type=Path, help="folder for overlays, windows and plans")
+    parser.add_argument("--verdicts", action="store_true", help="print the verdicts' reasons")
     parser.add_argument("--few", default="", help="numbers of clear hours that stay, or two-days")
     judge_rooms(parser.parse_args())
 

@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence
 from fieldlum.scene_fit.guess import Bar, Guess
-from fieldlum.scene_fit.renderer import lit_entries, surfaces
+from fieldlum.scene_fit.renderer import OUTSIDE, lit_entries, surfaces
+from fieldlum.scene_fit.window_view import WindowView
 
 Array = NDArray[np.floating]
 
@@ -96,6 +97,31 @@ def window_picture(
     mean, *_ = np.histogram2d(z[use], u[use], (z_m, u_m), weights=w * v)
     with np.errstate(divide="ignore", invalid="ignore"):
         return WindowPicture(np.where(total > 0, mean / total, 0.0), total, u_m, z_m)
+
+
+def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
+    """Return the brightness of window `number` as the camera sees it, over that of its panes."""
+    rect = guess.windows[number]
+    axis, side = WALLS[rect.wall]
+    along = 1 - axis
+    bare = replace(guess, bars=())
+    share = view.shares(bare)
+    pane = view.levels(share)[view.row]  # [q]
+    inner = guess.size_m[axis] if side else 0.0
+    ends = surfaces(bare, view.rays)
+    toward = view.rays @ bare.camera_turn.T.astype(np.float32)
+    outward = toward[:, axis] * (1.0 if side else -1.0)
+    use = (ends.surface == OUTSIDE) & (np.abs(ends.position_m[:, axis] - inner) < 1e-3)
+    use &= share[view.pixel, 0] > _LIT_SHARE
+    slope = guess.thickness_m / 2.0 / outward[use]
+    u = ends.position_m[use, along] + slope * toward[use, along]
+    z = ends.position_m[use, 2] + slope * toward[use, 2]
+    value = np.clip(view.seen / np.maximum(pane, 0.1), 0.0, 1.2)[view.pixel[use]]
+    u_m = np.arange(rect.u_m[0], rect.u_m[1] + CELL_M, CELL_M)
+    z_m = np.arange(rect.z_m[0], rect.z_m[1] + CELL_M, CELL_M)
+    total, *_ = np.histogram2d(z, u, (z_m, u_m))
+    mean, *_ = np.histogram2d(z, u, (z_m, u_m), weights=value)
+    return WindowPicture(mean / np.maximum(total, 1.0), total, u_m, z_m)
 
 
 def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:

@@ -18,6 +18,7 @@ from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.light_below import LEAST_CDM2, levelled, light_below
 from fieldlum.scene_fit.renderer import SHELL, Surfaces, lit_entries, surfaces, unit_patches
+from fieldlum.scene_fit.window_view import WindowView, window_view
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -46,7 +47,8 @@ class SceneEvidence:
 
     log_seen, below [n, m]: ln of the captured luminance, and the light below any patch [cd/m2];
     direct_lx [n]; weights [m], of sum 1; rays [r, 3] in stated world axes, pixel [r]; days [n];
-    clock [c, n, 2]: altitude and azimuth if the stated time were -20 ... 20 min late.
+    clock [c, n, 2]: altitude and azimuth if the stated time were -20 ... 20 min late. view: what
+    the camera sees of the windows, the same at all hours.
     """
 
     log_seen: Array
@@ -60,6 +62,7 @@ class SceneEvidence:
     rows: NDArray[np.intp]
     pixels: NDArray[np.intp]
     shape: tuple[int, int]
+    view: WindowView
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -78,7 +81,8 @@ class SceneEvidence:
 
     def thinned(self, every: int) -> SceneEvidence:
         """Return the evidence of every n-th pixel."""
-        return self.at_pixels(np.arange(0, len(self.pixels), every))
+        thin = self.at_pixels(np.arange(0, len(self.pixels), every))
+        return replace(thin, view=self.view.thinned(every))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
         """Return the evidence of some pixels, by their indices [k]."""
@@ -249,6 +253,7 @@ def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) ->
         rows,
         chosen,
         data.shape,
+        window_view(data, guess),
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 

@@ -1,4 +1,4 @@
-"""Objects outside a window that shade it: a facade opposite, a wing at one side, a canopy."""
+"""What shades a window: a facade opposite, a canopy, a blind, an upper edge that is not level."""
 
 from __future__ import annotations
 
@@ -30,6 +30,9 @@ CANOPY_THICKNESS_M = 0.1
 THINNEST_M = 0.08
 CANOPY_OVERHANG_M = 1.5
 COVERED_SHARES = (0.15, 0.3, 0.45, 0.6, 0.75)
+# Of half a window's width (1: a half circle) and of its height; chosen, not varied.
+ARCH_SHARES = (0.3, 0.6, 1.0)
+SLANT_SHARES = (0.25, 0.5)
 ALBEDO = 0.4
 
 Side = Literal["all", "low", "high"]
@@ -125,6 +128,20 @@ def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]
 
     faces = [face(which, axis) for axis in (0, 1, 2) for which in ("low_m", "high_m")]
     return [*faces, slide(0), slide(1), slide(2)]
+
+
+def propose_shapes(guess: Guess) -> list[Guess]:
+    """Return the guess with an arched or slanted upper edge of one window, on a coarse grid."""
+    proposals: list[Guess] = []
+    for number, rect in enumerate(guess.windows):
+        half, height = (0.5 * (rect.u_m[1] - rect.u_m[0]), rect.z_m[1] - rect.z_m[0])
+        arches = [(min(share * half, 0.8 * height), 0.0) for share in ARCH_SHARES]
+        slants = [(0.0, sign * share * height) for share in SLANT_SHARES for sign in (1.0, -1.0)]
+        for arch, slant in arches + slants:
+            shaped = replace(rect, arch_m=arch, slant_m=slant)
+            windows = (*guess.windows[:number], shaped, *guess.windows[number + 1 :])
+            proposals.append(replace(guess, windows=windows))
+    return proposals
 
 
 def propose_covers(guess: Guess) -> list[Bar]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
@@ -27,6 +28,7 @@ from fieldlum.scene_fit.scene_search import (
     SceneSearch,
     StatedRoom,
 )
+from fieldlum.scene_fit.verdict import outside_hours
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -45,6 +47,7 @@ class SceneFit:
     room: the fitted box in the stated world axes; `north_deg` and `clock_min` say how north and
     clock differ from those stated. u: standard uncertainties by parameter name. before and after:
     values by parameter name. albedo [6 + solids]. room_draws: see `posterior.Posterior`.
+    before_last: guess and room before the last search, which alone uses all hours.
     """
 
     stated: Room
@@ -59,6 +62,14 @@ class SceneFit:
     hours: int
     notes: tuple[str, ...]
     room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    before_last: tuple[Guess, Room] | None = None
+
+    @property
+    def outside_view(self) -> SceneFit:
+        """The fit before the hours outside the search were used."""
+        if self.before_last is None:
+            return self
+        return replace(self, guess=self.before_last[0], room=self.before_last[1])
 
 
 def fit_scene(
@@ -79,11 +90,10 @@ def fit_scene(
     """
     progress(0, 100, "light below the patches")
     evidence = gather(data, room, pixels=pixels, seed=seed)
-    number = np.arange(len(evidence))
-    kept_out = number % KEPT_OUT_EVERY == KEPT_OUT_EVERY - 1
+    kept_out = _kept_out(data, room, evidence)
     prior = StatedRoom(room, pose, clock_sd_min)
     search = SceneSearch(data, evidence, np.flatnonzero(~kept_out), np.flatnonzero(kept_out), prior)
-    guess = search.start
+    guess = search.windows(search.start)
     progress(5, 100, "north, clock and box")
     guess = search.box(guess)
     progress(20, 100, "bars")
@@ -101,6 +111,7 @@ def fit_scene(
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
     guess = search.polish(guess, search.fit_hours)
     misfits = search.misfits(guess)
+    before_last = guess
     guess = search.polish(guess, np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
@@ -113,6 +124,7 @@ def fit_scene(
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
+    room_before_last = _with_albedo(room_of(before_last, room), search.albedo)
     notes = tuple(_notes(u, evidence))
     progress(100, 100, "")
     return SceneFit(
@@ -128,7 +140,22 @@ def fit_scene(
         len(evidence),
         notes,
         spread.room_draws,
+        (before_last, room_before_last),
     )
+
+
+def _kept_out(data: Dataset, room: Room, evidence: SceneEvidence) -> NDArray[np.bool_]:
+    """Return which hours of the evidence the search does not see, [n]: blocks of sun directions.
+
+    With fewer than three blocks it is every third hour.
+    """
+    try:
+        kept_out = outside_hours(data, room)[evidence.rows]
+    except NotEnoughDataError:
+        kept_out = np.zeros(len(evidence), bool)
+    if not kept_out.any() or kept_out.all():
+        kept_out[KEPT_OUT_EVERY - 1 :: KEPT_OUT_EVERY] = True
+    return kept_out
 
 
 def _with_albedo(room: Room, albedo: Array) -> Room:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -19,15 +20,34 @@ from fieldlum.scene.geometry import WALLS, build
 
 Array = NDArray[np.floating]
 
+ARCH_STEPS = 12  # chosen: stairs of 1 to 13 cm in a half circle 2 m wide
+
 
 @dataclass(frozen=True, slots=True)
 class WindowRect:
-    """A window's opening: along the wall `u_m` (x or y, whichever is free), in height `z_m`."""
+    """A window's opening: along the wall `u_m` (x or y, whichever is free), in height `z_m`.
+
+    arch_m: how far the ends of the upper edge are below its middle, along half an ellipse.
+    slant_m: how far its end at `u_m[1]` is below that at `u_m[0]`, along a straight line.
+    """
 
     wall: Literal["south", "west", "north", "east"]
     u_m: tuple[float, float]
     z_m: tuple[float, float]
     transmittance: float
+    arch_m: float = 0.0
+    slant_m: float = 0.0
+
+    @property
+    def is_rectangle(self) -> bool:
+        """Whether the upper edge is level."""
+        return self.arch_m == 0.0 and self.slant_m == 0.0
+
+    def top_m(self, u: Array) -> Array:
+        """Return the height of the upper edge at places along the wall, [k]."""
+        x = np.clip((2.0 * u - sum(self.u_m)) / (self.u_m[1] - self.u_m[0]), -1.0, 1.0)
+        arch = self.arch_m * (1.0 - np.sqrt(1.0 - x**2))
+        return self.z_m[1] - arch - abs(self.slant_m) * (1.0 + np.sign(self.slant_m) * x) / 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,15 +99,25 @@ class Guess:
     @property
     def turn(self) -> Array:
         """Return the room's axes in the stated world axes as rows: room = turn @ world, [3, 3]."""
-        azimuth = np.radians(self.wall_azimuth_deg)
-        x = (-np.cos(azimuth), np.sin(azimuth), 0.0)
-        y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
-        return np.array([x, y, (0.0, 0.0, 1.0)])
+        return _turn(self.wall_azimuth_deg)
 
     @property
     def camera_turn(self) -> Array:
         """Return the rotation from the picture's stated world axes to room axes, [3, 3]."""
-        return self.turn @ rotation(0.0, self.tilt_deg, self.roll_deg, self.axis_deg)
+        return _camera_turn(self.wall_azimuth_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
+
+
+@lru_cache(maxsize=64)  # a search evaluates the same angles in many scenes
+def _turn(azimuth_deg: float) -> Array:
+    azimuth = np.radians(azimuth_deg)
+    x = (-np.cos(azimuth), np.sin(azimuth), 0.0)
+    y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
+    return np.array([x, y, (0.0, 0.0, 1.0)])
+
+
+@lru_cache(maxsize=64)
+def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Array:
+    return _turn(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
 
 
 def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
@@ -155,6 +185,11 @@ def room_of(guess: Guess, stated: Room) -> Room:
     windows = tuple(_window(guess, rect) for rect in guess.windows)
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
     solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
+    blocks = tuple(
+        _obstruction(s.low_m, s.high_m, s.albedo)
+        for rect in guess.windows
+        for s in _blocks(guess, rect, stated.reflectance_walls)
+    )
     return replace(
         stated,
         width_m=guess.size_m[0],
@@ -167,7 +202,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
         camera_roll_deg=guess.roll_deg,
         wall_thickness_m=guess.thickness_m,
         window=windows,
-        obstruction=bars + solids,
+        obstruction=bars + solids + blocks,
     )
 
 
@@ -177,6 +212,25 @@ def _window(guess: Guess, rect: WindowRect) -> Window:
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
     left = length - u1 if rect.wall in ("south", "east") else u0
     return Window(rect.wall, left, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
+
+
+def _blocks(guess: Guess, rect: WindowRect, albedo: float) -> list[Solid]:
+    """Return boxes within the wall above an upper edge that is not level: its stairs."""
+    if rect.is_rectangle:
+        return []
+    angle = np.linspace(np.pi, 0.0, ARCH_STEPS + 1)
+    u = np.mean(rect.u_m) + 0.5 * (rect.u_m[1] - rect.u_m[0]) * np.cos(angle)
+    tops = rect.top_m((u[1:] + u[:-1]) / 2.0)
+    axis, side = WALLS[rect.wall]
+    inner = guess.size_m[axis] if side else 0.0
+    across = (inner, inner + guess.thickness_m) if side else (-guess.thickness_m, 0.0)
+    blocks: list[Solid] = []
+    for u0, u1, top in zip(u[:-1], u[1:], tops, strict=True):
+        low, high = [0.0, 0.0, min(float(top), rect.z_m[1] - 0.001)], [0.0, 0.0, rect.z_m[1]]
+        low[axis], high[axis] = across
+        low[1 - axis], high[1 - axis] = float(u0), float(u1)
+        blocks.append(Solid((low[0], low[1], low[2]), (high[0], high[1], high[2]), albedo))
+    return blocks
 
 
 def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:

@@ -143,6 +143,30 @@ def _window_parameters(number: int) -> list[Parameter]:
     return [edge("u_m", 0), edge("u_m", 1), edge("z_m", 0), edge("z_m", 1)]
 
 
+def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
+    """Return arch and slant of a window's upper edge as parameters without a prior."""
+
+    def changed(name: str) -> Change:
+        def change(g: Guess, by: float) -> Guess:
+            rect = g.windows[number]
+            value = getattr(rect, name) + by
+            if name == "arch_m" and value < 0.0:
+                return g
+            moved = replace(rect, **{name: value})
+            return replace(g, windows=(*g.windows[:number], moved, *g.windows[number + 1 :]))
+
+        return change
+
+    def read(name: str) -> Callable[[Guess], float]:
+        return lambda g: getattr(g.windows[number], name)
+
+    if guess.windows[number].is_rectangle:
+        return []
+    names = ("arch_m", "slant_m")
+    label = f"window {number + 1}"
+    return [Parameter(f"{label} {n}", read(n), changed(n), 0.08, 0.01, np.inf) for n in names]
+
+
 def bar_parameters(guess: Guess) -> list[Parameter]:
     """Return place, width and depth of each bar as parameters without a prior."""
     parameters: list[Parameter] = []

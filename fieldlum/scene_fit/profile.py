@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.parameters import Parameter
 from fieldlum.scene_fit.search import Objective, along_valley, pattern_search
@@ -30,7 +27,7 @@ def reach_of(objective: Objective, guess: Guess, names: Sequence[str]) -> dict[s
     parameters = objective.parameters
     reach = dict.fromkeys((p.name for p in parameters), 0.0)
     base, _ = pattern_search(objective, guess, parameters, coarse=0.25, fine=2.0)
-    least = _misfits(objective, base)
+    least = objective.misfits(base)
     for name in names:
         others = [p for p in parameters if p.name != name]
         for sign in (1.0, -1.0):
@@ -40,7 +37,7 @@ def reach_of(objective: Objective, guess: Guess, names: Sequence[str]) -> dict[s
                 start = _moved(parameters, trial, name, sign * (distance - moved))
                 trial, _ = pattern_search(objective, start, others, coarse=0.5, fine=2.0)
                 moved = distance
-                if not is_no_worse(_misfits(objective, trial), least, objective.evidence.days):
+                if not is_no_worse(objective.misfits(trial), least, objective.evidence.days):
                     break
                 for p in parameters:
                     off = min(abs(p.read(trial) - p.read(guess)), p.sd)
@@ -53,9 +50,3 @@ def _moved(parameters: Sequence[Parameter], guess: Guess, name: str, by: float) 
     if name == CLOCK:
         return along_valley(guess, by)
     return next(p for p in parameters if p.name == name).change(guess, by)
-
-
-def _misfits(objective: Objective, guess: Guess) -> NDArray[np.floating]:
-    """Return the misfit of each hour, [n]."""
-    residuals = objective.residuals(guess).reshape(len(objective.evidence), -1)
-    return (residuals**2).sum(axis=1) * len(objective.evidence)

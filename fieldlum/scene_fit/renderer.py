@@ -23,6 +23,7 @@ Array = NDArray[np.floating]
 WEST, EAST, SOUTH, NORTH, FLOOR, CEILING = range(6)
 SHELL = 6  # solids are numbered from here on
 OUTSIDE = -1  # a ray that leaves through a window
+PANE, SILL, HEAD, JAMB, BAR = range(5)  # what a ray into an opening sees
 _AHEAD_M = 1e-3  # chosen: a surface does not shade itself, and no object is as thin
 _GRAZING = 1e-4  # chosen: cosine of a sun 0.006 degrees above the glass, which lets nothing in
 _SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero
@@ -137,8 +138,43 @@ def _in_window(guess: Guess, position: Array, surface: NDArray) -> NDArray[np.bo
         along = 1 - WALLS[rect.wall][0]
         u, z = position[:, along], position[:, 2]
         on_wall = surface == _wall_surface(rect.wall)
-        found |= on_wall & _within(u, rect.u_m) & _within(z, rect.z_m)
+        found |= on_wall & _within(u, rect.u_m) & _within(z, rect.z_m) & _below_top(rect, u, z)
     return found
+
+
+def _below_top(rect: WindowRect, u: Array, z: Array) -> NDArray[np.bool_]:
+    """Return which points of a window's plane are below an upper edge that is not level, [k]."""
+    return np.ones(len(u), bool) if rect.is_rectangle else z < rect.top_m(u)
+
+
+def seen_in_opening(guess: Guess, position: Array, direction: Array) -> NDArray[np.int8]:
+    """Return what rays that enter an opening see: `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR`, [r].
+
+    position, direction [r, 3]: on the wall's inner face and outwards, in room axes.
+    """
+    shown = np.full(len(position), BAR, np.int8)
+    for number, rect in enumerate(guess.windows):
+        axis, side = WALLS[rect.wall]
+        along = 1 - axis
+        toward = direction[:, axis] * (1.0 if side else -1.0)
+        inner = guess.size_m[axis] if side else 0.0
+        here = (np.abs(position[:, axis] - inner) < _AHEAD_M) & (toward > _GRAZING)
+        here &= _within(position[:, along], rect.u_m)
+        here &= _within(position[:, 2], rect.z_m)
+        rows = np.flatnonzero(here)
+        u, z = position[rows, along], position[rows, 2]
+        slope_u, slope_z = (direction[rows, k] / toward[rows] for k in (along, 2))
+        outer_u, outer_z = u + slope_u * guess.thickness_m, z + slope_z * guess.thickness_m
+        sees = np.full(len(rows), PANE, np.int8)
+        for bar in guess.bars:
+            if bar.window == number:
+                at, slope = (u, slope_u) if bar.upright else (z, slope_z)
+                sees[_meets(bar, at, slope)] = BAR
+        sees[~_within(outer_u, rect.u_m)] = JAMB
+        sees[outer_z > (rect.z_m[1] if rect.is_rectangle else rect.top_m(outer_u))] = HEAD
+        sees[outer_z < rect.z_m[0]] = SILL
+        shown[rows] = sees
+    return shown
 
 
 def _within(value: Array, span: tuple[float, float]) -> NDArray[np.bool_]:
@@ -205,6 +241,8 @@ def _through(
     column = ends.axis[inside] + np.where(ends.sign[inside] > 0.0, 0, 3)  # [r]
     cosine = facing[h, column[r]]
     keep = cosine > 0.0
+    if not rect.is_rectangle:
+        keep &= _below_top(rect, u, z) & _below_top(rect, u + slope_u[h] * t, z + slope_z[h] * t)
     for bar in guess.bars:
         if bar.window == number:
             at, slope = (u, slope_u) if bar.upright else (z, slope_z)

@@ -3,33 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.records import Room
-from fieldlum.scene_fit.bars import MAX_BAR_M, MIN_BAR_M, propose_bars, window_picture
+from fieldlum.scene_fit.bars import (
+    MAX_BAR_M,
+    MIN_BAR_M,
+    propose_bars,
+    seen_picture,
+    window_picture,
+)
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.exterior import (
     exterior_parameters,
     is_outside,
     propose_covers,
     propose_exterior,
+    propose_shapes,
 )
 from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_parameters
-from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.parameters import (
     SUN_DEG_PER_MIN,
     Parameter,
     bar_parameters,
     room_parameters,
+    shape_parameters,
     stated_albedo,
 )
+from fieldlum.scene_fit.profile import WALL
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
     PRIOR_SHARE,
     Objective,
+    aimed,
     along_valley,
     pattern_search,
     principal_search,
@@ -49,6 +60,7 @@ KEPT_OUT_EVERY = 3
 START_CLOCKS_MIN = (-6.0, 0.0, 6.0)
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
+RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
 COARSE_PIXELS_EVERY = 3
 BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
 # the same for a solid; a proposal that only explains noise gains less (docs/scene.md)
@@ -60,6 +72,22 @@ MAX_SOLIDS = 8
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SHADE_GAIN = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class ViewCost:
+    """The cost of a guess without its sun patches: the windows' picture and the prior."""
+
+    objective: Objective
+
+    @property
+    def pose(self) -> PosePrior | None:
+        """The pose's prior, as in `Objective`."""
+        return self.objective.pose
+
+    def __call__(self, guess: Guess) -> float:
+        """Return the cost of a guess."""
+        return self.objective.without_patches(guess)
 
 
 @dataclass(frozen=True)
@@ -139,6 +167,32 @@ class SceneSearch:
         """The evidence of the hours that the search uses."""
         return self.evidence.hours(self.fit_hours)
 
+    def windows(self, guess: Guess) -> Guess:
+        """Search edges, bars and the walls' azimuth in the picture of the windows alone.
+
+        Without its bars a window bends the walls' azimuth, which later searches do not correct.
+        """
+        if not self.evidence.view.weights.any():
+            return guess
+        cost = ViewCost(self.objective(self.evidence))
+        turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
+        tries: list[tuple[Guess, float]] = []
+        for turn_deg in RESTART_TURNS_DEG:
+            trial, _ = pattern_search(cost, turned(guess, turn_deg), self.parameters, fine=2.0)
+            proposals: list[Bar] = []
+            for number in range(len(trial.windows)):
+                picture = seen_picture(self.evidence.view, trial, number)
+                proposals += propose_bars(picture, trial, number)
+            trial = replace(trial, bars=(*trial.bars, *proposals))
+            both = [*self.parameters, *bar_parameters(trial)]
+            tries.append(pattern_search(cost, trial, both, fine=2.0))
+        best, least = min(tries, key=lambda pair: pair[1])
+        for bar in best.bars[len(guess.bars) :]:
+            without = replace(best, bars=tuple(b for b in best.bars if b is not bar))
+            if cost(without) < (1.0 + BAR_GAIN) * least:
+                best, least = without, cost(without)
+        return best
+
     def box(self, guess: Guess) -> Guess:
         """Search north, clock, sizes, camera, window edges and shades from several clocks.
 
@@ -163,17 +217,27 @@ class SceneSearch:
         return principal_search(self.objective(self.fit_evidence), guess, self.parameters)[0]
 
     def shaded(self, guess: Guess) -> Guess:
-        """Add blinds, curtains, facades and canopies while they take enough misfit away."""
+        """Add blinds, facades, canopies and arches while they take enough misfit away."""
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
         for _ in range(MAX_SHADES):
-            trial = min((self._covered(guess, coarse), self._faced(guess)), key=coarse)
+            trials = [self._covered(guess, coarse), self._faced(guess), self._shaped(guess, coarse)]
+            trial = min(trials, key=coarse)
             if coarse(trial) > coarse(guess) * (1.0 - SHADE_GAIN):
                 return guess
-            trial, _ = pattern_search(coarse, trial, self.parameters, fine=4.0)
+            both = [*self.parameters, *self._shape_parameters(trial)]
+            trial, _ = pattern_search(coarse, trial, both, fine=4.0)
             if not self._pays(guess, trial, SHADE_GAIN):
                 return guess
             guess = trial
         return guess
+
+    def _shape_parameters(self, guess: Guess) -> list[Parameter]:
+        return [p for number in range(len(guess.windows)) for p in shape_parameters(guess, number)]
+
+    def _shaped(self, guess: Guess, coarse: Objective) -> Guess:
+        """Return the guess with the arched or slanted window that lowers the misfit most."""
+        trial = min(propose_shapes(guess), key=coarse)
+        return pattern_search(coarse, trial, self._shape_parameters(trial), fine=2.0)[0]
 
     def _covered(self, guess: Guess, coarse: Objective) -> Guess:
         """Return the guess with the blind or curtain that lowers the misfit most."""
@@ -254,7 +318,7 @@ class SceneSearch:
         return guess
 
     def _solid_cost(self, evidence: SceneEvidence, guess: Guess, albedo: Array) -> SolidCost:
-        return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
+        return SolidCost(evidence, guess, albedo, self.objective(evidence).without_patches(guess))
 
     def pruned(self, guess: Guess) -> Guess:
         """Return the guess without the bars and solids that no longer lower the misfit enough."""
@@ -288,10 +352,12 @@ class SceneSearch:
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
         tries = [pattern_search(coarse, guess, self.parameters, coarse=0.25, fine=2.0)]
-        for later in RESTART_CLOCKS_MIN if self.stated.is_clock_open else (0.0,):
-            start = along_valley(guess, later)
+        turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
+        clocks = RESTART_CLOCKS_MIN if self.stated.is_clock_open else (0.0,)
+        for later, turn_deg in product(clocks, RESTART_TURNS_DEG):
+            start = turned(along_valley(guess, later), turn_deg)
             for p in self.parameters:
-                start = p.change(start, float(rng.normal(0.0, p.first_step)))
+                start = p.change(start, float(rng.normal(0.0, 0.5 * p.first_step)))
             tries.append(pattern_search(coarse, start, self.parameters, coarse=0.5, fine=2.0))
         best, least = min(tries, key=lambda pair: pair[1])
         alike = [trial for trial, cost in tries if cost < SAME_COST * least]
@@ -303,7 +369,7 @@ class SceneSearch:
     def polish(self, guess: Guess, hours: NDArray[np.intp], every: int = 1) -> Guess:
         """Search all numbers together in small steps, at every n-th pixel of hours [k]."""
         objective = self.objective(self.evidence.hours(hours).thinned(every))
-        parameters: list[Parameter] = [*self.parameters, *bar_parameters(guess)]
+        parameters = [*self.parameters, *self._shape_parameters(guess), *bar_parameters(guess)]
         for number, solid in enumerate(guess.solids):
             outside = is_outside(guess, solid)
             parameters += exterior_parameters(number) if outside else solid_parameters(number)

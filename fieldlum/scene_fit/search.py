@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import WIDTH, SceneEvidence
-from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
 from fieldlum.scene_fit.parameters import POSE_NAMES, SUN_DEG_PER_MIN, Change, Parameter
 from fieldlum.scene_fit.renderer import SHELL
 
@@ -24,11 +25,11 @@ Array = NDArray[np.floating]
 
 # Chosen, not varied. The first step along a principal axis changes the cost by `_PRINCIPAL_GAIN`,
 # but is at most `_LONGEST_STEPS` first steps of the parameters. After `MAX_MOVES` in one direction
-# the other numbers have their turn. A gain below `MIN_GAIN_SHARE` of the cost is rounding.
+# the other numbers have their turn. A gain below `MIN_GAIN_SHARE` of the cost is noise.
 _LONGEST_STEPS = 3.0
 _PRINCIPAL_GAIN = 0.02
 MAX_MOVES = 6
-MIN_GAIN_SHARE = 1e-5
+MIN_GAIN_SHARE = 1e-4
 # Of the stated misfit: what one standard deviation of one number must pay. With a third of it the
 # coarse search of a room with a canopy moved the clock by 13 minutes (bench/scene_rooms.py).
 PRIOR_SHARE = 0.0015
@@ -65,15 +66,28 @@ class Objective:
     def __call__(self, guess: Guess) -> float:
         """Return the mean misfit of a guess plus its prior."""
         self.count += 1
-        return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.prior(guess)
+        return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.without_patches(guess)
+
+    def without_patches(self, guess: Guess) -> float:
+        """Return what does not depend on the hours: the windows' picture and the prior."""
+        return self.evidence.view.misfit(guess) + self.prior(guess)
+
+    def misfits(self, guess: Guess) -> Array:
+        """Return the misfit of each hour's patches, [n].
+
+        The windows' picture is left out: it has no hours, and its reveals of one luminance are a
+        rough model, which would make uncertainties too small.
+        """
+        return self.evidence.misfit(self.evidence.patches(guess, self._albedo(guess)))
 
     def residuals(self, guess: Guess) -> Array:
-        """Return numbers [n m] whose squares add up to the misfit."""
+        """Return numbers [n m + q] whose squares add up to the misfit."""
         evidence = self.evidence
         patch = evidence.patches(guess, self._albedo(guess))
         error = np.log(evidence.below + patch) - evidence.log_seen  # [n, m]
         scale = np.sqrt(evidence.weights / len(evidence))
-        return (scale * error / np.sqrt(error**2 + WIDTH**2)).ravel()
+        patches = (scale * error / np.sqrt(error**2 + WIDTH**2)).ravel()
+        return np.concatenate([patches, self.evidence.view.residuals(guess)])
 
     def _albedo(self, guess: Guess) -> Array:
         return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
@@ -127,7 +141,7 @@ def principal_search(
     columns = [
         2.0 * (objective.residuals(p.change(guess, 0.5 * p.first_step)) - base) for p in parameters
     ]
-    slopes = np.stack(columns, axis=1)  # [n m, p] per first step
+    slopes = np.stack(columns, axis=1)  # [n m + q, p] per first step
     values, vectors = np.linalg.eigh(slopes.T @ slopes + _prior_curvature(objective, parameters))
     moves: list[tuple[str, Change, float, float]] = []
     for k, value in enumerate(values):
@@ -200,7 +214,8 @@ def compound_moves(
 
     Each has a name, the change, the first and the last step. A search along single numbers stops
     in such valleys: north and clock; a window, the camera and a wall that shift together; a
-    window's two edges; the wall and north.
+    window's two edges; the wall and north; the camera's place or the walls' azimuth with windows
+    that stay where the camera sees them.
     """
     by_name = {p.name: p.change for p in parameters}
 
@@ -232,12 +247,88 @@ def compound_moves(
                 continue
             free = across if rect.wall in ("south", "north") else along
             slide = [(left, 1.0), (right, 1.0)]
-            moves.append((f"slide {number}", together(*slide), 0.04, 0.004))
-            moves.append((f"lift {number}", together((low, 1.0), (high, 1.0)), 0.04, 0.004))
-            moves.append((f"grow {number}", together((left, -1.0), (right, 1.0)), 0.04, 0.004))
-            moves.append((f"shell {number}", together(*slide, *free), 0.04, 0.004))
-            moves.append((f"camera {number}", together(*slide, free[0]), 0.04, 0.004))
+            for label, parts in (
+                (f"slide {number}", slide),
+                (f"lift {number}", [(low, 1.0), (high, 1.0)]),
+                (f"grow {number}", [(left, -1.0), (right, 1.0)]),
+                (f"shell {number}", [*slide, *free]),
+            ):
+                moves.append((label, _with_bars(together(*parts)), 0.04, 0.004))
+    for name in (name for name in _AIMED if name in by_name):
+        step, last = _AIMED[name]
+        moves.append((f"aimed {name}", aimed(by_name[name]), step, last))
     return moves
+
+
+# Numbers that move the windows in the picture, with the first and the last step of moves in which
+# the windows follow: those of the number alone.
+_AIMED = {
+    "wall_azimuth_deg": (0.5, 0.03),
+    "camera_x_m": (0.04, 0.004),
+    "camera_y_m": (0.04, 0.004),
+    "tilt_deg": (0.25, 0.03),
+    "roll_deg": (0.25, 0.03),
+}
+
+
+def aimed(change: Change) -> Change:
+    """Return a change after which the camera sees windows, bars and furniture where it did."""
+
+    def follow(guess: Guess, by: float) -> Guess:
+        moved = change(guess, by)
+        turn = moved.camera_turn @ guess.camera_turn.T  # from the old room axes to the new ones
+        windows = tuple(_followed(guess, moved, rect, turn) for rect in guess.windows)
+        solids = tuple(_solid_followed(guess, moved, solid, turn) for solid in guess.solids)
+        return replace(moved, windows=windows, solids=solids)
+
+    return _with_bars(follow)
+
+
+def _with_bars(change: Change) -> Change:
+    """Return a change of windows that their bars follow, with their own widths."""
+
+    def follow(bar: Bar, before: WindowRect, after: WindowRect) -> Bar:
+        old, new = (before.u_m, after.u_m) if bar.upright else (before.z_m, after.z_m)
+        middle = sum(bar.span_m) / 2.0
+        share = (middle - old[0]) / (old[1] - old[0])
+        shift = new[0] + share * (new[1] - new[0]) - middle
+        return replace(bar, span_m=(bar.span_m[0] + shift, bar.span_m[1] + shift))
+
+    def apply(guess: Guess, by: float) -> Guess:
+        moved = change(guess, by)
+        bars = [follow(b, guess.windows[b.window], moved.windows[b.window]) for b in moved.bars]
+        return replace(moved, bars=tuple(bars))
+
+    return apply
+
+
+def _solid_followed(guess: Guess, moved: Guess, solid: Solid, turn: Array) -> Solid:
+    """Return a solid in the room whose middle in plan is where the moved camera looks at it."""
+    middle = (np.array(solid.low_m) + solid.high_m) / 2.0
+    if not all(0.0 <= middle[k] <= guess.size_m[k] for k in (0, 1)):
+        return solid
+    dx, dy, _ = np.array(moved.camera_m) + turn @ (middle - guess.camera_m) - middle
+    (x0, y0, z0), (x1, y1, z1) = solid.low_m, solid.high_m
+    low, high = (x0 + float(dx), y0 + float(dy), z0), (x1 + float(dx), y1 + float(dy), z1)
+    return replace(solid, low_m=low, high_m=high)
+
+
+def _followed(guess: Guess, moved: Guess, rect: WindowRect, turn: Array) -> WindowRect:
+    """Return a window whose edges are where the moved camera looks at those of the guess."""
+    axis, side = WALLS[rect.wall]
+    along = 1 - axis
+    inner = guess.size_m[axis] if side else 0.0
+    moved_inner = moved.size_m[axis] if side else 0.0
+    eye, moved_eye = np.array(guess.camera_m), np.array(moved.camera_m)
+    points = np.zeros((4, 3))  # the middles of the left, right, lower and upper edge
+    points[:, axis] = inner
+    points[:, along] = [*rect.u_m, *2 * [sum(rect.u_m) / 2.0]]
+    points[:, 2] = [*2 * [sum(rect.z_m) / 2.0], *rect.z_m]
+    toward = (points - eye) @ turn.T
+    reach = (moved_inner - moved_eye[axis]) / toward[:, axis]
+    points = moved_eye + reach[:, None] * toward
+    u, z = points[:2, along], points[2:, 2]
+    return replace(rect, u_m=(float(u[0]), float(u[1])), z_m=(float(z[0]), float(z[1])))
 
 
 def _along_discs(pose: PosePrior) -> Change:

@@ -34,7 +34,7 @@ class SolidCost:
     evidence: SceneEvidence
     guess: Guess  # without the solid
     albedo: Array  # [6 + solids] of the guess
-    prior: float  # of the guess: a solid has none
+    prior: float  # of the guess, with its windows' picture: a solid has none
     pose: PosePrior | None = None  # moves of the pose are none of a solid's
     _rays: RoomRays = field(init=False)
     _nearest: NDArray[np.float32] = field(init=False)

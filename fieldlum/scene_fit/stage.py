@@ -125,11 +125,14 @@ def judge_fit(
 
     mean = fit.misfits.mean()
     stated = replace(data, setup=replace(data.setup, room=fit.stated))
-    boxed, fitted = scene_of(fit, "stated", ""), scene_of(fit, "fitted", "")
+    bare = replace(stated, patch_cdm2=None)
+    boxed = with_scene(stated, scene_of(fit, "stated", ""))
+    fitted = with_scene(data, scene_of(fit, "fitted", ""))
+    before = with_scene(data, scene_of(fit.outside_view, "fitted", ""))
     candidates = [
-        GeometryCandidate("none", replace(stated, patch_cdm2=None), mean["none"]),
-        GeometryCandidate("stated", with_scene(stated, boxed), mean["stated"]),
-        GeometryCandidate("fitted", with_scene(data, fitted), mean["fitted"]),
+        GeometryCandidate("none", bare, bare, mean["none"]),
+        GeometryCandidate("stated", boxed, boxed, mean["stated"]),
+        GeometryCandidate("fitted", fitted, before, mean["fitted"]),
     ]
     return judge(candidates, fit_model, seed=seed, progress=progress)
 

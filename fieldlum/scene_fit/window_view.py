@@ -1,0 +1,175 @@
+"""What the camera sees of the windows: bright panes against dark walls, where edges are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from fieldlum.projection import equirect_solid_angles
+from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.renderer import BAR, OUTSIDE, seen_in_opening, surfaces
+from fieldlum.sun import direction
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[np.floating]
+
+RAY_DEG = 0.75  # chosen: between rays of a pixel; an edge moves a pixel's share in such steps
+MARGIN_DEG = 6.0  # chosen: a tape that is 5 cm off and a camera that is, both seen from 1 m
+WIDTH = 0.25  # chosen: error, as a share of the panes' luminance, at which a pixel is half wrong
+_SMOOTH = 1.0  # chosen: weight of equal luminance in neighbouring rows, in pixels
+_LEAST_CDM2 = 0.1
+_LEAST_PANE = 0.1  # chosen: of the mean pane; a row without panes has no level of its own
+# Luminance of sill, head, jambs and room as shares of the mean pane's, and how many pixels of
+# evidence this counts as. In five rendered rooms the reveals had 0.05 to 0.4. Without it, reveals
+# as bright as panes let a window shrink by their width.
+_LEVELS = np.array([0.3, 0.15, 0.15, 0.05])
+_LEVEL_WEIGHTS = np.array([20.0, 20.0, 20.0, 1e-3])
+# Chosen: of the luminance that three quarters of the panes exceed; a brighter room shows no edges.
+MAX_ROOM_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class WindowView:
+    """The mean picture near the windows.
+
+    seen [q]: luminance relative to the hour's mean pane; row [q]: of the picture, from 0;
+    weights [q]: solid angles as in `SceneEvidence`; rays [r, 3] in stated world axes; pixel [r]: of
+    the q; per_pixel: number of rays.
+    """
+
+    seen: Array
+    row: NDArray[np.intp]
+    weights: Array
+    rays: NDArray[np.float32]
+    pixel: NDArray[np.intp]
+    per_pixel: int
+
+    def thinned(self, every: int) -> WindowView:
+        """Return the view at every n-th pixel, with the weight of all."""
+        keep = np.arange(0, len(self.seen), every)
+        place = np.full(len(self.seen), -1)
+        place[keep] = np.arange(len(keep))
+        of = place[self.pixel] >= 0
+        kept = float(self.weights[keep].sum())
+        return replace(
+            self,
+            seen=self.seen[keep],
+            row=self.row[keep],
+            weights=self.weights[keep] * (float(self.weights.sum()) / max(kept, 1e-12)),
+            rays=self.rays[of],
+            pixel=place[self.pixel[of]],
+        )
+
+    def errors(self, guess: Guess) -> Array:
+        """Return the error of each pixel as a share of the panes' luminance, [q].
+
+        A pixel shows panes, reveals and the room in shares that the guess has. The luminance of
+        the panes by rows, of sill, head, jambs and room are those that explain the picture best.
+        """
+        share = self.shares(guess)
+        level = self.levels(share)
+        pane, others = level[: -len(_LEVELS)][self.row], level[-len(_LEVELS) :]
+        shown = share[:, 0] * pane + share[:, 1:] @ others
+        return (shown - self.seen) / np.maximum(pane, _LEAST_PANE)
+
+    def levels(self, share: Array) -> Array:
+        """Return the luminance of the panes by rows, then of sill, head, jambs and room."""
+        pane, rest = share[:, 0], share[:, 1:]
+        rows = int(self.row.max()) + 1
+        size = rows + len(_LEVELS)
+        normal = np.zeros((size, size))
+        index = np.arange(rows)
+        normal[index, index] = np.bincount(self.row, pane**2, rows)
+        cross = np.stack([np.bincount(self.row, pane * r, rows) for r in rest.T], axis=1)
+        normal[:rows, rows:], normal[rows:, :rows] = cross, cross.T
+        normal[rows:, rows:] = rest.T @ rest + np.diag(_LEVEL_WEIGHTS)
+        normal[index[1:], index[1:]] += _SMOOTH
+        normal[index[:-1], index[:-1]] += _SMOOTH
+        normal[index[1:], index[:-1]] -= _SMOOTH
+        normal[index[:-1], index[1:]] -= _SMOOTH
+        right = np.concatenate([np.bincount(self.row, pane * self.seen, rows), rest.T @ self.seen])
+        right[rows:] += _LEVEL_WEIGHTS * _LEVELS
+        return np.linalg.solve(normal + 1e-9 * np.eye(size), right)
+
+    def shares(self, guess: Guess) -> Array:
+        """Return the shares of panes, sill, head, jambs and room (with bars) in a pixel, [q, 5]."""
+        ends = surfaces(guess, self.rays)
+        into = np.flatnonzero(ends.surface == OUTSIDE)
+        turn = guess.camera_turn.T.astype(np.float32)
+        kind = np.full(len(ends.surface), BAR, np.int8)
+        kind[into] = seen_in_opening(guess, ends.position_m[into], self.rays[into] @ turn)
+        count = len(self.seen)
+        counts = np.bincount(self.pixel * (BAR + 1) + kind, minlength=count * (BAR + 1))
+        return counts.reshape(count, BAR + 1) / self.per_pixel
+
+    def residuals(self, guess: Guess) -> Array:
+        """Return numbers [q] whose squares add up to the misfit."""
+        if not self.weights.any():
+            return np.zeros(len(self.weights))
+        error = self.errors(guess)
+        return np.sqrt(self.weights) * error / np.sqrt(error**2 + WIDTH**2)
+
+    def misfit(self, guess: Guess) -> float:
+        """Return the share of all pixels that the guess's windows leave wrong."""
+        return float((self.residuals(guess) ** 2).sum())
+
+
+def window_view(data: Dataset, guess: Guess) -> WindowView:
+    """Return the captures' mean picture near the windows of a stated guess."""
+    from fieldlum.scene.view import pixel_rays
+
+    height, width = data.shape
+    pixel, rays = pixel_rays(height, data.heading_deg, 1)
+    away = surfaces(guess, rays.astype(np.float32)).surface == OUTSIDE
+    grid = np.zeros(height * width, bool)
+    grid[pixel] = away
+    margin = max(1, round(MARGIN_DEG / 180.0 * height))
+    dilated = binary_dilation(grid.reshape(height, width), iterations=margin)
+    near = np.asarray(dilated, bool) & data.seen
+    chosen = np.flatnonzero(near)
+    is_pane = grid[chosen]
+    if not is_pane.any() or is_pane.all():
+        none = np.zeros(0)
+        return WindowView(
+            none, none.astype(np.intp), none, np.zeros((0, 3), np.float32), none.astype(np.intp), 1
+        )
+    level = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], _LEAST_CDM2)
+    panes = np.mean(level[:, is_pane], axis=1, keepdims=True)
+    seen = np.median(level / panes, axis=0)
+    omega = equirect_solid_angles(height, width)
+    panes_low = np.quantile(seen[is_pane], 0.25)
+    shows_edges = np.median(seen[~is_pane]) < MAX_ROOM_SHARE * panes_low
+    weights = shows_edges * omega.ravel()[chosen] / omega[data.seen].sum()
+    sub = int(np.clip(round(180.0 / height / RAY_DEG), 2, 4))
+    pixel, rays = pixel_rays(height, data.heading_deg, sub)
+    place = np.full(height * width, -1)
+    place[chosen] = np.arange(len(chosen))
+    of = place[pixel] >= 0
+    row = chosen // width
+    rays = _scattered(rays[of], 180.0 / height / sub)
+    return WindowView(
+        seen,
+        row - row.min(),
+        weights,
+        rays.astype(np.float32),
+        place[pixel[of]],
+        sub**2,
+    )
+
+
+def _scattered(rays: Array, step_deg: float) -> Array:
+    """Return rays [r, 3] moved at random by up to half the step between them.
+
+    The jambs of a window are at one azimuth: regular rays of all rows would pass them at once, and
+    the misfit would be flat between such steps.
+    """
+    off_deg = np.random.default_rng(0).uniform(-0.5, 0.5, (2, len(rays))) * step_deg
+    altitude_deg = np.degrees(np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))) + off_deg[0]
+    azimuth_deg = np.degrees(np.arctan2(rays[:, 0], rays[:, 1])) + off_deg[1]
+    return direction(altitude_deg, azimuth_deg)
