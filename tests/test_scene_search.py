@@ -210,7 +210,10 @@ def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> N
     again = read_scene(tmp_path)
     assert again.room == scene.room and again.u == pytest.approx(scene.u)
     put = with_scene(few, again)
-    assert put.patch_cdm2 is not None and put.about()["scene"]["chosen"] == "fitted"
+    assert (
+        put.patch_cdm2 is not None
+        and cast("dict[str, str]", put.about()["scene"])["chosen"] == "fitted"
+    )
     assert put.setup.camera.heading_deg == pytest.approx((180.0 + scene.north_deg) % 360.0)
     assert with_scene(few, replace(again, chosen="none")).patch_cdm2 is None
     # A site that was corrected after the fit must not be corrected a second time.
