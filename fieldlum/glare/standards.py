@@ -223,6 +223,6 @@ def hours_to_capture(
 
 
 def nearest_limits(protection: Protection) -> NDArray[np.float64]:
-    """Return the class limit that is nearest to each direction's result, [d]."""
+    """Return the class limit (DGP) nearest to the DGP that each direction exceeds in 5 %, [d]."""
     limits = np.array([limit for _, limit in CLASSES])
     return limits[np.abs(limits[None, :] - protection.dgp_exceeded[:, None]).argmin(axis=1)]

@@ -95,9 +95,9 @@ def health(
         )
     steps = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
     warnings += [
-        f"from {day:%Y-%m-%d} on global over diffuse + direct differs by {100 * change:+.1f} % "
-        f"from the days before: an instrument or its sensitivity changed; check the logger's "
-        f"sensitivities and calibration dates"
+        f"from {day:%Y-%m-%d} on, the ratio of global to diffuse + direct differs by "
+        f"{100 * change:+.1f} % from that of the days before: an instrument or its sensitivity "
+        f"changed; check the logger's sensitivities and calibration dates"
         for day, change in steps.steps
     ]
     if broken:

@@ -134,9 +134,9 @@ def _nodes_per_pixel(target: Target) -> int:
 def _samples(
     target: Target, nodes: _Nodes, down: int, across: int
 ) -> tuple[Float32, Float32, Float32]:
-    """Return sensor x, y and weight of the samples of the pixels of `nodes`, [down, across, n].
+    """Return sensor x, y and weight of samples in each pixel of `nodes`, [down, across, n] each.
 
-    x and y are NaN where the lens cannot see.
+    A pixel has `down` x `across` samples. x and y are NaN where the lens cannot see.
     """
     fine = nodes.fine
     part = np.arange(fine)
@@ -258,7 +258,7 @@ def resampler(
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Samples [down, across, n] of n target pixels.
+    """Samples of n target pixels, arrays [down, across, n].
 
     x, y : sensor coordinates; share : of their pixel, 0 if not seen.
     """

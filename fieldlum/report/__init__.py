@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SessionArtefacts:
-    """Results of a session that the report shows; None where there are none yet."""
+    """Results of a session that the report shows; None for a result that does not exist yet."""
 
     model: Path | None
     config: ModelConfig | None
@@ -89,7 +89,7 @@ def _settings(session: Session, found: SessionArtefacts) -> Section:
 
 
 def _text(value: Any) -> str:
-    """Return a setting for a reader: lists by their length, truths as words."""
+    """Return a setting as text: a list as its length, True and False as words."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list | tuple):
@@ -101,12 +101,12 @@ def _text(value: Any) -> str:
 
 
 def _slot_names(pairs: PairsFile) -> dict[str, str]:
-    """Return the names of the panoramas, which are those of the slots, by the pair's moment."""
+    """Return the panoramas' names (the ids of their slots), by the time of the pair."""
     return {slot_id(row.t_utc): Path(row.panorama).stem for row in pairs.usable if row.panorama}
 
 
 def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
-    """Return nested tables with dotted names."""
+    """Return the values of nested tables with dotted names."""
     if not isinstance(values, dict):
         return [(before, values)]
     return [
@@ -196,7 +196,7 @@ def _warnings(year: Annual | None) -> tuple[str, ...]:
 
 
 def _spoken(warning: str) -> str:
-    """Return a warning of `train` as a sentence of the page."""
+    """Return a warning of `train` as a sentence for the page."""
     text = warning.removeprefix("WARNING: ")
     return f"From training: {text}{'' if text.endswith('.') else '.'}"
 

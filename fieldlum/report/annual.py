@@ -325,7 +325,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
 
 
 def _spoken(kind: str) -> str:
-    """Return ``p95 of worst view 180`` in words."""
+    """Return ``p95 of worst view 180`` as a phrase."""
     share, _, which, _, azimuth = kind.split()
     names = {
         "typical": "Typical hour",

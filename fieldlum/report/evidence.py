@@ -25,9 +25,9 @@ SHOWN = ("typical", "one in ten is worse", "worst")
 
 
 def _likeness(held: HeldOutMaps) -> str:
-    """Return a sentence if no captured day has the held-out suns, so the check is too strict.
+    """Return a sentence if no captured day has suns like the held-out ones, else an empty text.
 
-    The model of the year was fitted on these days too, so it knows their season.
+    The check is then too strict: the model of the year was trained on these days too.
     """
     alone = float((held.season_deg > SEASON_GAP_DEG).mean())
     if alone < 0.5:

@@ -124,7 +124,7 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
 
 
 def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
-    """Return labelled fisheye views around one hour, as the paper's Figure 10.
+    """Return labelled fisheye views in several directions at one hour, as the paper's Figure 10.
 
     views: [d, N, N], NaN outside the circle; azimuths_deg, dgp: [d].
     """
@@ -309,7 +309,7 @@ def exceedance_svg(
 
 
 def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
-    """Plot predicted against measured of one shape, with the 1:1 line and r2.
+    """Plot predicted against measured values of the same shape, with the 1:1 line and r2.
 
     As the paper's Figures 11, 14 and 22.
     """

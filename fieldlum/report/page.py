@@ -20,7 +20,7 @@ NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with a text for readers who cannot see it."""
+    """A picture with its alternative text and caption; either svg or png is set."""
 
     alt: str
     caption: str
@@ -29,17 +29,17 @@ class Figure:
 
 
 def named(azimuth_deg: float) -> str:
-    """Return a direction by name and degrees."""
+    """Return the name of a direction with its degrees."""
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
 def svg_figure(svg: str, alt: str, caption: str) -> Figure:
-    """Return a figure of SVG text."""
+    """Return a figure from SVG text."""
     return Figure(alt, caption, svg=svg)
 
 
 def png_figure(data: bytes, alt: str, caption: str) -> Figure:
-    """Return a figure of PNG bytes."""
+    """Return a figure from PNG bytes."""
     return Figure(alt, caption, png=base64.b64encode(data).decode())
 
 
@@ -53,7 +53,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table with an optional title; folded: opened by a click."""
+    """A table with an optional title. folded: shown after a click."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]

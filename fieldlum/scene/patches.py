@@ -147,7 +147,7 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
 
 
 def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
-    """Return the visible share of the disc from the camera, and the glass in front, [n] each.
+    """Return the share of the disc that the camera sees, and the glass's transmittance, [n] each.
 
     toward : [n, 3] directions to the sun in room axes.
     """

@@ -64,7 +64,7 @@ class Pieces:
 
     @property
     def free(self) -> NDArray[np.intp]:
-        """The pieces of which some part is visible, [k]."""
+        """Indices [k] of the pieces that are not completely inside another box."""
         return np.flatnonzero(np.isfinite(self.middle[:, 0]))
 
     @cached_property

@@ -102,7 +102,7 @@ def render_slots(folder: Path, job: _TruthJob) -> None:
 
 @lru_cache(maxsize=1)
 def _stored_truth(root: Path, cache: Path, key: str, height: int, quality: str) -> GroundTruth:
-    """Load the coefficients once a process; `key` tells sessions of one folder apart."""
+    """Load the coefficients once in each process; sessions are distinguished by `key`."""
     return ground_truth(Session(root).site_file(), height=height, quality=quality, cache=cache)
 
 

@@ -201,7 +201,7 @@ def _cloud_field(
 
 
 def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
-    """Return the light that the room really has, in the stated frame of room and camera."""
+    """Return the light that the room receives, in the stated frame of room and camera."""
     altitude, azimuth = light.sun_altitude_deg, light.sun_azimuth_deg
     if troubles.clock_drift is not None:
         start = min(light.t_utc)
@@ -227,7 +227,7 @@ def measured_irradiance(
     altitude_deg: Array,
     troubles: Troubles,
 ) -> tuple[Array, Array]:
-    """Return DNI and DHI of the troubled instrument, [n] each, in W/m2."""
+    """Return the DNI and DHI that the instrument reports with its troubles, [n] each, in W/m2."""
     dni, dhi = np.array(dni_wm2, float), np.array(dhi_wm2, float)
     rise = np.maximum(np.sin(np.radians(altitude_deg)), 0.02)
     if troubles.distant_instrument is not None:
@@ -336,7 +336,7 @@ def _changed_picture(
 
 
 def _draw(trouble: Trouble | None, t_utc: datetime) -> int:
-    """Return a number that orders slots at random."""
+    """Return a random number of a time, by which slots are put into a random order."""
     return zlib.crc32(f"{trouble.seed if trouble else 0} {t_utc.timestamp():.0f}".encode())
 
 

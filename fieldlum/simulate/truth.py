@@ -155,7 +155,7 @@ class GroundTruth:
 
     @cached_property
     def _passes(self) -> int:
-        """The count of bounces after which an evenly lit room changes by less than 1e-4.
+        """Number of bounces after which an evenly lit room changes by less than 1e-4.
 
         It is the same for every hour, so that an hour does not depend on the others of its block.
         """

@@ -1,4 +1,4 @@
-"""Sun position, seasons, and the components of sunlight, by pvlib; naive times are refused."""
+"""Sun position, seasons and components of sunlight, computed by pvlib. Naive times are refused."""
 
 from fieldlum.projection import direction  # callers read sun.direction
 from fieldlum.sun.components import (

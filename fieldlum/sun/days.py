@@ -32,9 +32,9 @@ def standard_offset(timezone: str, year: int) -> timedelta:
 
 
 def zone_off_sun_h(site: Site) -> float:
-    """Return the zone's standard time minus the longitude's mean solar time, -12 to 12 h.
+    """Return local standard time minus the mean solar time of the longitude, -12 to 12 h.
 
-    0 for UTC, which is the time of no place.
+    The result is 0 for UTC, which is no place's own time zone.
     """
     if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
         return 0.0
@@ -129,7 +129,10 @@ def season(year: int, which: int) -> datetime:
 
 
 def declination_deg(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
-    """Return the sun's declination, [n], in deg, to about 0.01: the true altitude at the pole."""
+    """Return the sun's declination, [n], in deg, correct to about 0.01 deg.
+
+    It is computed as the true altitude of the sun at the pole.
+    """
     return position(times_utc, Site("pole", 90.0, 0.0)).altitude_deg
 
 

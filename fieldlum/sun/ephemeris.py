@@ -1,4 +1,7 @@
-"""The sun's position, by pvlib; naive times are refused. Heavy imports stay in the functions."""
+"""The sun's position, computed by pvlib. Naive times are refused.
+
+Heavy imports are in functions.
+"""
 
 from __future__ import annotations
 

@@ -90,8 +90,8 @@ def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSele
     if chosen.name == best:
         return chosen, ModelSelection(
             best,
-            f"{best} is best ({spread}) and nothing smaller is within one standard error "
-            f"of the paired differences",
+            f"{best} is best ({spread}) and no smaller model comes within one standard "
+            f"error of it (paired days)",
         )
     said = (
         f"{chosen.name} ({means[chosen.name]:.2e}) is the smallest within one standard error "

@@ -1,6 +1,6 @@
-"""The pages that `fieldlum watch` shows in a browser on site.
+"""Pages that `fieldlum watch` shows in a browser on site.
 
-`follow` reads a session's files as they grow, `snapshot` makes plain tables of them, `access`
-decides who may ask, `server` answers. The pages read a session's files alone: a capture that runs
-does not know of them.
+`follow` reads a session's files as they grow, `snapshot` turns them into plain tables, `access`
+decides which requests are answered, and `server` answers them. The pages only read the files of a
+session, so a running capture does not depend on them.
 """

@@ -1,8 +1,8 @@
-"""Who may read the pages: a token, a cookie, and requests of the page itself only.
+"""Decide which requests are answered: those with the token or its cookie, from the page itself.
 
-A page on loopback is within reach of every program and every web site that the browser shows. So
-the token is needed on loopback too, and the Host and Origin headers must name this server: another
-site cannot read the pages, even under a name that it points to 127.0.0.1.
+Every program on this computer, and every web site open in its browser, can send requests to
+loopback. So the token is needed on loopback too, and the Host and Origin headers must name this
+server. Another site can then not read the pages, even if its name points to 127.0.0.1.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ SECURITY_HEADERS = {
 class Ruling:
     """Decision about a request.
 
-    status 200: it is answered; 303: the token becomes a cookie and leaves the address; other: it is
-    refused with `text`.
+    status 200: answer it; 303: turn the token into a cookie and remove it from the address; any
+    other: refuse it with `text`.
     """
 
     status: int
@@ -60,7 +60,7 @@ class Access:
         return f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
 
     def rule(self, method: str, path: str, query: str, headers: Mapping[str, str]) -> Ruling:
-        """Decide about one request; header names are in lower case."""
+        """Decide about one request. Header names are in lower case."""
         if headers.get("host", "").lower() not in self.hosts:
             return Ruling(421, "This server does not have that name.")
         origin = headers.get("origin", "")

@@ -1,8 +1,8 @@
-"""The answer so far: the chain from frames to glare classes, run at low priority between slots.
+"""Compute the answer so far: the commands from frames to glare classes, at low priority.
 
-The steps are ordinary commands in a process of their own. They are stopped before a slot begins and
-go on after it, so that a capture on the same computer never waits. Their results are in the
-session's folder watch/, apart from what the user computes.
+The commands run in their own process. They are paused before a slot begins and continue after it,
+so that a capture on the same computer never waits. Their results are in the session's folder
+watch/, separate from the user's own results.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ class Moment:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing of the capture is near."""
+        """Return whether there is time to compute: no bracket is running and no slot is near."""
         far = self.seconds_to_slot is None or self.seconds_to_slot > QUIET_BEFORE_S
         return far and not self.busy
 
 
 @dataclass(slots=True)
 class Worker:
-    """Runs the steps in a thread of its own.
+    """Runs the commands of the answer in a thread.
 
     moment: returns the present state of the capture. weather: a file, or "synthetic".
     """
@@ -80,16 +80,16 @@ class Worker:
 
     @property
     def folder(self) -> Path:
-        """Where the results are."""
+        """Folder of the results."""
         return self.session.root / "watch"
 
     def start(self) -> None:
-        """Begin; returns at once."""
+        """Start the thread and return at once."""
         self._thread = threading.Thread(target=self._loop, name="answer", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """End the step that runs and the thread."""
+        """Stop the running command and the thread."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(20.0)
@@ -100,7 +100,7 @@ class Worker:
                 self.work()
 
     def work(self) -> None:
-        """Do what is due: merge and pair new brackets, then perhaps answer."""
+        """Do what is due: merge and pair new brackets, then compute the answer if it is time."""
         now = self.moment()
         if not now.is_quiet or now.captured == 0:
             return
@@ -161,7 +161,7 @@ class Worker:
     def _run(self, name: str, *arguments: str) -> bool:
         """Run one command at the lowest priority and return whether it succeeded.
 
-        It is stopped while a slot is near.
+        The command is paused while a slot is near.
         """
         if self._stop.is_set():
             return False
@@ -202,7 +202,7 @@ class Worker:
         return process
 
     def _attended(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for the end; stop and continue the process with the slots. Return its exit code."""
+        """Wait until a process ends, pause it near slots, and return its exit code."""
         stopped = False
         while True:
             with suppress(subprocess.TimeoutExpired):
@@ -217,9 +217,9 @@ class Worker:
 
 
 def _signal(process: subprocess.Popen[bytes], name: str) -> None:
-    """Send a signal to a step and its children.
+    """Send a signal to a process and its children.
 
-    Windows cannot stop a process: there, a step near a slot continues at idle priority.
+    Windows cannot pause a process: there, the command continues at idle priority near a slot.
     """
     if sys.platform == "win32":
         if name == "SIGKILL":

@@ -1,4 +1,4 @@
-"""The page of `fieldlum scene click`: corners clicked on a panorama become a room."""
+"""The page of `fieldlum scene click`, which turns clicked corners of a panorama into a room."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class ClickedPicture:
 
 
 def clicked_table(found: ClickedRoom) -> JsonTable:
-    """Return the lengths of a room with their uncertainties, and where the south wall faces."""
+    """Return the lengths of a room with their uncertainties, and the azimuth of the south wall."""
     room = found.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
     for place, window in enumerate(room.window):
@@ -146,7 +146,7 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
 
 
 async def _answered(request: Request, make: Any) -> Response:
-    """Answer a list of clicks; what is wrong with them is a sentence."""
+    """Answer a list of clicks; an InputError becomes a sentence in the answer."""
     if int(request.headers.get("content-length") or 0) > _MAX_BODY:
         raise HTTPException(413)
     try:

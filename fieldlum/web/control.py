@@ -29,7 +29,10 @@ _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 
 @dataclass(slots=True)
 class Control:
-    """Changes of one session, one after the other. state: returns the page's current table."""
+    """Changes of one session, carried out one at a time.
+
+    State: returns the page's current table.
+    """
 
     session: Session
     state: Callable[[], JsonTable]
@@ -55,7 +58,10 @@ class Control:
         state = self._running()
         if state["next"] is not None and state["next"]["state"] == "running":
             raise InputError(
-                self.session.root, "a bracket is being taken", "none", "ask again after it"
+                self.session.root,
+                "a bracket is being taken",
+                "none",
+                "request it again after that bracket",
             )
         slot = add_extra(self.session, datetime.now(UTC))
         return f"An extra bracket is planned at {slot.t_utc:%H:%M} UTC."

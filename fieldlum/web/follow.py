@@ -1,7 +1,8 @@
-"""A session's growing files, read from where the last look ended.
+"""Read the growing files of a session, each time from where the last reading ended.
 
-A page that is open for a month must not read a month of files every few seconds, and must not grow:
-the journal is folded line by line, a day of irradiance is a fixed number of bins.
+A page that is open for a month must not read a month of files every few seconds, and its memory
+must not grow. So the journal is folded line by line, and a day of irradiance is a fixed number of
+bins.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ _EVENTS_KEPT = 60  # in memory; more than a page shows
 
 
 class LineTail:
-    """Lines of a file that are new since the last look."""
+    """Lines of a growing file that are new since the last reading."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._inode = path, 0, 0
 
     def read(self) -> tuple[bool, list[bytes]]:
-        """Return whether the file was replaced or cut since, and its new complete lines."""
+        """Return whether the file was replaced or shortened, and its new complete lines."""
         try:
             with self._path.open("rb") as file:
                 about = os.fstat(file.fileno())
@@ -51,10 +52,10 @@ class LineTail:
 
 @dataclass(slots=True)
 class JournalState:
-    """The journal so far.
+    """State that follows from the journal so far.
 
-    events: the latest ones that a person may want to know. away: devices that are lost now, with
-    the time. running_since: time of the `open` event without a `close`, or None.
+    events: the latest ones for the page. away: devices that do not answer now, with the time since
+    when. running_since: time of the last `open` event without a `close`, or None.
     """
 
     ledger: Ledger = field(default_factory=Ledger)
@@ -63,7 +64,7 @@ class JournalState:
     opened: JournalEvent | None = None
 
     def add(self, event: JournalEvent) -> None:
-        """Fold one more event."""
+        """Add one event to the state."""
         kind = event["event"]
         fold((event,), self.ledger)
         if kind == "open":
@@ -79,13 +80,13 @@ class JournalState:
 
 
 class JournalFollower:
-    """Keeps a `JournalState` up to date."""
+    """Keep a `JournalState` up to date with the file."""
 
     def __init__(self, session: Session) -> None:
         self._tail, self.state = LineTail(session.journal), JournalState()
 
     def update(self) -> JournalState:
-        """Read what is new. Damaged lines are passed over, as everywhere."""
+        """Read the new lines. Damaged lines are skipped."""
         again, lines = self._tail.read()
         if again:
             self.state = JournalState()
@@ -96,7 +97,7 @@ class JournalFollower:
 
 
 class DayBins:
-    """One UTC day file as means over `BIN_S`."""
+    """Means over `BIN_S` of one UTC day file."""
 
     def __init__(self, path: Path) -> None:
         self._tail = LineTail(path)
@@ -110,7 +111,7 @@ class DayBins:
         self.last: tuple[datetime, float | None] | None = None
 
     def update(self) -> None:
-        """Add the new rows."""
+        """Add the new rows of the file."""
         again, lines = self._tail.read()
         if again:
             self._clear()
@@ -137,7 +138,7 @@ class DayBins:
 
 
 class IrradianceFollower:
-    """Day files of the few days that somebody looks at."""
+    """Day files of the days that the page shows."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

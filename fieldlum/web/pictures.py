@@ -43,7 +43,7 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
     """Return a panorama in false colour as PNG, at most `width` pixels wide.
 
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
-    for one that is away.
+    for a missing one.
     """
     return _png(path, path.stat().st_mtime_ns, min(width, MAX_WIDTH), low, high)
 

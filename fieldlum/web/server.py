@@ -32,7 +32,7 @@ _YEAR_S = 31_536_000  # 365 days
 
 
 class Guard:
-    """ASGI layer: rules about each request first, and puts the security headers on each answer."""
+    """ASGI layer: apply the access rules to requests, add the security headers to answers."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
@@ -148,7 +148,7 @@ def watch_routes(
 
 
 def table(make: Callable[[], Mapping[str, object]]) -> Response:
-    """Return a table as JSON; a session that cannot be read now (a share that is away) is 503."""
+    """Return a table as JSON, or status 503 if the session cannot be read now."""
     try:
         return JSONResponse(make())
     except (InputError, OSError) as error:

@@ -33,7 +33,7 @@ _REHEARSAL = timedelta(hours=1)
 
 
 class Snapshots:
-    """Tables of one session; may be asked from several threads.
+    """Tables of one session, usable from several threads.
 
     wall_clock: returns the present moment (UTC).
     """
@@ -247,7 +247,7 @@ class Snapshots:
         return {"free_bytes": free, "days": free / per_day if per_day else None}
 
     def _events(self, journal: JournalState) -> list[JsonTable]:
-        """Return the latest news, newest first; a run of equal sentences is one row."""
+        """Return the latest events, newest first; equal sentences in a row become one."""
         rows: list[JsonTable] = []
         for event in reversed(journal.events):
             words = event_words(event)
@@ -262,7 +262,7 @@ class Snapshots:
         return rows[:_EVENTS_SHOWN]
 
     def _doctor(self, now: datetime) -> list[JsonTable]:
-        """Return doctor's findings that need no device: a capture may be using them."""
+        """Return doctor's findings that need no device; a capture may be using the devices."""
         if self._findings is not None and abs(now - self._findings[0]) < _FINDINGS_EVERY:
             return self._findings[1]
         session = self._session
@@ -301,7 +301,7 @@ class Snapshots:
 
 
 def _readable_scale(paths: list[Path]) -> tuple[float, float]:
-    """Return the scale of those panoramas that can be read; a merge may be writing one."""
+    """Return the scale of the panoramas that can be read; a merge may be writing one of them."""
     good: list[Path] = []
     for path in paths:
         try:
@@ -318,7 +318,7 @@ def _stamp(paths: list[Path]) -> str:
 
 
 def known_slot(text: str) -> bool:
-    """Whether a text has the form of a slot's id, so that it can be part of a file name."""
+    """Return whether a text has the form of a slot's id, so that it is safe in a file name."""
     try:
         return slot_id(parse_utc(text)) == text
     except ValueError:

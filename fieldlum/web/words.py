@@ -13,26 +13,28 @@ _SILENT = frozenset({"imported", "withdrawn"})
 
 
 def event_words(event: JournalEvent) -> tuple[Level, str] | None:
-    """Return how serious an event is, and what happened; None for an event that is no news."""
+    """Return the level and the sentence of an event; None for an event that needs no attention."""
     kind, why, slot = event["event"], event.get("why", ""), event.get("slot", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
         return None
     device = event.get("device", "a device")
     if kind == "done":
-        return "warn", f"Bracket {slot} is complete, with a doubt: {why}."
+        return "warn", f"Bracket {slot} is complete, with a warning: {why}."
     if kind in ("missed", "aborted"):
         word = "was not taken" if kind == "missed" else "was ended before it was complete"
         return "fail", f"Bracket {slot} {word}: {why or 'no reason recorded'}."
     if kind == "device-lost":
-        return "fail", f"The {device} stopped answering ({why}). It is tried again."
+        return "fail", f"The {device} stopped answering ({why}). The capture tries it again."
     if kind == "device-back":
         return "info", f"The {device} answers again after {_duration(event.get('after_s'))}."
     if kind == "bad-reading":
         return "warn", f"The {device} gave a reading that cannot be used: {why}."
     if kind == "clock-step":
-        followed = "is followed" if event.get("followed") else "is not followed"
+        followed = "was accepted" if event.get("followed") else "was not accepted"
         seconds = event.get("seconds", 0.0)
-        return "warn", f"The computer's clock jumped by {seconds:+.0f} s; the jump {followed}."
+        return "warn", (
+            f"The computer's clock jumped by {seconds:+.0f} s; the new time {followed}."
+        )
     if kind == "suspend":
         return "warn", f"The computer slept for {_duration(event.get('seconds'))}."
     if kind == "disk-full":
@@ -43,7 +45,7 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
     if kind == "hook-failed":
         return "warn", f"The command of --on-misses failed: {why}."
     if kind == "display-lost":
-        return "info", "The display of the capture was closed; the capture goes on."
+        return "info", "The terminal of the capture was closed; the capture continues."
     fixed = {"open": "The capture was started.", "close": "The capture was ended."}
     if kind in fixed:
         return "info", fixed[kind]
