@@ -94,8 +94,8 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
 def contradiction(groups: Sequence[Group], slots: Sequence[Slot], told_s: float) -> str:
     """Return a warning if the stated offset and EXIF's own contradict each other, else "".
 
-    The warning counts the frames near slots for both. groups: with times from `as_shown`. Offsets
-    within a minute of each other agree.
+    The warning states how many frames are near slots with each of the two offsets. groups: with
+    times from `as_shown`. Offsets within a minute of each other agree.
     """
     own = [g for g in groups if g.frames[0].exif_offset_s is not None]
     offsets_s = _exif_offsets_s(own)

@@ -238,7 +238,10 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
     check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
         raise InputError(
-            shot.path, f"mosaic {mosaic.cfa}", f"{sensor.cfa}, as in {body.name}", "use its profile"
+            shot.path,
+            f"mosaic {mosaic.cfa}",
+            f"{sensor.cfa}, as in {body.name}",
+            "use the profile of the camera that took it",
         )
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)

@@ -73,7 +73,7 @@ class Pictures:
 
 
 def write_hourly(annual: Annual, timezone: str) -> None:
-    """Write hourly.csv."""
+    """Write the year's figures to hourly.csv: a row an hour, local times in `timezone`."""
     HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views).write(
         annual.folder, timezone
     )

@@ -153,7 +153,7 @@ def inputs_of(
 def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     """Return the year in `folder` if the same version computed it from the same inputs, else None.
 
-    The folder may have maps in addition.
+    A stored year with maps is also returned to a request without maps.
     """
     note, maps = folder / "predict.json", folder / "maps.zarr"
     more = [] if inputs["maps"] else [{**inputs, "maps": True}]

@@ -50,7 +50,10 @@ def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
 
 
 def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Predict the maps of `telling_hours` again, because storing all maps would need a gigabyte."""
+    """Predict the maps of `telling_hours` a second time.
+
+    The year's maps are not stored, because they would need a gigabyte.
+    """
     chosen = list(telling_hours(annual, room.setup.site.timezone))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)
     parts = list(blocks(fitted, room, light[rows]))

@@ -124,7 +124,7 @@ class _Problem:
     """The measurements and priors of a fit to n discs.
 
     measured, expected: directions [n, 3]; sigma: [n] rad; axis_deg: azimuth of the lens's axis;
-    prior_sd: of the five parameters.
+    prior_sd: of heading, tilt, roll, clock and lens scale.
     """
 
     measured: Array

@@ -158,7 +158,7 @@ class ClusterCrew:
         return [*outcomes, *self._orphans()]
 
     def _orphans(self) -> Iterable[Ended]:
-        """Yield units of which every permitted worker has left; they would wait without end."""
+        """Yield units for which no permitted worker remains; they would wait without end."""
         there = self._threads.keys()
         for key in [k for k, (_, _, places) in self._running.items() if not places & there]:
             future, _, _ = self._running.pop(key)

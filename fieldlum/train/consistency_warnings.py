@@ -23,7 +23,7 @@ HARD_SHARE = 0.1
 
 
 def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a note if the other days predict many captures wrongly.
+    """Return one warning, or none: many captures are predicted wrongly by fits without their day.
 
     The list is empty for a model without held-out errors.
     """
@@ -33,9 +33,9 @@ def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
     if share <= HARD_SHARE:
         return []
     return [
-        f"WARNING: {share:.0%} of the captures are predicted wrongly by a factor of over "
-        f"{TRUSTED_FACTOR:g} from the other days: the room, the camera or the light changed in a "
-        f"way that the model does not know; hours like them are not trusted"
+        f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong by a "
+        f"factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in a way "
+        f"that the model does not know; hours like them are not trusted"
     ]
 
 

@@ -125,8 +125,8 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
     if len(changes.lamp):
         days = ", ".join(sorted({str(data.days[row]) for row in changes.lamp}))
         notes.append(
-            f"WARNING: a lamp was on in {len(changes.lamp)} of {len(data)} captures without "
-            f"a mark ({days}): the same light is added in all of them. They are left out; "
+            f"WARNING: in {len(changes.lamp)} of {len(data)} captures a lamp was on that nobody "
+            f"marked ({days}): the same light is added in all of them. They are left out; "
             "mark them to learn the lamp (fieldlum status SESSION --mark SLOT lamp=on), and "
             f"train again: {_slots(data, changes.lamp)}"
         )

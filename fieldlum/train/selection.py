@@ -68,8 +68,8 @@ def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
         gain = _daily(winner, data, shared) - _daily(trial, data, shared)
         if len(gain) > 1 and gain.mean() > standard_error(gain):
             said = (
-                f"{trial.name} has a log10 MSE lower by {gain.mean():.2e} than "
-                f"{winner.name}, on the {len(gain)} days on which both were tested"
+                f"its log10 MSE is lower by {gain.mean():.2e} than that of {winner.name}, on the "
+                f"{len(gain)} days on which both were tested"
             )
             winner, choice = trial, ModelSelection(trial.name, said)
     return choice

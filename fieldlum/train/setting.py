@@ -117,9 +117,9 @@ def _words(finding: SettingFinding) -> str:
             f"the room is turned against the camera by {a[0]:+.1f} +- {e[0]:.1f} degrees"
         ),
         "camera": lambda: (
-            f"the camera was displaced: computed patches fit the captured ones if they move "
-            f"{a[0]:+.1f} +- {e[0]:.1f} pixels to the right and {a[1]:+.1f} +- {e[1]:.1f} pixels "
-            f"down (negative: left, up)"
+            f"the camera was displaced: captured sun patches are {a[0]:+.1f} +- {e[0]:.1f} pixels "
+            f"to the right of the computed ones and {a[1]:+.1f} +- {e[1]:.1f} pixels below them "
+            f"(negative: left, above)"
         ),
     }
     return texts[finding.cause]()

@@ -128,7 +128,7 @@ class MergeReport:
     lost: tuple[str, ...] = ()
 
     def table(self) -> JsonTable:
-        """Return the object of the sidecar; keys that only some brackets have are left out."""
+        """Return the object of the sidecar, without the optional keys that this bracket lacks."""
         optional = ("shutter_law", "vertical_illuminance_lx", "lost")
         return {
             _KEYS.get(name, name): value
