@@ -128,14 +128,26 @@ def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
 
 
 @pytest.mark.property
-def test_a_choice_against_the_patch_misfit_is_not_trusted() -> None:
+def test_patches_that_are_more_wrong_than_none_are_never_chosen() -> None:
     scores = [
         GeometryScore("none", 5e-3, 0.10),
         GeometryScore("stated", 3e-3, 0.20),
     ]
     verdict = choose_geometry(scores)
-    assert verdict.chosen == "stated" and not verdict.trusted
-    assert "speak for none" in verdict.reason
+    assert verdict.chosen == "none" and not verdict.trusted
+    assert "speak for stated" in verdict.reason
+
+
+@pytest.mark.property
+def test_patches_that_are_right_are_chosen_against_the_held_out_errors() -> None:
+    scores = [
+        GeometryScore("none", 3e-3, 0.10),
+        GeometryScore("stated", 5e-3, 0.12),
+        GeometryScore("fitted", 6e-3, 0.04),
+    ]
+    verdict = choose_geometry(scores)
+    assert verdict.chosen == "fitted" and not verdict.trusted
+    assert verdict.expected_log10_mse == 6e-3
 
 
 @pytest.mark.property
@@ -179,7 +191,7 @@ def test_the_verdict_reaches_the_scene(chosen: str, monkeypatch: pytest.MonkeyPa
     scene_ = stage.judged_scene(CAPTURES, _fit_of(CAPTURES))
     assert scene_.chosen == chosen and scene_.trusted == (chosen == "fitted")
     assert scene_.expected_log10_mse == 3e-3
-    assert "least error" in scene_.verdict and "held out" in scene_.verdict
+    assert scene_.verdict == f"{chosen}: least error"
 
 
 @pytest.mark.property

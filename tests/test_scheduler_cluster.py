@@ -157,6 +157,6 @@ def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
     remove_scraps(folder / "out")  # of the killed worker
     assert sorted(path.name for path in (folder / "out").iterdir()) == sorted(names)
     text = "\n".join(notes)
-    assert "refused: source" in text and "install the versions of this computer there" in text
+    assert "rejected: source" in text and "install the versions of this computer there" in text
     assert "No space left on device; it gets no further units" in text
     assert "it hangs; it gets no further units" in text

@@ -86,19 +86,18 @@ def run(
 def judged_scene(
     data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
 ) -> Scene:
-    """Return the fit as a scene, with the geometry that predicts held-out sun directions best.
+    """Return the fit as a scene, with the geometry that held-out hours support.
 
     If too few directions of the sun were captured, the misfit of patches on held-out hours chooses
     alone, no error is expected, and the choice is not trusted. The choice is not trusted either
     with fewer than `MIN_HOURS_OUTSIDE` held-out hours.
     """
-    chosen, reason = choose_by_misfit(fit.misfits)
     try:
         verdict = judge_fit(data, fit, seed=seed, progress=progress)
     except NotEnoughDataError as error:
-        scene = scene_of(fit, chosen, reason)
+        scene = scene_of(fit, *choose_by_misfit(fit.misfits))
         return replace(scene, trusted=False, notes=(*scene.notes, str(error)))
-    scene = scene_of(fit, cast("Chosen", verdict.chosen), f"{verdict.reason}. {reason}")
+    scene = scene_of(fit, cast("Chosen", verdict.chosen), verdict.reason)
     outside = len(fit.misfits.none)
     if outside < MIN_HOURS_OUTSIDE:
         lacking = KEPT_OUT_EVERY * MIN_HOURS_OUTSIDE
