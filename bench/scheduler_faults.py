@@ -61,6 +61,7 @@ def main() -> None:
     parser.add_argument("--kill-every", type=float, default=5.0, metavar="S")
     parser.add_argument("--sleepers", type=int, default=2000)
     parser.add_argument("--parts", default="brackets,years,scaling,sleepers")
+    parser.add_argument("--session", type=Path, help="captured session for the scaling; copied")
     asked = parser.parse_args()
     shared = asked.folder.resolve() / "shared"
     shared.mkdir(parents=True, exist_ok=True)
@@ -88,7 +89,10 @@ def main() -> None:
             outs,
         )
     if "scaling" in parts:
-        scaling(asked, brackets(shared, asked.brackets))
+        if asked.session is not None and not (shared / "captured").is_dir():
+            shutil.copytree(asked.session, shared / "captured")
+        known = None if asked.session is None else Session(shared / "captured")
+        scaling(asked, known or brackets(shared, asked.brackets))
     if "sleepers" in parts:
         overhead(asked)
 
@@ -106,10 +110,10 @@ def brackets(shared: Path, count: int) -> Session:
     return Session(root)
 
 
-def merged(session: Session, how: Scheduler) -> None:
+def merged(session: Session, how: Scheduler, height: int = 32) -> None:
     states = {
         v.state
-        for v in merge.run(session, merge.MergeOptions(height=32), force=True, scheduler=how)
+        for v in merge.run(session, merge.MergeOptions(height=height), force=True, scheduler=how)
     }
     assert states == {"merged"}, states
 
@@ -245,10 +249,11 @@ def scaling(asked: argparse.Namespace, session: Session) -> None:
                 how = parse_scheduler(str(made.file))
                 wait_for(how, count)
                 start_s = time.monotonic()
-                merged(session, how)
+                merged(session, how, 32 if asked.session is None else 115)
                 seconds[count].append(time.monotonic() - start_s)
     one, two = (float(np.median(seconds[count])) for count in (1, 2))
-    print(f"{asked.brackets} brackets: one worker {one:.1f} s, two {two:.1f} s, x {one / two:.2f}")
+    brackets = len(session.captured_folders())
+    print(f"{brackets} brackets: one worker {one:.1f} s, two {two:.1f} s, x {one / two:.2f}")
     sys.stdout.flush()
 
 
