@@ -10,10 +10,19 @@ import numpy as np
 from fieldlum import sun
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, slot_id
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
 
 DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
+ROOM = Room(
+    width_m=5.0,
+    depth_m=6.0,
+    height_m=3.0,
+    camera_x_m=2.4,
+    camera_y_m=3.0,
+    camera_z_m=1.3,
+    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 1, 0.0, 0.0),),
+)
 
 
 def room_captures(

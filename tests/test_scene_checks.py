@@ -7,27 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_captures import room_captures
+from scene_captures import ROOM, room_captures
 
 from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
-from fieldlum.records import Room, Site, Window
+from fieldlum.records import Site
 from fieldlum.scene.view import look
 from fieldlum.scene_fit.checks import check_captures
 from fieldlum.scene_fit.stage import run
 
 HEIGHT = 32
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
-ROOM = Room(
-    width_m=5.0,
-    depth_m=6.0,
-    height_m=3.0,
-    camera_x_m=2.4,
-    camera_y_m=3.0,
-    camera_z_m=1.3,
-    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 1, 0.0, 0.0),),
-)
 
 
 @pytest.fixture(scope="module")

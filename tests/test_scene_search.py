@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scene_captures import DAYS, room_captures
+from scene_captures import ROOM as ONE_PANE
 
 from fieldlum import sun
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.models.data import Dataset
-from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
+from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile
 from fieldlum.scene import sun_patches
 from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
@@ -40,15 +41,8 @@ from fieldlum.scene_fit.stage import choose_by_misfit
 
 HEIGHT = 64
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
-ROOM = Room(
-    width_m=5.0,
-    depth_m=6.0,
-    height_m=3.0,
-    camera_x_m=2.4,
-    camera_y_m=3.0,
-    camera_z_m=1.3,
-    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 2, 0.0, 0.0),),
-)
+TWO_PANES = replace(ONE_PANE.window[0], panes=2)
+ROOM = replace(ONE_PANE, window=(TWO_PANES,))
 
 
 def captures(room: Room, days: tuple[str, ...] = DAYS) -> Dataset:

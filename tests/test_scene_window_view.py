@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scene_captures import ROOM
 
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
+from fieldlum.records import CameraSetup, Site, SiteFile
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.bars import propose_bars, seen_picture
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of
@@ -15,15 +16,6 @@ from fieldlum.scene_fit.search import aimed, pattern_search
 from fieldlum.scene_fit.window_view import WindowView, window_view
 
 HEIGHT = 48
-ROOM = Room(
-    width_m=5.0,
-    depth_m=6.0,
-    height_m=3.0,
-    camera_x_m=2.4,
-    camera_y_m=3.0,
-    camera_z_m=1.3,
-    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 1, 0.0, 0.0),),
-)
 
 
 class _Picture:

@@ -18,7 +18,8 @@ from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixels
 from fieldlum.models.transport.ridge import Columns, held_out_days, held_out_days_shared, solve
-from fieldlum.models.transport.selection import recipes_for, seasons
+from fieldlum.models.transport.seasons import seasons
+from fieldlum.models.transport.selection import recipes_for
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.sky import reinhart_patches

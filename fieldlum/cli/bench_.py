@@ -16,6 +16,7 @@ from fieldlum.cli.options import (
     scene_option,
     scheduler_of,
     scheduler_option,
+    seeds_option,
     site_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
@@ -37,13 +38,7 @@ if TYPE_CHECKING:
     help="Models to compare, separated by commas: names, NAME:none or NAME:gain (use of sun "
     "patches), or folders of trained models.",
 )
-@click.option(
-    "--seeds",
-    default=1,
-    show_default=True,
-    type=click.IntRange(min=1),
-    help="Trainings of each random model, with seeds 0, 1, 2 ...",
-)
+@seeds_option
 @click.option(
     "--budget",
     default=5.0,

@@ -15,6 +15,7 @@ from fieldlum.cli.options import (
     out_option,
     scheduler_of,
     scheduler_option,
+    seeds_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.errors import InputError
@@ -105,13 +106,7 @@ _add_stage(
     show_default=True,
     help="Models as in fieldlum bench, separated by commas.",
 )
-@click.option(
-    "--seeds",
-    default=1,
-    show_default=True,
-    type=click.IntRange(1),
-    help="Trainings of each random model, with seeds 0, 1, 2 ...",
-)
+@seeds_option
 @click.option(
     "--budget",
     default=5.0,

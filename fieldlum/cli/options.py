@@ -103,6 +103,13 @@ def out_option(content: str, *, default: str = "", required: bool = False) -> De
     return click.option("--out", type=PATH, required=required, help=text)
 
 
+seeds_option = click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(min=1),
+    help="Trainings of each random model, with seeds 0, 1, 2 ...",
+)
 scheduler_option = click.option(
     "--scheduler",
     "--workers",

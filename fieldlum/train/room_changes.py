@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport.selection import seasons
+from fieldlum.models.transport.seasons import seasons
 from fieldlum.train.agreement import (
     FEWEST_DAYS,
     PRICE,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Features, Kernel, Light, light_features
-from fieldlum.models.transport.features import USUAL, OpenSky, PatchDescriptor, StateColumns
+from fieldlum.models.transport.features import USUAL, PatchDescriptor, StateColumns
+from fieldlum.models.transport.open_sky import OpenSky
 from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe, second_covariance
 

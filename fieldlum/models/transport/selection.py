@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from datetime import UTC
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
 from fieldlum.light import Features, Kernel
 from fieldlum.models.transport.features import USUAL, StateColumns, TrainingArrays, pixel_scale
 from fieldlum.models.transport.pixel_fit import (
@@ -27,15 +25,13 @@ from fieldlum.models.transport.pixel_fit import (
     with_patches,
 )
 from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
+from fieldlum.models.transport.seasons import one_season, seasons
 from fieldlum.models.transport.window_sky import SeenSky, SkyField
 from fieldlum.statistics import is_no_worse, standard_error
 
 Array = NDArray[Any]
 
 FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the paper)
-# captures with a smaller range of the sun's declination are from one season; chosen
-ONE_SEASON_DEG = 20.0
-SEASONS_APART_DEG = 10.0  # least gap between the declinations of two seasons' days; chosen
 NOISES = (
     1e-4,
     1e-3,
@@ -67,33 +63,6 @@ FEWER_COST = 1.05
 
 # ----------------------------------------------------------------------------------------------
 # held-out days
-
-
-def _declination_deg(days: NDArray) -> Array:
-    """Return the sun's declination at the beginning of each day, [n]."""
-    names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
-    return sun.declination_deg(
-        [day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()]
-    )[inverse]
-
-
-def one_season(days: NDArray) -> bool:
-    """Return whether all days [n] are from one season, so that they do not test other seasons.
-
-    This is true if the sun's declination changed by less than ONE_SEASON_DEG.
-    """
-    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
-
-
-def seasons(days: NDArray) -> NDArray[np.intp]:
-    """Return the index of the season of each day, [n].
-
-    A gap between the days' declinations separates two seasons.
-    """
-    declination = _declination_deg(days)
-    known = np.unique(declination)
-    starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
-    return np.searchsorted(starts, declination, side="right")
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from fieldlum.light import Facades, Features, Kernel, Light
 from fieldlum.models.transport.features import (
-    OpenSky,
     PatchDescriptor,
     StateColumns,
     cell_areas_sr,
 )
+from fieldlum.models.transport.open_sky import OpenSky
 from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe
 from fieldlum.models.transport.response import LightBasis, RoomResponse

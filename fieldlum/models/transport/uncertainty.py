@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from fieldlum.light import Light
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
 from fieldlum.models.transport.pixel_fit import SECOND_NOISE, SECOND_SEASON, Recipe, second_own
+from fieldlum.models.transport.seasons import one_season, seasons
 from fieldlum.models.transport.selection import (
     FLOOR_CDM2,
     HeldOutFit,
     SelectedRecipe,
-    one_season,
-    seasons,
 )
 
 Array = NDArray[Any]

@@ -1,0 +1,69 @@
+"""Find the pixels that show sky through glass, and the luminance of the sky behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.light import Light
+
+Array = NDArray[Any]
+
+LEAST_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
+WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky counts as a surface; chosen
+# Largest ratio of two scatters for a window pixel: of its luminance over the sky behind it, and
+# over the total light. Chosen.
+WINDOW_SCATTER = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSky:
+    """The k seen pixels that show sky through glass.
+
+    index: of the pixels among the seen ones [k]; share: open sky times transmittance [k];
+    directions: [k, 3].
+    """
+
+    index: NDArray[np.intp]
+    share: NDArray[np.float32]
+    directions: Array  # [k, 3]
+
+    def luminance(self, light: Light) -> NDArray[np.float32]:
+        """Return the luminance of the sky behind these pixels, [n, k] cd/m2."""
+        return light.sky_at(self.directions) * self.share
+
+    def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask [H, W] of these pixels."""
+        flat = np.zeros(int(seen.sum()), bool)
+        flat[self.index] = True
+        out = np.zeros(seen.shape, bool)
+        out[seen] = flat
+        return out
+
+
+def open_sky_from_captures(
+    luminance: NDArray[np.floating], patch: NDArray[np.floating] | None, light: Light, rays: Array
+) -> OpenSky:
+    """Find the window pixels without any geometry: they follow the Perez sky behind them.
+
+    luminance, patch: [n, P]; rays: [P, 3]. A pixel is a window if the logarithm of its ratio to the
+    sky scatters less than half as much as that of its ratio to the total light. Its share is a low
+    quantile of the ratio, so that at most the light that was there is subtracted.
+    """
+    above = np.flatnonzero(rays[:, 2] > 0.0)
+    behind = light.sky_at(rays[above])
+    seen = np.maximum(luminance[:, above], LEAST_CDM2)
+    ratio, plain = np.log(seen / behind), np.log(seen / light.total_lx[:, None].astype(np.float32))
+    if patch is not None:
+        lit = patch[:, above] > 0.3 * seen
+        ratio, plain = np.where(lit, np.nan, ratio), np.where(lit, np.nan, plain)
+        dark = lit.all(axis=0)
+        ratio[:, dark], plain[:, dark] = 0.0, 0.0
+    low, middle, high = np.nanpercentile(ratio, (10, 50, 90), axis=0)
+    spread = np.nanpercentile(plain, 90, axis=0) - np.nanpercentile(plain, 10, axis=0)
+    share = np.exp(low)
+    keep = (high - low < WINDOW_SCATTER * spread) & (share > WINDOW_SHARE) & (middle < np.log(1.2))
+    return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])

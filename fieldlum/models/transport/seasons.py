@@ -1,0 +1,44 @@
+"""Tell the seasons of captured days apart by the sun's declination."""
+
+from __future__ import annotations
+
+from datetime import UTC
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+
+Array = NDArray[Any]
+
+# captures with a smaller range of the sun's declination are from one season; chosen
+ONE_SEASON_DEG = 20.0
+SEASONS_APART_DEG = 10.0  # least gap between the declinations of two seasons' days; chosen
+
+
+def _declination_deg(days: NDArray) -> Array:
+    """Return the sun's declination at the beginning of each day, [n]."""
+    names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
+    return sun.declination_deg(
+        [day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()]
+    )[inverse]
+
+
+def one_season(days: NDArray) -> bool:
+    """Return whether all days [n] are from one season, so that they do not test other seasons.
+
+    This is true if the sun's declination changed by less than ONE_SEASON_DEG.
+    """
+    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
+
+
+def seasons(days: NDArray) -> NDArray[np.intp]:
+    """Return the index of the season of each day, [n].
+
+    A gap between the days' declinations separates two seasons.
+    """
+    declination = _declination_deg(days)
+    known = np.unique(declination)
+    starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
+    return np.searchsorted(starts, declination, side="right")
