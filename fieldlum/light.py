@@ -24,7 +24,7 @@ from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart
 
 Array = NDArray[np.float64]
 
-LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite
+LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
 # Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
 # Chosen, not measured (docs/decisions/0003-light-kernel.md).
 BEHIND = 0.1

@@ -15,9 +15,9 @@ from fieldlum.records import Site
 
 Array = NDArray[np.float64]
 
-LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degrees (overcast)
+LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degrees (overcast); chosen
 # Smaller offsets are not reported: mornings and evenings whose clouds differ twentyfold shift the
-# middle of the light by under 7 minutes.
+# middle of the light by under 7 minutes. Chosen, with a margin of three.
 CLOCK_WARN_S = 1200.0
 _SET_S = 1800.0  # smallest step of a clock that was set; chosen, not measured
 _LEAST_DAYS = 3  # least number of days before and after such a step; chosen
@@ -26,7 +26,7 @@ _LEAST_DAYS = 3  # least number of days before and after such a step; chosen
 _SETS_DEG = 5.0
 _LONGEST_STORM_S = 7200.0  # longest dark spell within a day [s]; chosen, not measured
 # With a lower sun there are at most 40 lx, or 0.4 W/m2. If daylight saving was ignored, there is
-# light at this sun at every dusk or every dawn.
+# light at this sun at every dusk or every dawn. Chosen.
 _NIGHT_SUN_DEG = -3.0
 # Rows before and after the day must not be further apart [s], otherwise the start of the light is
 # unknown. Chosen.

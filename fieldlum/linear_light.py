@@ -30,8 +30,9 @@ from fieldlum.raw import Mosaic, same_model
 from fieldlum.records import Exposure
 
 _T = TypeVar("_T", bound=np.floating)
-SAME_TIME = 0.02  # relative: times closer than this are one setting (settings differ by 12 %)
-# A vignetting curve is valid for its own aperture: a third of a stop, with rounding.
+# relative: times closer than this are one setting (settings differ by 12 %); chosen
+SAME_TIME = 0.02
+# A vignetting curve is valid for its own aperture: a third of a stop, with rounding. Chosen.
 _SAME_APERTURE_STOPS = 0.4
 
 

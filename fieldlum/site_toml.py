@@ -12,10 +12,11 @@ from fieldlum.records import CameraSetup, SiteFile
 from fieldlum.strict_toml import build, plain, read_toml
 
 # Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
+# Chosen.
 _MOST_OFF_SUN_H = 4.0
 
 
-_MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base
+_MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base; chosen
 
 
 def site_from_table(table: dict[str, Any], where: str) -> SiteFile:

@@ -28,18 +28,20 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
 
 SUN_RADIUS_RAD = 0.004652  # 0.2665 degrees, the mean disc of SUN_SOLID_ANGLE_SR
-# Mean luminance over the true disc. A dimmer sun gives less than 68 lx, a DNI of 0.7 W/m2, which
-# no pyranometer resolves; no sky and no matt surface of the disc's size is as bright.
+# Mean luminance over the true disc. A dimmer sun gives less than 68 lx, a DNI of 0.7 W/m2, which no
+# pyranometer resolves; no sky and no matt surface of the disc's size is as bright. Chosen.
 LEAST_DISC_CDM2 = 1e6
-# The clear-sky sun outside the atmosphere has 2.0e9 cd/m2 (133 klx), with 10 % margin.
+# The clear-sky sun outside the atmosphere has 2.0e9 cd/m2 (133 klx), with 10 % margin. The margin
+# is chosen.
 MOST_DISC_CDM2 = 2.2e9
 # Three times a white surface in full sun (1e5 lx / pi); only clouds within a few degrees of the sun
-# are nearly as bright.
+# are nearly as bright. Chosen.
 BRIGHTEST_SURFACE_CDM2 = 1e5
 # A uniform overcast sky of 60 klx; the least bound on surfaces where DNI shows that the sun is
-# weak.
+# weak. Chosen.
 _BRIGHTEST_SKY_CDM2 = 2e4
-_SURFACE_MARGIN = 3.0  # multiple of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2
+# multiple of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2; chosen
+_SURFACE_MARGIN = 3.0
 # of the sun's illuminance by DNI; less is scattered light, not part of the sun; chosen
 _LEAST_SHARE = 0.02
 _LUMENS_PER_WATT = 93.0  # of direct sunlight, accurate to 15 %; only the bounds above depend on it

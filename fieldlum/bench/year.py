@@ -18,10 +18,10 @@ from fieldlum.train import patch_mode
 from fieldlum.train.captures import order_of_use
 from fieldlum.train.trials import fit_timed
 
-COUNTS = (25, 50, 100, 200, 500, 1000)  # captures of the learning curve
-TEST_HOURS = 300  # held-out hours of a year
+COUNTS = (25, 50, 100, 200, 500, 1000)  # captures of the learning curve; chosen
+TEST_HOURS = 300  # held-out hours of a year; chosen
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-FEWEST_HOURS = 20  # of a collection period
+FEWEST_HOURS = 20  # of a collection period; chosen
 # Data with this many hours in this many months count as a year; not measured.
 YEAR_HOURS = 1000
 YEAR_MONTHS = 10

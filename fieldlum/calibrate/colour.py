@@ -24,7 +24,8 @@ Array = NDArray[np.floating]
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
-LEAST = 4  # least number of readings: three coefficients, and one reading to hold out
+# least number of readings: three coefficients, and one reading to hold out; chosen
+LEAST = 4
 # ln of luminance over the best start's: an isolated reading that is further away is a gross error.
 # Chosen, not measured.
 FAR = 0.5

@@ -17,8 +17,9 @@ from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays, signed_angle_deg
 
 Array = NDArray[Any]
-LEAST = 8  # least number of targets for the parameters of a lens with one free term, and its pose
-# Powers of the polynomial mappings, from one to four terms.
+# least number of targets for the parameters of a lens with one free term, and its pose; chosen
+LEAST = 8
+# Powers of the polynomial mappings, from one to four terms. Chosen; held-out targets select one.
 POWERS = {
     "polynomial of one term": (1,),
     "two odd terms": (1, 3),

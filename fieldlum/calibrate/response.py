@@ -29,7 +29,7 @@ from fieldlum.records import Exposure
 PLACES = 500  # places used from a bracket; more did not change the table; chosen
 BLOCKS = 60_000  # blocks in which places are searched; limits memory; chosen
 LOW = 27  # codes from LOW to HIGH count for the residual, and have weight in a merge; chosen
-HIGH = 228
+HIGH = 228  # chosen, as LOW
 # codes: largest difference of a place's neighbours in a frame that exposes it well; chosen
 FLAT = 3.0
 NEGLIGIBLE = 0.002  # of light: smaller differences between candidates do not matter; chosen

@@ -17,13 +17,14 @@ from fieldlum.projection import direction, equirect_rays
 from fieldlum.records import Flag, Panorama
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 
-SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree
+SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of spot meters
 # relative u of a meter's calibration, common to its readings; typical of data sheets
 METER_U = 0.02
 READING_U = 0.02  # relative u of one reading: aim, flicker, a passing cloud. Chosen, not measured.
-# Readings that differ by more than this many u, and by at least FAR_LEAST, are listed.
+# Readings that differ by more than this many u, and by at least FAR_LEAST, are listed. Chosen, not
+# measured.
 FAR = 3.0
-FAR_LEAST = 0.1
+FAR_LEAST = 0.1  # chosen
 # largest share of outliers: with more, the picture is wrong and not the readings; chosen
 MOST_FAR = 1 / 3
 UNEVEN = 0.1  # relative u of a spot's mean; a larger one means an edge in its field; chosen

@@ -23,7 +23,8 @@ from fieldlum.projection import angle_of_radius
 from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
-ORDERS = (0, 2, 4, 6, 8)  # of the even polynomials that are tried
+# of the even polynomials that are tried; chosen, held-out readings select one
+ORDERS = (0, 2, 4, 6, 8)
 BINS = 60  # number of rings of an evenly lit frame; chosen
 LEAST = 5  # least number of readings; chosen
 # A reading is a gross error if it misses by more than both (sigma; relative) and its neighbours do

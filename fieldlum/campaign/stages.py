@@ -16,7 +16,7 @@ from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
 from fieldlum.session import Session, open_session
 
 Stage = Literal["plan", "status", "merge", "train", "predict"]
-_LINE = 200  # characters of a room's line
+_LINE = 200  # characters of a room's line; chosen
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,15 +14,17 @@ import numpy as np
 
 from fieldlum.records import Exposure, Slot
 
-SAME_EV = 1 / 6  # half the third-stop spacing of camera settings
+SAME_EV = 1 / 6  # half the third-stop spacing of camera settings; chosen
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour; chosen
 # Not measured, unless a source is stated. Each limit is chosen between the two cases that it must
 # separate.
 _STEADY_S = 5.0  # spread of the start times of an intervalometer; starts by hand vary far more
-# shortest pause between brackets, as a multiple of the usual time between frames
+# shortest pause between brackets, as a multiple of the usual time between frames; chosen, not
+# measured
 _PAUSE_FACTOR = 10.0
-_TURN_FACTOR = 6.0  # additional factor for a head that is turned between two frames
-_CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns
+# additional factor for a head that is turned between two frames; chosen, not measured
+_TURN_FACTOR = 6.0
+_CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns; chosen
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 _HALF_COUNT = 5000  # cameras number their files up to 9999 (DCF 2.0)
 

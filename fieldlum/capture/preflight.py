@@ -14,7 +14,7 @@ from fieldlum.session import Session
 from fieldlum.session.ledger import Ledger, SlotState
 
 _CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer; not measured
-_CLOCK_CHECK_S = 5.0
+_CLOCK_CHECK_S = 5.0  # chosen
 
 
 def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:

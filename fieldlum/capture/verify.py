@@ -15,7 +15,8 @@ from fieldlum.errors import InputError
 from fieldlum.raw import JPEG_SUFFIXES, FrameInfo, read_exif, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
-TOLERANCE_EV = 1 / 6  # EV; a camera that used another setting is at least 1/3 EV away
+# EV; a camera that used another setting is at least 1/3 EV away; chosen as the half
+TOLERANCE_EV = 1 / 6
 ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
 
 

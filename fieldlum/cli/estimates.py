@@ -31,11 +31,12 @@ _FIT_S_PER_CAPTURE = 0.09
 _RADIANCE_S = 168.0 / (115 * 58)
 _STRESS_S = 90.0  # `bench.stress` takes one to two minutes
 # `calibrate pixels` took 7 CPU s for 6 raw frames of 21 megapixels, `calibrate response` 7 CPU s
-# for 16 JPEGs of 12 megapixels.
+# for 16 JPEGs of 12 megapixels. Measured once; no command repeats it.
 _FRAME_S_PER_MEGAPIXEL = 0.05
 # `calibrate lens --chessboard`: 3.5 CPU s for a JPEG of 12 megapixels, 6.4 s for 21 megapixels.
+# Measured once; no command repeats it.
 _BOARD_S_PER_MEGAPIXEL = 0.3
-_LEAST_PRINTED_S = 20.0
+_LEAST_PRINTED_S = 20.0  # shorter times are not printed; chosen
 
 
 def merge_s(folders: Iterable[Path]) -> float:

@@ -14,7 +14,7 @@ from fieldlum.cli.options import PATH, session_argument
 if TYPE_CHECKING:
     from fieldlum.capture.match_card import Offset
 
-_SHOWN = 20  # lines of each kind; fits a terminal
+_SHOWN = 20  # lines of each kind; fits a terminal; chosen
 
 
 def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:

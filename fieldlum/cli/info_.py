@@ -12,7 +12,7 @@ from fieldlum.cli.terminal import emit_json, say
 from fieldlum.errors import InputError
 
 Facts = dict[str, object]  # facts about a file by name, as --json prints them
-_LINE = 200  # characters of a value without --json
+_LINE = 200  # characters of a value without --json; chosen
 
 
 @click.command()

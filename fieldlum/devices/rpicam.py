@@ -37,13 +37,14 @@ PROGRAM = "rpicam-still"
 LIST_S = 20.0  # timeout for listing the cameras; chosen, not measured
 # Start of the camera stack, and number of frames that it discards before the one that it writes.
 # Long exposures take several times their length (rpicam-apps and its predecessor report up to 7).
+# The first value is chosen.
 START_S = 20.0
 DISCARDED_FRAMES = 7.0
 # Analogue gain has steps of a few percent. A digital gain above 1 means that the sensor could not
-# expose so long (an OV5647 set to 6 s gives 1.06 s and a digital gain of 4).
+# expose so long (an OV5647 set to 6 s gives 1.06 s and a digital gain of 4). Chosen.
 GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
-_SMALLEST_FILE = 100_000  # bytes: a raw frame of the smallest module has over a million
+_SMALLEST_FILE = 100_000  # bytes: a raw frame of the smallest module has over a million; chosen
 _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 

@@ -14,7 +14,7 @@ from fieldlum.devices.serial_port import SerialPort
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
-_POLL_S = 0.05  # timeout of one read; only sets how often the port is polled
+_POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; chosen
 # this many bytes without an end mark mean a wrong baud rate; chosen, not measured
 _LONGEST_REST = 4096
 # Number of lines whose median is taken, and largest time between them, because the light changes

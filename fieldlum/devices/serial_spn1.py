@@ -24,7 +24,7 @@ from fieldlum.records import IrradianceSample
 
 _WAKE_TRIES = 3  # a sleeping SPN1 may lose the first character; chosen, not measured
 # A total this far below the diffuse is doubtful, because the instrument's own noise is below 3
-# W/m2. Larger differences were seen in the field at dawn.
+# W/m2. Larger differences were seen in the field at dawn. Chosen.
 _TOTAL_BELOW_DIFFUSE_WM2 = 3.0
 
 

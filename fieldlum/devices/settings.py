@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from fieldlum.errors import DeviceError
 from fieldlum.records import shutter_text
 
-LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop
+LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop; chosen, as capture/verify.py, TOLERANCE_EV
 
 
 def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -> float:

@@ -19,8 +19,8 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
 MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
 _VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
-YOUNG_AGE = 25.0  # age in years for the first of the two veiling luminances
-OLD_AGE = 70.0  # age in years for the second
+YOUNG_AGE = 25.0  # age in years for the first of the two veiling luminances; chosen
+OLD_AGE = 70.0  # age in years for the second; chosen: CIE 146:2002 then doubles the luminance
 _LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
 
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with the

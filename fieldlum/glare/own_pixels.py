@@ -17,7 +17,7 @@ from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 # Rows of a panorama of directions on which bright pixels are grouped: 0.25 degrees, a twentieth of
-# the distance within which they form one source.
+# the distance within which they form one source. Chosen.
 _DIRECTION_ROWS = 720
 _WINDOW_CDM2 = 2000.0  # brighter pixels are a window, as in `contrast.ViewRegions.ratios`
 # share of task cone and band that must be covered; with less the figure is NaN. Chosen, not

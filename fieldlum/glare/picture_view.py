@@ -24,7 +24,7 @@ HOW = f'give --view "{EXAMPLE_VIEW}" (a 180-degree fisheye that looks south)'
 _LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
 # The solid angle of -vth is infinite at its rim; directions with a smaller cosine are 0.1 % of the
-# hemisphere.
+# hemisphere. Chosen.
 _LEAST_COSINE = 1e-3
 _SAME_PROPORTION = 0.02  # relative; -vh and -vv are often rounded to degrees; chosen
 

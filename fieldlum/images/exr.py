@@ -21,9 +21,10 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.records import Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.strict_toml import plain
 
-# Values of all channels together, 2.6 GB: limits the memory that decoding may take.
+# Values of all channels together, 2.6 GB: limits the memory that decoding may take. Chosen.
 _MAX_VALUES = 4 * MAX_PIXELS
 # 1 cd/m2 for an RGB of 1: without an attribute whiteLuminance the unit of a file is not stated.
+# Chosen.
 _WHITE_CDM2_UNSTATED = 1.0
 NO_UNIT = "the EXR states no whiteLuminance: its values count as cd/m2"
 

@@ -32,9 +32,10 @@ from fieldlum.images.radiance_header import (
 from fieldlum.records import Float
 
 # Brighter pixels are damaged. Infinity is written as 1e30, and single precision ends at 3e38.
-# [W/sr/m2]
+# [W/sr/m2] Chosen between the two.
 _BRIGHTEST = 2e30
-_BLOCK_PIXELS = 500_000  # decoded at a time: limits memory to 6 MB
+# decoded at a time: limits memory to 6 MB; chosen; any value gives the same picture
+_BLOCK_PIXELS = 500_000
 
 
 @dataclass(frozen=True, slots=True)

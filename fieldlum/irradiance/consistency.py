@@ -21,7 +21,8 @@ from fieldlum.records import Site
 
 Rows = NDArray[np.bool_]
 DAY_S = 86400.0  # by definition
-_CLEAR_GRID_S = 300.0  # seconds; a clear sky changes by at most 2 % in five minutes, near sunrise
+# seconds; a clear sky changes by at most 2 % in five minutes, near sunrise; chosen
+_CLEAR_GRID_S = 300.0
 # Seconds. Under broken clouds, instruments with some distance or different time constants differ by
 # over 8 % in 4 % of the sunny minutes of a good station (bench/station_qc.py), but a fault lasts.
 CLOSURE_WINDOW_S = 1800.0
@@ -37,27 +38,27 @@ _KN_TOP_WM2, _KN_PER_M = 1100.0, 0.03
 _K_LASTS_S = 900.0
 
 # With Forstinger's 0.2 for global and 5 degrees, bright overcast hours would be marked; the monthly
-# turbidity gives a clear sky's global within 18 %.
+# turbidity gives a clear sky's global within 18 %. Chosen.
 _TRACKER_GHI, _TRACKER_DNI, _TRACKER_ALTITUDE_DEG = 0.1, 0.95, 10.0
 
 _HORIZON_DEG = 20.0  # higher obstructions are visible in the scene; not measured
-_BIN_AZIMUTH_DEG, _BIN_ALTITUDE_DEG = 4.0, 1.0
+_BIN_AZIMUTH_DEG, _BIN_ALTITUDE_DEG = 4.0, 1.0  # chosen
 _BLOCKED, _FREE = 0.05, 0.5  # of the clear sky's DNI; not measured
 _FREE_WITHIN_S = 2700.0  # seconds before or after within which the sun must be free; chosen
 # number of days that must agree; clouds at one place of the horizon on four such days are rare;
 # chosen
 _BLOCKED_DAYS = 4
 
-_STEP_ALTITUDE_DEG, _STEP_DNI_WM2 = 20.0, 300.0
+_STEP_ALTITUDE_DEG, _STEP_DNI_WM2 = 20.0, 300.0  # chosen
 # relative deviation of DNI from its mean, and seconds of that mean; chosen
 _STEADY, _STEADY_WINDOW_S = 0.05, 600.0
 _DAY_STEADY_S = 1800.0  # least seconds of steady sun on a day whose median is used; not measured
 # A day's scatter is (1 + this / steady seconds)^0.5 times that of an endless clear day: an hour of
 # steady sun between clouds scatters by 1.3 %, seven hours scatter by 0.5 % (three months at
-# Lyngby).
+# Lyngby). Measured with the data of docs/results/station.md.
 _FULL_DAY_S = 28800.0
 # Least step, in multiples of the day-to-day scatter; without a step, 2 % of 20-day records reach
-# it.
+# it. Chosen.
 _STEP_SIGMA = 4.0
 _STEP_DAYS = 3  # least number of days on each side; chosen, not measured
 # least scatter of daily medians: no instrument repeats better from day to day; chosen

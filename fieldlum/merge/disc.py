@@ -20,7 +20,7 @@ from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
 from fieldlum.sun import position
 from fieldlum.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
-_LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees
+_LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees; chosen
 # Relative errors of the luminance of a disc one pixel wide, and of a point, on a mosaic
 # (bench/sun_on_mosaic.py).
 _ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5

@@ -27,7 +27,7 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.session.files.merge_report import NeighbourQuality
 
 # Smaller relative differences between frames never count as motion. The value equals the prior
-# uncertainty of a mechanical shutter time (photometry/ratios.py, PRIOR_LONG).
+# uncertainty of a mechanical shutter time (photometry/ratios.py, PRIOR_LONG). Chosen.
 _LEAST_TOLERANCE = 0.003
 _TOLERANCE_SIGMA = 3.0  # standard deviations of the frames' typical disagreement; chosen
 # The verdict reports an exposure's deviation if it exceeds both: 2 %, and three times its prior u.

@@ -23,7 +23,9 @@ from fieldlum.records import Flag
 Mask = NDArray[np.bool_]
 Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
 
-_BAND = 1 << 21  # elements processed at a time, for all frames together; bounds the memory
+# elements processed at a time, for all frames together; bounds the memory; chosen; any value gives
+# the same result
+_BAND = 1 << 21
 _VOTE_SIGMA = 4.0  # a frame further from a value does not vote for it; chosen
 # a frame further from the consensus is excluded if its neighbours are excluded too; chosen
 _LEAVE_SIGMA = 3.0

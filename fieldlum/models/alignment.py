@@ -31,7 +31,7 @@ from fieldlum.session.files.alignment_csv import (
 )
 
 _LEAST_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
-_LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
+_LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 
 
 def find_turns(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models.data import Dataset
 
-LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
+LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 # share of a pixel's light that remains at least when its sun patch is subtracted; not measured
 LEAST_SHARE = 0.02
 

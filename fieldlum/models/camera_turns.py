@@ -28,10 +28,11 @@ Array = NDArray[Any]
 LEAST_CAPTURES = 5  # fewer captures have no clear majority; not measured
 LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
 _WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows; chosen
-_FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: in darker places edges are noise
+_FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: in darker places edges are noise; chosen
 # Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
 # as an edge in a rendering. In the office of Liu et al. with three days rolled by one pixel, the
-# days' medians are right to 0.012 px with these values, to 0.04 px if 1 px is the last.
+# days' medians are right to 0.012 px with these values, to 0.04 px if 1 px is the last. Measured;
+# no command repeats it.
 _SMOOTH_PX = (3.0, 1.5, 1.0, 1.0, 0.7, 0.7)
 _ROBUST_ROUNDS = 4  # rounds of turning back and computing the median again; not measured
 _TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
@@ -40,7 +41,8 @@ _HIGHEST_DEG = 70.0
 _EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
 _MOST_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
 # Light from another direction moves edges a little: daily medians of the office's clean captures
-# scatter by 0.003 px in heading and roll, 0.05 px (at most 0.10) in tilt.
+# scatter by 0.003 px in heading and roll, 0.05 px (at most 0.10) in tilt. Measured; no command
+# repeats it.
 _LIGHT_PX = 0.05
 # A pose of n captures is corrected if it differs by LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n). The
 # light alone makes single clean captures of the office and of eight simulated rooms differ by up to
@@ -50,7 +52,8 @@ LEAST_TURN_PX, SINGLE_TURN_PX = 0.25, 0.5
 # px. Chosen.
 MOVE_COST = 0.3
 # Least correlation of the edges of a turned-back capture with the room's edges. Clean captures have
-# 0.24 (darkest hours) to 1; those of a camera turned by 30 px have 0.10 to 0.16.
+# 0.24 (darkest hours) to 1; those of a camera turned by 30 px have 0.10 to 0.16. Measured; no
+# command repeats it.
 LEAST_LIKENESS = 0.2
 MOST_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
 

@@ -29,7 +29,7 @@ from fieldlum.site_toml import load_site, site_table
 if TYPE_CHECKING:
     from fieldlum.light import Light
 
-_NAMED = 3  # number of slots that a note names
+_NAMED = 3  # number of slots that a note names; chosen
 
 
 @dataclass(frozen=True, slots=True)

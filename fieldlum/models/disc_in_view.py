@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 # shows open sky through glass. Not measured.
 SKY_SHARE = (0.3, 1.3)
 # Standard deviation of the sun's direction relative to the edges of a room that has no parameters:
-# a compass to 1 degree, and 5 cm at an edge 2.5 m away.
+# a compass to 1 degree, and 5 cm at an edge 2.5 m away. Chosen from these two.
 EDGE_SD_DEG = 1.5
 # 2.5 % of them is more than one room; a year of them takes half a second of CPU time; chosen
 DRAWN_ROOMS = 64

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 FLOOR_CDM2 = 1.0  # paper
-RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2
+RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020
 # most maps for which DGP and RAMMG are computed, spread evenly; chosen, limits the time
 GLARE_MAPS = 150
 KEPT_HEIGHT = 58  # least number of rows of stored maps: that of the smallest panoramas of a demo

@@ -12,8 +12,9 @@ from fieldlum.records import Flag, Panorama
 # A clipped value is a bound; a moving object has different values in each frame; a filled value is
 # from the pixel's neighbours. Bloom and noise are part of u_cdm2.
 TEACHES_NOTHING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
-_HALF = 1e-2  # relative variance at which a value has half weight, as for the irradiance
+_HALF = 1e-2  # relative variance at which a value has half weight, as for the irradiance; chosen
 # A pixel that is flagged in most captures (a lamp that is always clipped) is used with its values.
+# Chosen.
 _MOSTLY = 0.5
 _DOUBTFUL = 0.1  # not measured
 

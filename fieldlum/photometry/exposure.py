@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 # hdrgen (Ward, panlib). A wrong value scales all luminances without a scale calibration.
 STONITS = 87.0
 # A nominal time further than this share from both grids is used unchanged. Nominal times of third
-# stops are rounded by up to 6.3 % (13 s is 12.7 s).
+# stops are rounded by up to 6.3 % (13 s is 12.7 s). Chosen just above.
 _OFF_GRID = 0.07
 # A saturated run of counts is a spike if it is this many times the average of equal runs below it.
 # Chosen so that a bright smooth scene is no spike; not measured.

@@ -21,7 +21,7 @@ THIRD_STOPS, HALF_STOPS, EXACT, AUTO = "third-stops", "half-stops", "exact", "au
 LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
 _STEPS_A_STOP = {THIRD_STOPS: 3, HALF_STOPS: 2}
 # A time further from the grid than this share is used unchanged. Labels are rounded by up to 6.3 %
-# (13 s) in thirds of a stop, and by 11.6 % (1/20 s is 2^-4.5 s) in halves.
+# (13 s) in thirds of a stop, and by 11.6 % (1/20 s is 2^-4.5 s) in halves. Chosen just above.
 _OFF_GRID = {THIRD_STOPS: 0.07, HALF_STOPS: 0.12}
 # Least difference of the expected ln ratio between two laws, for a pair to decide between them.
 # Chosen above the uncertainty of a pair; not measured.

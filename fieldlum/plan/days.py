@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.records import Site, Slot
 
+# Days of docs/planning.md.
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
 "Set: (seasons, days before and after the event)."
 MONTH_DAYS = 31  # the longest month

@@ -18,10 +18,11 @@ from fieldlum.session.ledger import read_ledger
 from fieldlum.session.tables import PlanTable
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
+# Chosen as that half.
 SAME_DECLINATION_DEG = 0.2
 MAKEUP = "makeup:"  # tag, followed by the missed slot's id
 # The equation of time differs by up to half an hour between the two passages: 7.5 deg of hour
-# angle.
+# angle. Chosen with a margin.
 MOST_OFF_DEG = 12.0
 
 

@@ -25,8 +25,10 @@ from fieldlum.session import exposure_text
 from fieldlum.weather import Weather
 
 SIZE_PX = 300.0  # of the sky chart; chosen for a third of a page
-RADIUS_PX = 122.0  # of its horizon
-LATE_MINUTES = 5  # minutes after the planned time within which a bracket may start
+RADIUS_PX = 122.0  # of its horizon; chosen
+# minutes after the planned time within which a bracket may start; the default of `fieldlum capture
+# --grace` (docs/capture.md)
+LATE_MINUTES = 5
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models import Fitted, Prediction
 
-BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230
+BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.predict_json import PredictFile
 
-NORMAL_95 = 1.96  # standard deviations of a 95 % interval
+NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
 
 if TYPE_CHECKING:
     from fieldlum.light import Light

@@ -16,10 +16,10 @@ from fieldlum.projection.panorama import (
 )
 
 # From this share on a direction counts as seen. A dual fisheye without the nadir sees over 99 %; 2
-# % of a hemisphere of 10 000 cd/m2 changes DGP by 0.04, which the bounds of DGP include.
+# % of a hemisphere of 10 000 cd/m2 changes DGP by 0.04, which the bounds of DGP include. Chosen.
 FULLY_SEEN_SHARE = 0.98
 # Below this share a direction gets no result: a 180-degree lens sees half of the cosine-weighted
-# hemisphere at 90 degrees from its axis.
+# hemisphere at 90 degrees from its axis. Chosen.
 LEAST_SEEN_SHARE = 0.5
 SEEN = "seen"
 PARTLY_SEEN = "partly seen"

@@ -23,6 +23,7 @@ _BLOCK_SAMPLES = 250_000
 _WINDOWS = 1_000_000  # window cells that are summed at a time; limits memory only
 # Cells whose corners are all outside of the lens by more than this are skipped: some polynomials
 # fall again beyond the edge and would show directions behind the lens as a mirror image of its rim.
+# Chosen.
 _EDGE_RAD = 0.002
 # Distance between pixels of one colour of a Bayer mosaic, exact. [px]
 _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}
@@ -32,7 +33,7 @@ _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}
 _LEAST = 3
 _STEP = 1.1
 # Largest distance of the nodes at which lens coordinates are computed exactly, half a degree:
-# between them the coordinates are interpolated.
+# between them the coordinates are interpolated. Chosen.
 _NODE_RAD = 0.009
 
 

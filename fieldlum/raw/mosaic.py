@@ -23,7 +23,7 @@ from fieldlum.raw.dng import channel_positions
 from fieldlum.raw.exif import ExifTag, FrameInfo, info_of, numbers, tags_of
 from fieldlum.records import Exposure
 
-# A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels.
+# A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels. Chosen.
 _LARGEST_PIXELS = 400_000_000
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()

@@ -21,7 +21,7 @@ from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
 
-_MOST_LISTED = 12  # values of a setting that are shown one by one
+_MOST_LISTED = 12  # values of a setting that are shown one by one; chosen
 
 if TYPE_CHECKING:
     from fieldlum.predict import Annual

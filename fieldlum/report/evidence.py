@@ -19,6 +19,7 @@ from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile
 
 # Suns of two planned days of one season are under 1 degree apart, of two seasons over 20 degrees.
+# Chosen between the two.
 SEASON_GAP_DEG = 8.0
 _NO_MAPS = "The model has no held-out maps: train it again to show them here."
 SHOWN = ("typical", "one in ten is worse", "worst")

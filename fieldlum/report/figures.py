@@ -19,7 +19,7 @@ from fieldlum.records import Float
 
 LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)  # range of the colour scale; not measured
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
-POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim
+POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim; chosen
 CAPTURED, PREDICTED = RED, BLUE
 CLASS_COLOURS = {"high": GREEN, "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
 

@@ -21,12 +21,14 @@ from fieldlum.records import Room, Window
 from fieldlum.scene.clicks import KINDS, Click, ClickGrid
 
 Array = NDArray[np.float64]
-CLICK_PX = 0.5  # standard uncertainty of a careful click on a zoomed picture
+# standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
+CLICK_PX = 0.5
 _WALLS = ("south", "west", "north", "east")
 # Of a wall, seen in the room's axes: which of x, y its plane fixes, and on which side.
 _PLANES = {"south": (1, -1), "west": (0, -1), "north": (1, 1), "east": (0, 1)}
-_MISFIT_PX = 3.0  # a click this far from the fitted room is named: six times a careful click
-_HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ceiling
+# a click this far from the fitted room is named: six times a careful click; chosen
+_MISFIT_PX = 3.0
+_HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ceiling; chosen
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 
 SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, not measured.
 ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
-GROUND_REACH_M = 60.0  # the ground is modelled this far around the room, with an open plain beyond
+# the ground is modelled this far around the room, with an open plain beyond; chosen
+GROUND_REACH_M = 60.0
 INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
 
 # name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)

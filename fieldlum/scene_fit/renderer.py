@@ -26,7 +26,8 @@ OUTSIDE = -1  # a ray that leaves through a window
 PANE, SILL, HEAD, JAMB, BAR = range(5)  # what a ray into an opening sees
 _AHEAD_M = 1e-3  # chosen: a surface does not shade itself, and no object is as thin
 _GRAZING = 1e-4  # chosen: cosine of a sun 0.006 degrees above the glass, which lets nothing in
-_SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero
+# of a direction along an axis: avoids a division by zero; chosen
+_SMALLEST = 1e-9
 
 
 @dataclass(frozen=True)

@@ -261,7 +261,7 @@ def compound_moves(
 
 
 # Numbers that move the windows in the picture, with the first and the last step of moves in which
-# the windows follow: those of the number alone.
+# the windows follow: those of the number alone. Chosen.
 _AIMED = {
     "wall_azimuth_deg": (0.5, 0.03),
     "camera_x_m": (0.04, 0.004),

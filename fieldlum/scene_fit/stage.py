@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 # With three hours or fewer, the relative uncertainty of the standard error of their mean misfit is
-# a half: (2 (n - 1)) ** -0.5.
+# a half: (2 (n - 1)) ** -0.5. Chosen.
 MIN_HOURS_OUTSIDE = 4
 
 

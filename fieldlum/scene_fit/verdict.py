@@ -46,7 +46,7 @@ _FLOOR_CDM2 = 1.0
 # with three rooms by plain Radiance (bench/scene_rooms.py), when errors alone decided.
 _WORTH = 0.95
 # Patch misfits within 10 % agree, because over ten held-out hours the mean is not known better (4.7
-# and 4.6 % for the exact and the fitted room of the demo).
+# and 4.6 % for the exact and the fitted room of the demo). Chosen.
 _SAME_MISFIT = 1.1
 # Chosen: a scene that leaves more than this share of the misfit without patches lacks something.
 MAX_UNEXPLAINED = 0.5

@@ -23,11 +23,11 @@ RAY_DEG = 0.75  # chosen: between rays of a pixel; an edge moves a pixel's share
 MARGIN_DEG = 6.0  # chosen: a tape that is 5 cm off and a camera that is, both seen from 1 m
 WIDTH = 0.25  # chosen: error, as a share of the panes' luminance, at which a pixel is half wrong
 _SMOOTH = 1.0  # chosen: weight of equal luminance in neighbouring rows, in pixels
-_LEAST_CDM2 = 0.1
+_LEAST_CDM2 = 0.1  # chosen: for logarithms, far below any pane
 _LEAST_PANE = 0.1  # chosen: of the mean pane; a row without panes has no level of its own
 # Luminance of sill, head, jambs and room as shares of the mean pane's, and how many pixels of
 # evidence this counts as. In five rendered rooms the reveals had 0.05 to 0.4. Without it, reveals
-# as bright as panes let a window shrink by their width.
+# as bright as panes let a window shrink by their width. Chosen.
 _LEVELS = np.array([0.3, 0.15, 0.15, 0.05])
 _LEVEL_WEIGHTS = np.array([20.0, 20.0, 20.0, 1e-3])
 # Chosen: of the luminance that three quarters of the panes exceed; a brighter room shows no edges.

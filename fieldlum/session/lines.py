@@ -20,7 +20,7 @@ from fieldlum.session.tables import JournalEvent
 
 # Seconds. A line and its flush take milliseconds. After this time the line is appended without the
 # lock. Two lines could then mix only on a file system that splits writes, and the CRC would show
-# it.
+# it. Chosen.
 _MAX_LOCK_S = 0.25
 _LOCK_EVERY_S = 0.002  # pause between two tries to lock [s]; not measured
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system without locks

@@ -29,10 +29,10 @@ SKY_MF = 4  # 4 x 4 Reinhart patches for each Tregenza patch: 2305 in total
 SKY = len(reinhart_patches(SKY_MF))
 PLAIN = SKY  # column of the open plain
 FIRST_PIECE = SKY + 1  # column of the first piece of surface
-# Size of one rcontrib run: decides memory and speed only.
+# Size of one rcontrib run: decides memory and speed only. Chosen.
 _POINTS_A_RUN = 1200
 _RAYS_A_RUN = 600_000
-_OFFSET_M = 1e-3  # points are this far above their surface, so that rays do not hit it
+_OFFSET_M = 1e-3  # points are this far above their surface, so that rays do not hit it; chosen
 _SUB = 4  # squared: sample points of direct sun in a piece; chosen, not measured
 # Distances are rounded to this many decimals [m2], so that members of a set that are equally far
 # from its middle, as in a symmetric room, are taken by their order. Their last bit differs between

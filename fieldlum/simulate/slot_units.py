@@ -19,7 +19,8 @@ from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.simulate.troubles import Troubles, troubled_pictures
 from fieldlum.simulate.truth import GroundTruth, Rendering, ground_truth
 
-SLOTS_A_UNIT = 16  # rendered together: more would need more memory, fewer more multiplications
+# rendered together: more would need more memory, fewer more multiplications; chosen
+SLOTS_A_UNIT = 16
 
 
 @dataclass(frozen=True, slots=True)

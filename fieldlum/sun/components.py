@@ -15,6 +15,7 @@ from fieldlum.records import Site
 from fieldlum.sun.ephemeris import pandas_index, position
 
 # Below this altitude a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark such values.
+# Chosen.
 LOW_SUN_DEG = 5.0
 # Above this altitude shares and ratios of horizontal readings can be tested. Chosen, not measured.
 CLEAR_SUN_DEG = 10.0

@@ -147,7 +147,8 @@ class DayOfSun(NamedTuple):
     set: datetime | None
 
 
-# True altitude of the centre at rise and set: 34' of refraction and 16' of radius.
+# True altitude of the centre at rise and set: 34' of refraction and 16' of radius. Definition of
+# the US Naval Observatory.
 RISE_ALTITUDE_DEG = -0.8333
 
 

@@ -42,7 +42,7 @@ SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 FOLD_SHARE = 0.5
 # With less than one pass over the training pixels, the network's errors depend on the processor's
 # speed (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the
-# model suits a room.
+# model suits a room. Chosen.
 MIN_PASSES_TO_JUDGE = 1.0
 
 

@@ -31,7 +31,7 @@ Rows = NDArray[np.intp]
 FEWEST_DAYS = 4  # with fewer days it is unclear which day is the exception; chosen
 _THIN_HEIGHT = 20  # least number of rows of the maps that are compared; chosen
 _PIXELS = 200  # number of pixels, drawn by solid angle; chosen
-# least median luminance of a picture that can be judged: the floor of the scores
+# least median luminance of a picture that can be judged: the floor of the scores; chosen
 _LEAST_LEVEL_CDM2 = 1.0
 OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches; chosen
 # share of a pixel's luminance above which a sun patch hides the rest, also next to the patch;
@@ -47,7 +47,7 @@ _LEAST_TYPICAL = 0.01
 # Squared deviation over that of the median capture or day, in nine simulated rooms at 46 x 23
 # pixels. Largest without a change: 185 and 6. With lamps of 10 cd/m2 at dusk: 140 and more. With a
 # blind half down for a day: 20 and more. A larger value only starts a search; the gain decides what
-# is omitted.
+# is omitted. Chosen between these (docs/results/troubles.md, nine simulated rooms).
 CAPTURE_LIMIT = 100.0
 DAY_LIMIT = 10.0
 _SOFT = 0.1  # of the limits: smaller deviations cost little; chosen

@@ -15,11 +15,11 @@ from fieldlum.train.folds import day_folds
 from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import evaluate_folds
 
-SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve
+SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve; chosen
 FOLDS = 3  # enough for a curve, and faster than `folds.MOST_FOLDS`; chosen
 FEWEST = 12  # least number of captures; fewer give too few points for a curve; chosen
 THIN_HEIGHT = 20  # number of rows; the mean errors are the same, and fits take seconds; chosen
-# largest time of the next point over that of the last one, as captures at most double
+# largest time of the next point over that of the last one, as captures at most double; chosen
 _NEXT_POINT = 2.0
 
 

@@ -33,9 +33,9 @@ _LEAST_LOG = float(np.log(1.2))  # least deviation of a pixel, ln of light
 _LEAST_REGION_LOG = float(np.log(1.25))  # least median deviation of a region, ln of light
 # least lasting change, ln of light; a knocked camera changes edges by a factor of 1.27
 _LEAST_STEP_LOG = float(np.log(1.4))
-_LASTING = 0.6  # share of a step that must remain, whichever day is omitted
-_FEWEST_PIXELS = 3
-_SIZE_SR = (0.02, 1.5)  # smallest and largest region: a person at 6 m and at 0.6 m
+_LASTING = 0.6  # share of a step that must remain, whichever day is omitted; chosen
+_FEWEST_PIXELS = 3  # least number of pixels of a region; chosen
+_SIZE_SR = (0.02, 1.5)  # smallest and largest region: a person at 6 m and at 0.6 m; chosen
 # Largest deviation next to a region over that within it: an object ends at an edge, but a wrong
 # prediction fades out. Chosen.
 _MOST_OUTSIDE = 0.35

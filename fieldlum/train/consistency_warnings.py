@@ -13,12 +13,14 @@ if TYPE_CHECKING:
     from fieldlum.models import Fitted
     from fieldlum.models.data import Dataset
 
-# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach
+# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach;
+# chosen
 POOR_MSE = 0.02
 ODD_TIMES = 4.0  # a day this many times worse than the median day is reported; not measured
 
 
-# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %
+# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %; chosen
+# between the two
 HARD_SHARE = 0.1
 
 

@@ -43,7 +43,8 @@ _MOST_DAYS_IN_PAIRS = 12
 _MOST_DAYS = 40
 _NOISE = 1e-2  # relative variance with which other days predict what is reported; chosen
 _SUSPECT = 0.1  # of the limits: deviations that a change elsewhere may hide; chosen
-_MOST_SHARE = 1.0 / 3.0  # largest share of captures that may be omitted: more are not an exception
+# largest share of captures that may be omitted: more are not an exception; chosen
+_MOST_SHARE = 1.0 / 3.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from fieldlum.train.selection import Trial
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-LEAST_FOLDS = 2  # one fold gives no standard error
+LEAST_FOLDS = 2  # one fold gives no standard error; chosen
 LEAST_FOLD_S = 60.0  # a shorter training of a dense fold is no measure of the network; not measured
 
 

@@ -11,7 +11,7 @@ from fieldlum.view.measured_picture import MeasuredPicture
 from fieldlum.view.regions import Region, region_mask, shared_scale
 
 _INCHES, _DPI = 6.4, 150  # 960 pixels wide
-_MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size
+_MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size; chosen
 COLOURS = "inferno"  # perceptually uniform, and readable without red and green
 
 

@@ -21,8 +21,8 @@ from fieldlum.view.regions import shared_scale
 # Code q of 1 to 65535 is 10^((q - 1) / 65534 * 14 - 4) cd/m2: steps of 0.05 %, up to 1e10.
 # 0: no light, or no lens saw the pixel.
 LOG_LOW, LOG_SPAN, CODES = -4.0, 14.0, 65534
-_U_STEP = 4  # u is at a quarter of the size: bounds the page
-_U_PER_PERCENT = 4.0  # code of relative u: quarters of a percent, at most 63 %
+_U_STEP = 4  # u is at a quarter of the size: bounds the page; chosen
+_U_PER_PERCENT = 4.0  # code of relative u: quarters of a percent, at most 63 %; chosen
 
 
 def encode_luminance(luminance_cdm2: NDArray[np.float32]) -> str:

@@ -23,7 +23,7 @@ from fieldlum.weather.year import TYPICAL_YEAR
 HIGHEST_WM2 = 1600.0
 LOWEST_WM2 = -10.0
 # Degrees of longitude over 15 minus the zone's hours; western China (3.3 h) is the extreme of the
-# time zones in use, so that a larger difference is a wrong sign or zone.
+# time zones in use, so that a larger difference is a wrong sign or zone. Chosen just above.
 _LARGEST_ZONE_OFFSET_H = 3.5
 
 

@@ -46,7 +46,7 @@ DARK_WM2 = 1.0
 RISEN_DEG = 1.5
 SUNK_DEG = -0.5
 # Share of the sunrises and sunsets that may contradict. Half an hour of shift gives 0.10 to 0.14 at
-# 36 to 55 degrees north.
+# 36 to 55 degrees north. Chosen, a third of that.
 MOST_AGAINST = 0.04
 MOST_OF_FEW = 12  # files of a few days decide nothing below this count; not measured
 # Share that is an error although no shift of the labels helps: the weather is of another latitude

@@ -24,8 +24,9 @@ from fieldlum.weather.plausibility import hours_against
 
 _HALF = timedelta(minutes=30)  # of an hour, by definition
 # A span of +-10 min separates labels that are half an hour apart, which a span of an hour does not.
+# Chosen.
 _NARROW = timedelta(minutes=10)
-_EVERY_DAY = 5  # every fifth day decides: 73 sunrises and sunsets, at a fifth of the time
+_EVERY_DAY = 5  # every fifth day decides: 73 sunrises and sunsets, at a fifth of the time; chosen
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IGNORECASE)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fieldlum import sun
 from fieldlum.records import Site
 
-# Hours of a typical year are dated in this year: any year without 29 February serves.
+# Hours of a typical year are dated in this year: any year without 29 February serves. Chosen.
 TYPICAL_YEAR = 2027
 _HOUR = timedelta(hours=1)
 

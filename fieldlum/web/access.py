@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from urllib.parse import parse_qs
 
-TOKEN_BYTES = 32  # 256 random bits cannot be guessed, so wrong tokens need no counting
+TOKEN_BYTES = 32  # 256 random bits cannot be guessed, so wrong tokens need no counting; chosen
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": (

@@ -27,12 +27,13 @@ from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
+# Chosen.
 QUIET_BEFORE_S = 90.0
 _LOOK_EVERY_S = 5.0  # not measured
 _LOWEST_PRIORITY = 19  # of POSIX nice
-ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day
-LEAST_CAPTURES = 8  # fewer leave every class open
-_DAYS_KEPT = 400  # a year and a month of answers
+ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
+LEAST_CAPTURES = 8  # fewer leave every class open; chosen
+_DAYS_KEPT = 400  # a year and a month of answers; chosen
 PROGRAM = (
     sys.executable,
     "-c",

@@ -21,10 +21,10 @@ from fieldlum.session import Session, decode_line, decode_sample
 from fieldlum.session.ledger import Ledger, fold
 from fieldlum.session.tables import JournalEvent
 
-BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page
+BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page; chosen
 _BINS = 86400 // BIN_S
-_DAYS_KEPT = 6  # in memory; bounds it
-_EVENTS_KEPT = 60  # in memory; more than a page shows
+_DAYS_KEPT = 6  # in memory; bounds it; chosen
+_EVENTS_KEPT = 60  # in memory; more than a page shows; chosen
 
 
 class LineTail:

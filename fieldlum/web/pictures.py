@@ -13,9 +13,9 @@ from fieldlum.records import Flag
 from fieldlum.view.false_colour import COLOURS
 from fieldlum.view.regions import rounded_scale
 
-MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory
-_UNSEEN_RGB = (120, 120, 120)  # grey is no colour of the scale
-_KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more
+MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory; chosen
+_UNSEEN_RGB = (120, 120, 120)  # grey is no colour of the scale; chosen
+_KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more; chosen
 
 
 def luminance_ends(path: Path) -> tuple[float, float]:

@@ -28,7 +28,7 @@ from fieldlum.web.words import event_words
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
 _EVENTS_SHOWN = 25  # not measured: about a screen
-# A journal this far ahead of the computer's clock comes from `capture --clock fast`.
+# A journal this far ahead of the computer's clock comes from `capture --clock fast`. Chosen.
 _REHEARSAL = timedelta(hours=1)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SUN_RADIUS_DEG = 0.2665  # mean angular radius of the sun at 1 au (Auwers 1891: 959.63 arc seconds)
 _SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
 _SUN_SUBSAMPLES = 8  # per pixel and axis of the disc; chosen, not measured
-_SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur
+_SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur; chosen
 # Standard deviation of the lens's blur. It is applied to the sun only, because everything else is
 # smoother. Chosen as that of a good lens; not measured.
 _PSF_PX = 0.5

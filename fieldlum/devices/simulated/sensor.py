@@ -22,7 +22,7 @@ DIAL_S = (
     *(float(text) for text in _SECONDS.split()),
     *(1.0 / float(text) for text in _FRACTIONS.split()),
 )
-# A Poisson distribution of more electrons is approximated by a normal one, for speed.
+# A Poisson distribution of more electrons is approximated by a normal one, for speed. Chosen.
 _GAUSSIAN_ABOVE_E = 60.0
 
 

@@ -19,6 +19,7 @@ from fieldlum.records import Panorama
 from fieldlum.session.files.truth_csv import TruthIrradiance
 
 # A panorama of the truth is used for times up to this far away, because slots are an hour apart.
+# Chosen.
 NEAREST_TRUTH = timedelta(minutes=45)
 
 

@@ -27,11 +27,12 @@ Array = NDArray[Any]
 
 # Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
-SUB = 3  # rays per pixel in each direction, as in the stated patches (`sun_patches`)
+SUB = 3  # rays per pixel in each direction, as in the stated patches (`sun_patches`); chosen
 _FEWEST_HOURS = 3  # sunny captures of a day whose offset is estimated; chosen
-_FEWEST_DAYS = 3  # with such captures, to have a median
+_FEWEST_DAYS = 3  # with such captures, to have a median; chosen
 # Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
-# clock that drifts by 2 min in a week 0.6 min.
+# clock that drifts by 2 min in a week 0.6 min. Chosen between the two
+# (docs/decisions/0016-clock-of-each-day.md).
 _LEAST_SPREAD_MIN = 0.3
 _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; chosen
 

@@ -37,7 +37,7 @@ DISC_MARGIN = 2  # pixels around the sun that may have changed when its disc was
 # lowest sun for which horizontal readings give the sun's normal irradiance; chosen
 LOWEST_SUN_DEG = 1.0
 # At a lower sun, closure divides by less than 0.05, so that 2 W/m2 in the horizontal become 40 W/m2
-# in the normal; sun.dni_by_closure gives 0 under 2 degrees.
+# in the normal; sun.dni_by_closure gives 0 under 2 degrees. Chosen.
 UNMEASURED_SUN_DEG = 3.0
 UNMEASURED_VARIANCE = 1.0  # relative variance: such a sun may give as much light as the sky; chosen
 UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half weight; not measured

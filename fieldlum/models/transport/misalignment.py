@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-HOURS = 48  # those with most direct sun in view; bounds the time
+HOURS = 48  # those with most direct sun in view; bounds the time; chosen
 LEAST_HOURS = 3  # not measured
 FAINT = 0.02  # of the most direct sun in view: hours below it are not used; not measured
-PIXELS = 4000  # bounds the time
-SUB = 2  # rays per pixel in each direction; bounds the time
+PIXELS = 4000  # bounds the time; chosen
+SUB = 2  # rays per pixel in each direction; bounds the time; chosen
 WITHOUT_PATCH = Recipe(1e-2, rounds=4, rank=40)  # robust rounds find the light below the patches
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; not measured
 MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3  # reach of the search; not measured

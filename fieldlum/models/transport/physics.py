@@ -29,7 +29,7 @@ Array = NDArray[Any]
 HEIGHT = 16  # rows of the coarse panorama from which the modes are computed; not measured
 QUALITY = "draft"
 MODES = 48  # number of singular modes; not measured
-FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`
+FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`; chosen
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ LEAST_GAIN = 0.005
 # another cause that explains at least this share of the best cause's gain is reported too; chosen
 ALIKE = 0.8
 # Blur in px: patches moved by fractions of a pixel are blurred, which would favour integer amounts.
+# Chosen.
 BLUR_PX = 0.25
 
 

@@ -29,10 +29,10 @@ NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal 
 CLASSES = (0.05, 0.5)
 # middles of the classes
 MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)
-LEAST_SD = 1e-4  # avoids division by zero
-LEAST_VARIANCE = 1e-9  # avoids division by zero
+LEAST_SD = 1e-4  # avoids division by zero; chosen
+LEAST_VARIANCE = 1e-9  # avoids division by zero; chosen
 # Largest standard deviation of ln L: with more than a factor of ten, one pixel would dominate the
-# hour's mean.
+# hour's mean. Chosen: ln 10.
 MOST_SD = 2.3
 # Hours are alike within this chord of the sun's direction and within this difference of its share.
 # FEW is the weight of the general estimate next to similar hours. Not measured.

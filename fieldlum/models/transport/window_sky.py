@@ -23,7 +23,7 @@ from fieldlum.sky import reinhart_patches
 Array = NDArray[Any]
 
 # Values to be tried: sd of ln luminance, chord over which the field changes, sd of a patch's mean.
-# They range from a nearly clear sky to broken clouds; the likelihood chooses.
+# They range from a nearly clear sky to broken clouds; the likelihood chooses. Chosen.
 SDS = (0.1, 0.2, 0.3, 0.45, 0.7)
 WIDTHS = (0.1, 0.2, 0.35, 0.6, 1.0)
 NOISES = (0.01, 0.03, 0.06, 0.12, 0.25)

@@ -29,6 +29,7 @@ HOUR_COLUMNS = (
     "expected_log10_mse",
     "disturbed_share",
 )
+# Chosen.
 VIEW_COLUMNS = {  # name and number of digits written
     "dgp": 4,
     "u_dgp": 4,

@@ -32,8 +32,8 @@ PAIR_COLUMNS = (
 )
 NEEDED = PAIR_COLUMNS[:4]
 OPTIONAL = (*PAIR_COLUMNS, "state", "refraction")
-MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement
-MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
+MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement; chosen
+MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile; chosen
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
 _YES, _NO = ("", "1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
 
