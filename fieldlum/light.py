@@ -155,7 +155,7 @@ class Facades:
 
     @property
     def normals(self) -> Array:
-        """The outward normals, [f, 3]."""
+        """The outward normals as unit vectors, [f, 3]."""
         return sun.direction(0.0, self.azimuths_deg)
 
 

@@ -49,6 +49,6 @@ def merged_state(text: str, change: str) -> str:
 
 
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return 1 where the state at a time has that part, else 0, [n, columns]."""
+    """Return whether the state at a time has that part, as 1 or 0, [n, columns]."""
     rows = [[float(part in parse_state(text)) for part in columns] for text in states]
     return np.array(rows, float).reshape(len(states), len(columns))

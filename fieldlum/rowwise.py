@@ -23,7 +23,7 @@ def cosines(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
 
 
 def turned(matrix: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
-    """Return matrix [3, 3] times each of the vectors [..., 3]."""
+    """Return matrix [3, 3] times each of the direction vectors [..., 3]."""
     rows = np.asarray(matrix, np.float64)
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
     return np.stack([r[0] * x + r[1] * y + r[2] * z for r in rows], axis=-1)

@@ -43,7 +43,7 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Return the inner corners [rows * columns, 2] on the sensor; None if no board is visible."""
+    """Return the inner corners [rows * columns, 2] in px; None if no board is visible."""
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(

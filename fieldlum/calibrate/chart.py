@@ -70,7 +70,7 @@ def in_order(luminance: Array) -> bool:
 
 
 def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
-    """Return the patch centres [24, 2] inside corners [4, 2], and a radius within each patch."""
+    """Return patch centres [24, 2] inside corners [4, 2], and a radius within a patch, in px."""
     import cv2
 
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)

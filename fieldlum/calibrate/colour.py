@@ -52,7 +52,7 @@ class Colours:
 
 @dataclass(frozen=True, slots=True)
 class ColourFit:
-    """The fitted coefficients, their uncertainty, and the residuals of the readings."""
+    """The fitted coefficients, their uncertainty, and relative residuals [n] of the readings."""
 
     y_from_rgb: tuple[float, float, float]
     scale: float  # luminance over a . rgb with the new coefficients: a factor on k

@@ -31,7 +31,7 @@ _MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not m
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Mean camera R, G and B of a disc on the sensor, in cd/m2 at the profile's k.
+    """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
 
     u_rel : relative uncertainty of the mean.
     """

@@ -52,7 +52,7 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A fitted lens, the residuals of its targets, and warnings."""
+    """A fitted lens, the residuals [n] of its targets, and warnings."""
 
     lens: Lens
     rms_px: float  # of held-out targets

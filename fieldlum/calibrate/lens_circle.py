@@ -19,7 +19,7 @@ EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
-    """Read a raw, JPEG or PNG file as 8-bit grey at sensor size, [h, w].
+    """Read a raw, JPEG or PNG file as grey codes 0 to 255 at sensor size, [h, w].
 
     Raises InputError for a file that cannot be read.
     """

@@ -55,7 +55,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class VignettingFit:
-    """A fitted vignetting curve, its uncertainty, and the residuals of the readings."""
+    """A fitted vignetting curve, its uncertainty, and relative residuals [n] of the readings."""
 
     coefficients: tuple[float, ...]  # powers of r, c_0 = 1
     level: float  # the value on the axis

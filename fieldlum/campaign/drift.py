@@ -38,7 +38,7 @@ WINDOW_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class DriftSeries:
-    """One quantity over time: days since the first value, values, and their change.
+    """One quantity over time: days since the first value [n], values [n], and their change.
 
     change: of a robust line from the first to the last value, with its 95 % interval; reach: a
     larger change is significant. NaN with fewer than `FEWEST` values or `FEWEST_DAYS` days.

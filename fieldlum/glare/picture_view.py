@@ -57,7 +57,7 @@ class PictureView:
 
     @property
     def frame(self) -> NDArray[np.float64]:
-        """Rows right, up and forward, [3, 3]."""
+        """Unit vectors right, up and forward as rows, [3, 3]."""
         return np.stack([np.cross(self.forward, self.up), self.up, self.forward])
 
     @property

@@ -55,7 +55,7 @@ def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
 def check(series: Series, altitude: Array, top: Array) -> Series:
     """Mark impossible values, and compute the third of GHI, DHI and DNI if two are measured.
 
-    altitude, top [n]: from `sky_geometry`.
+    altitude [n, deg], top [n, W/m2]: from `sky_geometry`.
     """
     marks = series.marks.copy()
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2

@@ -41,7 +41,7 @@ class Signal(Protocol):
         ...
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return the counts above black, and a mask of saturated pixels and their neighbours.
+        """Return the counts above black [rows, w], and a mask of saturated pixels with neighbours.
 
         The mask is None if nothing is saturated.
         """
@@ -55,11 +55,11 @@ class Signal(Protocol):
         ...
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask of counts that are far enough below saturation to predict a luminance."""
+        """Return a mask [rows, w] of counts far enough below saturation to predict a luminance."""
         ...
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask of counts below saturation, and the variance of the counts."""
+        """Return a mask [rows, w] of counts below saturation, and the variance of the counts."""
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:

@@ -45,7 +45,7 @@ _WITNESSES = 2  # least number of agreeing frames; chosen
 class Consensus:
     """The frames' consensus at m pixels.
 
-    value_cdm2: value that most frames share. clear: whether frames outside the consensus are
+    value_cdm2 [m]: value that most frames share. clear: whether frames outside the consensus are
     excluded. sure: number of frames whose noise is small enough to confirm the value.
     """
 

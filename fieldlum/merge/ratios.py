@@ -38,7 +38,7 @@ class Sample:
 class RatioCurve:
     """Relative standard uncertainty of a merged value due to the exposures, by luminance.
 
-    levels_cdm2: luminances of the curve, rising.
+    levels_cdm2 [n]: luminances of the curve, rising; u_rel [n].
     """
 
     levels_cdm2: NDArray[np.float64]

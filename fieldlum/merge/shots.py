@@ -156,7 +156,7 @@ def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDArray[np.float64]]:
-    """Return the times of the frames under each law, [frames] s.
+    """Return the times of the frames under each law [s, frames].
 
     Measured times are the same under all.
     """

@@ -73,7 +73,7 @@ class CameraTurns:
 
     @property
     def turned(self) -> NDArray[np.bool_]:
-        """Mask [n] of the captures that must be turned back."""
+        """Whether each capture must be turned back, [n]."""
         return self.aligned & self.angles_deg.any(axis=1)
 
 

@@ -39,7 +39,10 @@ PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache
 
 
 class DenseFitted:
-    """A trained network with everything that its prediction needs."""
+    """A trained network with everything that its prediction needs.
+
+    held_out_mse: see `Fitted`, [n].
+    """
 
     name = "dense"
     held_out_mse: NDArray[np.float64] | None = None

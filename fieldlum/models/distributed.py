@@ -29,7 +29,7 @@ def join(device: torch.device) -> None:
 
 
 def total(tensor: Tensor) -> Tensor:
-    """Return the sum over all ranks in the shape of `tensor`, computed in place."""
+    """Return the sum over all ranks in the shape and unit of `tensor`, computed in place."""
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor

@@ -38,7 +38,7 @@ class HourBlock:
 
 @dataclass(frozen=True, slots=True)
 class ModelRoom:
-    """Place, room, size and heading of a model's pictures."""
+    """Place, room, size and heading of a model's pictures; seen [H, W]: pixels with values."""
 
     setup: SiteFile
     height: int

@@ -345,7 +345,7 @@ def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quan
 
 
 def contrast_levels_svg(measured: Float, predicted: Float) -> str:
-    """Plot mean local contrast per pyramid level, [n, levels] (the paper's Figure 13)."""
+    """Plot mean local contrast in cd/m2 by pyramid level, [n, levels] (the paper's Figure 13)."""
     levels = np.arange(measured.shape[1])
     with styled():
         figure = Figure(figsize=(3.8, 3.0))

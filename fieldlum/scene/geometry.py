@@ -41,7 +41,7 @@ def transmissivity(transmittance: float) -> float:
 
 
 def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Array, Array]:
-    """Return transmittance and reflectance of a pane, each in the shape of `cosine`.
+    """Return transmittance and reflectance of a pane, 0 to 1, in the shape of `cosine`.
 
     cosine : of the angle of incidence. Source: Radiance's m_glass.c.
     """
@@ -104,17 +104,17 @@ class BoxScene:
 
     @cached_property
     def low(self) -> Array:
-        """Lower corners of the boxes, [b, 3]."""
+        """Lower corners of the boxes [b, 3], m."""
         return np.array([box.low for box in self.boxes], float)
 
     @cached_property
     def high(self) -> Array:
-        """Upper corners of the boxes, [b, 3]."""
+        """Upper corners of the boxes [b, 3], m."""
         return np.array([box.high for box in self.boxes], float)
 
     @cached_property
     def reflectance(self) -> Array:
-        """Reflectances of the boxes, [b]."""
+        """Reflectances of the boxes, 0 to 1, [b]."""
         return np.array([box.reflectance for box in self.boxes])
 
     @cached_property

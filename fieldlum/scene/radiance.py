@@ -51,7 +51,7 @@ class Face:
         return a, b
 
     def corners(self) -> Array:
-        """Return the corners counter-clockwise, as seen from the side of the normal, [4, 3]."""
+        """Return the corners [4, 3] in m, counter-clockwise as seen from the side of the normal."""
         a, b = self.others
         out = np.empty((4, 3))
         out[:, self.axis] = self.at_m

@@ -126,7 +126,7 @@ def may_block(
     tile_high: NDArray[np.floating],
     toward: Array,
 ) -> NDArray[np.bool_]:
-    """Return which boxes [b, 3] may be between a point of a tile [t, 3] and the light, [t, b].
+    """Return which boxes [b, 3] (m) may be between a point of a tile [t, 3] and the light, [t, b].
 
     It may be too many boxes, never too few.
     """

@@ -191,7 +191,7 @@ class SceneEvidence:
         return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
-        """Return the albedo of each surface, [6 + solids].
+        """Return the albedo of each surface, 0 to 1, [6 + solids].
 
         It is the median over entries that a patch dominates, or `start` for too few entries.
         """

@@ -210,6 +210,6 @@ def _deepened_bar(bar: Bar, by: float) -> Bar:
 
 
 def stated_albedo(room: Room) -> Array:
-    """Return the stated albedo of west, east, south, north, floor and ceiling, [6]."""
+    """Return stated albedos, 0 to 1, of west, east, south, north, floor and ceiling, [6]."""
     walls = [room.reflectance_walls] * 4
     return np.array([*walls, room.reflectance_floor, room.reflectance_ceiling])

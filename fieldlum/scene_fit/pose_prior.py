@@ -31,7 +31,7 @@ _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 
 @dataclass(frozen=True, slots=True)
 class MeasuredDiscs:
-    """Centres of n sun discs in merged panoramas; see `discs.fit_pose`."""
+    """Centres [n] of sun discs in merged panoramas; see `discs.fit_pose`."""
 
     altitude_deg: Array
     azimuth_deg: Array

@@ -92,7 +92,7 @@ class ViewCost:
 
 @dataclass(frozen=True)
 class Misfits:
-    """Share of the pixels near sun patches that are wrong, on hours held out of the search."""
+    """Share [n] of wrong pixels near sun patches, in n hours held out of the search."""
 
     none: Array
     stated: Array

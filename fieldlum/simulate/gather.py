@@ -69,17 +69,17 @@ class Pieces:
 
     @cached_property
     def axis(self) -> NDArray[np.int8]:
-        """Axis of the normal of each piece, [p]."""
+        """Axis of the normal of each piece, as index 0 to 2, [p]."""
         return np.array([f.axis for f in self.faces], np.int8)[self.face]
 
     @cached_property
     def sign(self) -> NDArray[np.int8]:
-        """Sign of the normal of each piece, [p]."""
+        """Sign of the normal of each piece, as 1 or -1 along its axis, [p]."""
         return np.array([f.sign for f in self.faces], np.int8)[self.face]
 
     @cached_property
     def normals(self) -> Array:
-        """Normal of each piece, [p, 3]."""
+        """Normal of each piece as a unit vector, [p, 3]."""
         out = np.zeros((len(self), 3))
         out[np.arange(len(self)), self.axis] = self.sign
         return out

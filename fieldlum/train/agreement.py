@@ -97,7 +97,7 @@ class Process:
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:
-        """Return the process with more hidden values [n, P].
+        """Return the process with more values hidden by a mask [n, P].
 
         These are predicted from the seen ones.
         """

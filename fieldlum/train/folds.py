@@ -14,7 +14,7 @@ MOST_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 o
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Row indices of a fold: to train, and to test.
+    """Row indices of a fold: to train [k], and to test [n - k].
 
     No day is in both (no hour, if there is only one day).
     """

@@ -213,7 +213,7 @@ class TrainingArrays:
 
     @property
     def trust(self) -> Array:
-        """Weight of each value in a fit, [n, P]."""
+        """Weight of each value in a fit, 0 to 1, [n, P]."""
         trust = np.where(self.filled, 0.0, self.sureness[:, None])
         return trust if self.counts is None else trust * self.counts
 

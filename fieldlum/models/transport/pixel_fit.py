@@ -194,7 +194,7 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
 
 
 def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Array) -> Array:
-    """Return the lower bound of the surface part: a share of the least value seen or fitted."""
+    """Return the lower bound of the surface part [P]: a share of the least value seen or fitted."""
     unit = arrays.light.total_lx[:, None] * scale
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
     seen = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit

@@ -211,7 +211,7 @@ def recipes_for(
 
 @dataclass(frozen=True, slots=True)
 class SelectedRecipe:
-    """The choice of held-out days: kernel, features and recipe.
+    """The choice of held-out days: kernel, its covariance [n, n] of captures, features, recipe.
 
     Table: everything that was tried.
     """
