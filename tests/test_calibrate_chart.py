@@ -83,6 +83,7 @@ def test_a_chart_is_found_at_an_angle(seed: int, width_px: float, turn_deg: floa
     assert found_inside(*drawn(seed, list(range(24)), width_px, turn_deg))
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES[1:5])
 def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: float) -> None:
@@ -95,6 +96,7 @@ def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: 
     assert found_inside(poor, corners)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_finder_of_lattices_draws_nothing_at_random() -> None:
     frame, corners = drawn(3, list(range(24)), 380, 180)
@@ -120,6 +122,7 @@ def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:
     assert min(float(np.abs(way - centres).max()) for way in ways) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_card_of_other_colours_is_refused() -> None:  # a wrong find must not become a calibration
     order = list(np.random.default_rng(7).permutation(24))

@@ -60,6 +60,7 @@ def frames(folder: Path, curve: tuple[float, ...] = TRUE) -> list[Path]:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_curve_and_the_shutters_offset_are_found(tmp_path: Path) -> None:
     found = linearity.fit(linearity.read_levels(frames(tmp_path / "steady"), PROFILE))
@@ -71,6 +72,7 @@ def test_the_curve_and_the_shutters_offset_are_found(tmp_path: Path) -> None:
     assert found.u_rel < 0.004  # it includes the noise of blocks of 12 pixels
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_linear_sensor_gets_no_curve(tmp_path: Path) -> None:
     found = linearity.fit(linearity.read_levels(frames(tmp_path / "steady", ()), PROFILE))
@@ -86,6 +88,7 @@ def test_too_few_times_are_refused(tmp_path: Path) -> None:
         linearity.fit(linearity.read_levels(paths[:6], PROFILE))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command_writes_what_merge_applies(tmp_path: Path) -> None:
     folder, mine = tmp_path / "steady", tmp_path / "mine.toml"

@@ -95,6 +95,7 @@ def test_a_faultless_sensor_has_no_bad_pixels(tmp_path: Path) -> None:
     assert pixels.find(brackets(tmp_path, (5, 6, 7, 8), defects=False), PROFILE).bad_px == ()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_one_view_again_and_again_is_refused(tmp_path: Path) -> None:
     """A small light at the same place in every frame is a light, however often it is taken."""

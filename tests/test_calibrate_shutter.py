@@ -143,6 +143,7 @@ def test_a_merged_session_gives_the_times_to_the_profile(session: Session, tmp_p
     assert errors["dial"] > 0.05 and errors["table"] < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_refusals_are_one_line(session: Session, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"

@@ -48,6 +48,7 @@ def scene(lamp_deg: tuple[float, float]) -> np.ndarray:
     return np.where(RAYS[:, 1] > np.cos(np.radians(93.0)), light, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_field_is_the_sum_over_all_pixels() -> None:
     light = scene((40.0, 20.0))
@@ -94,6 +95,7 @@ def test_a_known_kernel_is_found_and_its_haze_removed(readings_csv: Path) -> Non
     assert (np.abs(left) < 2 * np.hypot(found.kernel.u_rel * haze[seen], 1e-3)).mean() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command_writes_the_kernel_and_a_picture(readings_csv: Path, tmp_path: Path) -> None:
     start, out, png = tmp_path / "start.toml", tmp_path / "mine.toml", tmp_path / "s.png"

@@ -47,6 +47,7 @@ def pictures(angles_deg: np.ndarray) -> np.ndarray:
 SEEN = np.ones((HEIGHT, 2 * HEIGHT), bool)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_heading_tilt_and_roll_are_found() -> None:
     angles = np.zeros((9, 3))
@@ -59,12 +60,14 @@ def test_heading_tilt_and_roll_are_found() -> None:
     assert found.aligned.all()
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_camera_that_stood_still_is_left_alone() -> None:
     found = camera_turns(pictures(np.zeros((9, 3))), SEEN, HEADING)
     assert not found.turned.any() and found.aligned.all()
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_what_is_out_of_reach_is_not_aligned() -> None:
     angles = np.zeros((9, 3))
@@ -90,6 +93,7 @@ def campaign(turn_deg: float) -> Dataset:
     return replace(data, luminance_cdm2=pictures(angles).astype(np.float32))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_rolled_day_is_named_as_a_turned_camera_and_read_aligned(tmp_path: Path) -> None:
     """Review, missing test 5. No picture is rewritten, and the table is what is applied."""
@@ -117,6 +121,7 @@ def test_a_rolled_day_is_named_as_a_turned_camera_and_read_aligned(tmp_path: Pat
     np.testing.assert_array_equal(load_pairs(path).luminance_cdm2, data.luminance_cdm2)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_day_out_of_reach_is_left_out_and_named(tmp_path: Path) -> None:
     data = campaign(70.0)

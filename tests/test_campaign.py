@@ -166,6 +166,7 @@ def test_parquet_without_pyarrow_is_one_line(
     assert result.exit_code == 3 and 'pip install "fieldlum[parquet]"' in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_room_without_a_session_is_planned(tmp_path: Path) -> None:
     text = '[site]\nname = "Here"\nlatitude_deg = 51.5\nlongitude_deg = 0.0\ntimezone = "UTC"\n'

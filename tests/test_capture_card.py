@@ -233,6 +233,7 @@ def test_two_bodies_of_one_model_are_two_cameras() -> None:
     assert of_the_session(silent, setup) == (silent, [])
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
     ours = {"raw": "sim-dual-fisheye", "jpeg": "sim-dual-fisheye-jpeg"}

@@ -59,6 +59,7 @@ def card(
     return [frame for slot in plan for frame in frames_at(slot.t_utc + shift, step=step)]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(
     step=st.floats(0.2, 12.0),
@@ -175,6 +176,7 @@ def session(tmp_path: Path) -> Session:
     return create_session(tmp_path / "s", SiteFile(SEATTLE), PLAN, {})
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     folder = tmp_path / "card" / "DCIM"
@@ -195,6 +197,7 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     assert (again.brackets, again.known) == (0, 10)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_path: Path) -> None:
     """An hour off, each bracket lies in its neighbour's slot; told anew, none does,
@@ -216,6 +219,7 @@ def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_
     assert (again.brackets, again.known, again.moved) == (0, 6, ())
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_an_offset_in_exif_and_a_stated_one_are_both_counted(
     session: Session, tmp_path: Path
@@ -254,6 +258,7 @@ def test_a_stated_offset_that_fits_better_than_exif_is_kept(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_one_clock_of_two_campaigns_is_printed_once(tmp_path: Path) -> None:
     june = [replace(s, t_utc=s.t_utc + timedelta(days=90)) for s in PLAN]

@@ -74,6 +74,7 @@ def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
     assert "Traceback" not in shown.stderr
 
 
+@pytest.mark.slow
 def test_modules_of_the_page_import_without_them() -> None:
     code = (
         "import sys\nfor n in ('torch', 'pyradiance'): sys.modules[n] = None\n"

@@ -47,6 +47,7 @@ class SlippingCamera:
         self._camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})
@@ -77,6 +78,7 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, set(range(100)))
@@ -126,6 +128,7 @@ def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(rig: Field) -
     assert told.count("an unknown format") == 3 and "taken again" not in told
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_no_retake_after_the_window(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})
@@ -134,6 +137,7 @@ def test_no_retake_after_the_window(rig: Field) -> None:
     assert "retake" not in events and rig.outcomes() == ["done"] and camera.count == 3
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_camera_that_fails_at_the_retake_costs_nothing(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})

@@ -61,16 +61,21 @@ def _imported(path: Path) -> set[str]:
 FILES = sorted(p for p in PACKAGE.rglob("*.py") if _module(p) != "__init__")
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_point_one_way(path: Path) -> None:
-    me = _module(path)
-    assert me in RANK, f"{me} has no rank: add it to the table, and to the design"
-    for name in _imported(path) - {me}:
-        assert RANK[name] <= RANK[me], f"{me} imports {name}, which stands below it"
-        if RANK[me] == STAGES:
-            assert RANK[name] < STAGES, (
-                f"stage {me} imports stage {name}: let them meet in records or on disk"
-            )
+def test_every_module_has_a_rank() -> None:
+    """A module without one: add it to the table, and to the design."""
+    assert not [path for path in FILES if _module(path) not in RANK]
+
+
+def test_imports_point_one_way() -> None:
+    """Stages do not import each other: let them meet in records or on disk."""
+    wrong = []
+    for path in FILES:
+        me = _module(path)
+        for name in sorted(_imported(path) - {me}):
+            below = RANK[name] > RANK[me]
+            if below or RANK[me] == RANK[name] == STAGES:
+                wrong.append(f"{path.relative_to(PACKAGE)} imports {name}")
+    assert not wrong
 
 
 def test_no_cycle_within_a_rank() -> None:
@@ -97,22 +102,26 @@ def _marks(node: ast.AST) -> set[str]:
     return {n.attr for n in ast.walk(node) if isinstance(n, ast.Attribute) and n.attr in KINDS}
 
 
-@pytest.mark.parametrize(
-    "path", sorted(Path(__file__).parent.glob("test_*.py")), ids=lambda p: p.name
-)
-def test_every_test_has_a_kind(path: Path) -> None:
-    tree = _tree(path)
-    module = [
-        node
-        for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "pytestmark"
-    ]
-    if any(_marks(node) for node in module):
-        return
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-            kinds = set[str]().union(*(_marks(d) for d in node.decorator_list))
-            assert kinds, f"{node.name}: mark it with one of {', '.join(KINDS)} (see pyproject)"
+def test_every_test_has_a_kind() -> None:
+    """A test without a kind: mark it with one of them (pyproject.toml)."""
+    bare = []
+    for path in sorted(Path(__file__).parent.glob("test_*.py")):
+        tree = _tree(path)
+        module = [
+            node
+            for node in tree.body
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "pytestmark"
+        ]
+        if any(_marks(node) for node in module):
+            continue
+        bare += [
+            f"{path.name}: {node.name}"
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef)
+            and node.name.startswith("test_")
+            and not any(_marks(decorator) for decorator in node.decorator_list)
+        ]
+    assert not bare
 
 
 # ----------------------------------------------------------------------------------------------

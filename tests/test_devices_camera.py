@@ -48,6 +48,7 @@ def camera(panorama: Panorama, profile: CameraProfile, **options: float) -> Simu
     return SimulatedCamera(Still(panorama), profile, FastClock(START), **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")

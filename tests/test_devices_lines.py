@@ -508,6 +508,7 @@ def test_errors_of_the_meter(reply: bytes, said: str) -> None:
         parse_answer(reply)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, len(answer()) - 1), st.integers(1, 255))

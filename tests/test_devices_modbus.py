@@ -262,6 +262,7 @@ def test_numbers_and_dates_of_registers() -> None:
 PROFILES = [load_register_profile(kind) for kind in ("smp", "sr", "apogee", "ms60")]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.sampled_from(PROFILES), st.binary(min_size=400, max_size=400))

@@ -56,6 +56,7 @@ def _turned(degrees: float) -> SiteFile:
     return replace(SETUP, room=room)
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_authority_the_quick_disc_agrees_with_the_exact_one() -> None:
     scene = build(_room())
@@ -66,6 +67,7 @@ def test_authority_the_quick_disc_agrees_with_the_exact_one() -> None:
     assert np.abs(quick - visible * through).mean() < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_property_drawn_rooms_have_the_stated_covariance_and_can_be_built() -> None:
     rng = np.random.default_rng(0)
@@ -144,6 +146,7 @@ def _data(setup: SiteFile) -> Dataset:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_wrong_north_scores_worse_with_the_disc_of_the_room() -> None:
     """The review's missing test 2: the true disc in the prediction hides a wrong north."""
@@ -164,6 +167,7 @@ def test_a_wrong_north_scores_worse_with_the_disc_of_the_room() -> None:
     assert rows["right"]["trusted_share"] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_interval_holds_the_disc_of_a_hundred_possible_rooms() -> None:
     """The review's missing test 3, without the error of the maps: DGP of each possible room is in
@@ -199,6 +203,7 @@ def test_the_interval_holds_the_disc_of_a_hundred_possible_rooms() -> None:
     assert held.mean() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_guess_without_a_room_doubts_the_edge_of_the_window() -> None:
     maps = np.full((len(LIGHT), HEIGHT, 2 * HEIGHT), 1.0, np.float32)

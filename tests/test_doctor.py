@@ -345,6 +345,7 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
     assert instruments.check_meter("") == []
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_exit_codes(tmp_path: Path) -> None:
     session = _session(tmp_path)

@@ -92,6 +92,7 @@ def test_a_second_capture_is_told_the_process_of_the_first(tmp_path: Path) -> No
         pass
 
 
+@pytest.mark.slow
 def test_doctor_draws_the_room(tmp_path: Path) -> None:
     words = ["plan", str(PLANS / "seattle-office.toml"), "--set", "9-day"]
     planned = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "s")])

@@ -102,6 +102,7 @@ def test_views_go_the_way_of_radiance(tmp_path: Path) -> None:
         np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=kind)
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize(
     "options",
@@ -132,6 +133,7 @@ def test_authority_evalglare_agrees_on_the_same_file(tmp_path: Path, options: st
     assert ours["source_count"] == theirs.sources == 2
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_authority_the_sun_in_view_agrees(tmp_path: Path) -> None:
     view = _view(f"-vta {LEVEL} -vh 180 -vv 180")
@@ -145,6 +147,7 @@ def test_authority_the_sun_in_view_agrees(tmp_path: Path) -> None:
     assert ours["dgp"] == pytest.approx(theirs.dgp, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_uniformity_does_not_depend_on_the_mapping() -> None:
     found = []

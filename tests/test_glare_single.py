@@ -239,6 +239,7 @@ def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> N
     assert CliRunner().invoke(main, ["glare", str(path), "--view-azimuth", "nan"]).exit_code == 2
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_view_without_a_direction_says_that_north_is_a_guess(
     tmp_path: Path, maps: np.ndarray

@@ -46,6 +46,7 @@ def _first_pixels(arrays: dict[str, np.ndarray]) -> str:
     return next(name for name, a in arrays.items() if a.dtype.kind == "f" and a.size > 100)
 
 
+@pytest.mark.slow
 def test_weights_that_are_not_finite(copy: Path) -> None:
     _rewrite(copy, lambda arrays: arrays[_first_pixels(arrays)].fill(np.nan))
     with pytest.raises(InputError, match="not finite"):

@@ -116,6 +116,7 @@ def test_gaps_and_disorder_are_marked() -> None:
     assert [bool(m & Mark.GAP) for m in series.marks] == [False, False, False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(
     st.lists(st.floats(-50, 3000), min_size=1, max_size=60),
@@ -157,6 +158,7 @@ def test_what_is_no_spike() -> None:
     assert not irradiance.spikes(_steady()[0], value).any()
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(st.lists(st.one_of(st.floats(-50, 3000), st.just(np.nan)), min_size=243, max_size=260))
 @settings(deadline=None, max_examples=20)
@@ -283,6 +285,7 @@ def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
     assert irradiance.run(made) == told
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("after", [3, 7])
 @pytest.mark.parametrize("seed", range(4))

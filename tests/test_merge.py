@@ -316,6 +316,7 @@ def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # whole columns
     assert np.roll(a, -7, axis=1) == pytest.approx(b, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_uniform_room_gives_pi_l(
     bracket,
@@ -327,6 +328,7 @@ def test_a_uniform_room_gives_pi_l(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     sun = SunSource(25.0, 190.0, 60_000.0)
@@ -347,6 +349,7 @@ def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("through_filter", [True, False])
 def test_the_suns_centre_is_measured_on_the_sensor(bracket, through_filter: bool) -> None:
@@ -370,6 +373,7 @@ def test_the_suns_centre_is_measured_on_the_sensor(bracket, through_filter: bool
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_suns_centre_is_measured_at_a_heading_of_north(tmp_path: Path) -> None:
     """A camera that turns takes the sun at 0 deg, while the panorama's centre is at 180 deg."""
@@ -397,6 +401,7 @@ def test_a_small_disc_scatters_as_stated(
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(mosaic_u_rel(wide_px), rel=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", sun=SunSource(25.0, 190.0, 60_000.0))
@@ -424,6 +429,7 @@ def test_bad_pixels_of_the_profile_are_not_used(bracket) -> None:
     assert mended == pytest.approx(plain, rel=0.02) and not np.array_equal(mended, plain)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_hidden_sun_is_left_alone(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", headings=(None,))

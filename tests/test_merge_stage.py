@@ -104,6 +104,7 @@ def session(tmp_path: Path) -> Session:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     slots = [take(session, 0), take(session, 1, complete=False)]

@@ -91,6 +91,7 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
         torch.testing.assert_close(mine, parameter.grad, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.numeric
 def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,6 +145,7 @@ def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> No
         np.testing.assert_array_equal(value, resumed.state().arrays[name])
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
     """Pictures merged anew under the same slots must not go on from weights taught by
@@ -234,6 +236,7 @@ def test_hours_far_from_the_captured_ones_are_not_trusted() -> None:
     assert fitted.predict(winter.light).trusted.all()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_network_without_patches_and_its_other_forms() -> None:
     for options in ({"sky_map": False}, {"form": "cnn"}, {"curve": "gamma"}):

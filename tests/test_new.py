@@ -35,6 +35,7 @@ ROOM = Room(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
 def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:

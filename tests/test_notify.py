@@ -134,6 +134,7 @@ def test_addresses_come_from_a_file_and_no_error_quotes_one(tmp_path: Path) -> N
         read_address(f"@{path}")
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_apprise_reaches_http_and_mail(tmp_path: Path) -> None:
     """authority: apprise 2.2 itself, over real sockets."""

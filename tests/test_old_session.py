@@ -45,6 +45,7 @@ def test_status_and_training_data_are_those_of_then(session: Session) -> None:
     assert [note for note in data.notes if "lower bound" in note]
 
 
+@pytest.mark.slow
 def test_pair_leaves_panoramas_and_counts_each_sun_once(session: Session) -> None:
     before = {path: path.read_bytes() for path in session.panorama_files()}
     run("pair", session.root)
@@ -53,6 +54,7 @@ def test_pair_leaves_panoramas_and_counts_each_sun_once(session: Session) -> Non
     assert all(p.ok for p in pair.run(session))
 
 
+@pytest.mark.slow
 def test_glare_is_the_same_before_and_after_pair(session: Session) -> None:
     """The completed sun of 28 614 lx is in Ev once; a clipped one is labelled."""
     completed, clipped = (

@@ -23,6 +23,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         return archive.namelist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["calibration", "capture_plans"])
 def test_the_wheel_ships_every_profile_and_plan(wheel: list[str], kind: str) -> None:
     files = {p.relative_to(ROOT / kind).as_posix() for p in (ROOT / kind).rglob("*") if p.is_file()}

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.contract
 DAYS = ("2027-03-20", "2027-06-21")
 
 
+@pytest.mark.slow
 def test_the_data_are_those_of_the_session_or_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,6 +51,7 @@ def test_the_data_are_those_of_the_session_or_are_refused(
         pairs_bucket.read_pairs(url)
 
 
+@pytest.mark.slow
 def test_a_model_of_the_bucket_is_that_of_the_session(tmp_path: Path) -> None:
     url = f"memory://bucket/{tmp_path.name}"
     pairs = write_pairs(tmp_path, dataset(DAYS, height=8))

@@ -125,6 +125,7 @@ def _film_codes(black: float) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(np.round(codes), 0, 255).astype(np.uint8), log_exposure
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_black_level_is_no_light() -> (
     None

@@ -131,6 +131,7 @@ def test_southern_hemisphere_has_its_long_day_in_december(profile: str) -> None:
     assert count["june-solstice"] < count["december-solstice"]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_even_spreads_over_sun_positions_and_is_repeatable(profile: str) -> None:
     first, second = (_plan(SEATTLE, profile, "even", year=2027, count=60) for _ in range(2))
@@ -160,6 +161,7 @@ GOOD = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_command_makes_a_session(tmp_path: Path, profile: str) -> None:
     site = _site_file(tmp_path, GOOD + f'[camera]\nprofile = "{profile}"\n')

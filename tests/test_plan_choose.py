@@ -102,6 +102,7 @@ def test_band_is_the_solstice_band() -> None:
     )  # 41 steps of declination
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_coverage_grows_with_the_set(weather: Weather) -> None:
     four, nine, twelve = (
@@ -146,6 +147,7 @@ def test_calendar_reads_back_with_stable_names() -> None:
     assert all(len(line) <= 75 for line in first.split(b"\r\n"))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_sheets_hold_a_page_a_day_and_say_when_clocks_change() -> None:
     from fieldlum.plan.sheet import Cost, html
@@ -159,6 +161,7 @@ def test_sheets_hold_a_page_a_day_and_say_when_clocks_change() -> None:
     assert "a &lt;note&gt;" in page and "<script" not in page and 'src="http' not in page
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
     """By the wall clock the standard day ends after midnight: its last slot is tomorrow's."""
@@ -189,6 +192,7 @@ def _session(folder: Path, hours: DaylightHours, done: int) -> Path:
     return session.root
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> None:
     hours = daylight_hours(span(date(2027, 4, 10), 5), SEATTLE)
@@ -211,6 +215,7 @@ def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))

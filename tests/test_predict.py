@@ -82,6 +82,7 @@ def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Pa
     assert year.occupied.any()
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Path) -> None:
     """Predicting hours one by one gives what blocks gave."""
@@ -155,6 +156,7 @@ def test_a_year_cut_off_by_a_kill_is_no_year(
     assert run(model, weather, out=tmp_path)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_maps_in_a_bucket_open_only_when_complete(
     model: Path, weather: Path, year: Annual, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -212,6 +214,7 @@ def test_a_folder_in_a_bucket_is_refused(model: Path, weather: Path) -> None:
     assert not Path("s3:").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
     run(model, weather, out=tmp_path)
@@ -373,6 +376,7 @@ def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
     assert occupied_hours(default_occupancy(), night, SITE) == (3650, 365)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_occupancy_files(tmp_path: Path) -> None:
     weekly = tmp_path / "o.csv"

@@ -192,6 +192,7 @@ def test_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
     assert "Uncaught" not in shown.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path: Path) -> None:
     """The review's missing test 9: warnings of a model reach predict.json, the hours and the
@@ -217,6 +218,7 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
         assert first_screen[0].startswith("From training: ") and warning[9:40] in first_screen[0]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_one_best_direction_in_headline_figures_and_pictures(page: Path, session: Session) -> None:
     year = predict.read_annual(session.annual / "transport")

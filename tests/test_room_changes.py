@@ -41,6 +41,7 @@ def shaded(day: str) -> Dataset:
     return replace(CLEAN, luminance_cdm2=maps)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_clean_room_raises_no_alarm(seed: int) -> None:
@@ -50,6 +51,7 @@ def test_a_clean_room_raises_no_alarm(seed: int) -> None:
     assert same is data and notes == []
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_noise_of_level_and_of_the_sky_raises_no_alarm() -> None:
     level = np.exp(0.2 * np.random.default_rng(0).standard_normal(len(CLEAN)))
@@ -113,6 +115,7 @@ def test_people_in_some_captures_are_named_and_only_their_pixels_left_out() -> N
     assert error(better) < 0.9 * error(data)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_chair_moved_on_a_day_is_named_with_its_place() -> None:
     maps = CLEAN.luminance_cdm2.copy()
@@ -137,6 +140,7 @@ def test_three_days_do_not_show_which_is_the_exception() -> None:
     assert find_changes(shaded("2027-12-20").take(some), with_patch=True) is None
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_lamp_that_is_always_on_is_no_change() -> None:
     maps = CLEAN.luminance_cdm2 + np.float32(150.0)

@@ -112,6 +112,7 @@ for k in range(60):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_two_processes_append_to_one_journal(tmp_path: Path) -> None:
     """Each opens (and looks for a torn tail) while the other writes: no line is lost or cut."""

@@ -76,6 +76,7 @@ def _clicks(room: Room, grid: ClickGrid, noise_px: float, rng: np.random.Generat
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_clicks_without_noise_give_the_room_itself() -> None:
     for seed in range(20):

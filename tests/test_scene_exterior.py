@@ -41,6 +41,7 @@ def _elevation_deg(guess: Guess) -> float:
     return float(np.degrees(np.arctan2(rise, -solid.high_m[1])))
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_facade_opposite_is_found_by_the_suns_that_it_hides() -> None:
     top = float(np.mean(guess_of(ROOM).windows[0].z_m)) + 10.0 * np.tan(
@@ -54,6 +55,7 @@ def test_a_facade_opposite_is_found_by_the_suns_that_it_hides() -> None:
     assert _elevation_deg(shaded) == pytest.approx(HIDDEN_ELEVATION_DEG, abs=3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_room_without_a_shade_gets_none() -> None:
     search, start = _search(())
@@ -77,6 +79,7 @@ def test_proposals_are_outside_and_stay_there() -> None:
         assert rect_span[0] <= bar.span_m[0] < bar.span_m[1] <= rect_span[1]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_principal_axes_follow_a_valley_of_three_numbers() -> None:
     """A room turned about the camera with its window and north: no single number leads back.
@@ -92,6 +95,7 @@ def test_principal_axes_follow_a_valley_of_three_numbers() -> None:
     assert abs(found.wall_azimuth_deg - start.wall_azimuth_deg) < 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_restarts_return_the_best_and_the_spread_of_results_alike() -> None:
     search, start = _search(())

@@ -106,6 +106,7 @@ def test_the_fitted_room_and_its_uncertainty_reach_the_prediction(tmp_path: Path
     assert fitted_uncertainty(config, room_of(config, tmp_path / "stated")) is None
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_bench_takes_a_scene_for_its_test_hours_too(tmp_path: Path) -> None:
     for name in ("train", "test"):

@@ -129,6 +129,7 @@ def test_a_guess_and_its_room_are_inverse() -> None:
     assert again.camera_x_m == room.camera_x_m
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> None:
     wrong = replace(
@@ -152,6 +153,7 @@ def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> No
     assert values["camera_x_m"] == pytest.approx(2.4, abs=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_bar_is_seen_in_the_picture_of_the_window() -> None:
     barred = replace(ROOM, window=(replace(ROOM.window[0], panes=2, frame_m=0.1),))

@@ -221,6 +221,7 @@ def test_another_version_is_named() -> None:
     assert "profiles" in difference(mine, mine | {"profiles": "0"})
 
 
+@pytest.mark.slow
 def test_an_error_of_the_caller_ends_the_crew(tmp_path: Path) -> None:
     """Else the command would wait at its end for workers that nobody needs any more."""
     some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(4)]

@@ -95,6 +95,7 @@ def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd
     assert (back.iso, back.nd) == (iso, nd)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(st.text(), st.text(), st.one_of(st.none(), st.floats(-10, 1500)))
 @settings(deadline=None)

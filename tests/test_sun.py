@@ -142,6 +142,7 @@ def test_seasons_against_meeus(year: int) -> None:
         )  # SPA: 0.0003 deg is 26 s of longitude
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize("place", USNO_RISE_SET, ids=lambda place: f"{place[0]:+g}")
 def test_rise_and_set_to_the_minute(place: tuple[float, float, str]) -> None:

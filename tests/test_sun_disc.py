@@ -186,6 +186,7 @@ def test_a_window_that_clips_shows_no_disc_beside_it() -> None:
     assert find_disc(sky, HEADING_DEG, near_deg=(25.0, 203.0), clipped=clipped) is None
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(
     altitude=st.floats(-80, 89),

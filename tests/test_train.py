@@ -244,6 +244,7 @@ class CountedClock:
         return self.now_s
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize("budget_min", [5.0, 10.0, 40.0])
 def test_the_budget_bounds_the_complete_command(
@@ -272,6 +273,7 @@ def test_the_budget_bounds_the_complete_command(
     assert answer["captures"] or any("no time for the learning" in n for n in answer["notes"])
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_spent_budget_leaves_the_learning_curve_out_and_reports_it(tmp_path: Path) -> None:
     answer = run(DATA, "mean", budget_min=1e-3, spent_s=60.0, out=tmp_path)

@@ -26,12 +26,14 @@ def _share(data: Dataset) -> tuple[float, list[str]]:
     return found["trusted_share"], [*doubts(fitted, data), *hard_captures(fitted, data)]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_clean_captures_are_mostly_trusted_and_raise_no_warning() -> None:
     share, warnings = _share(CLEAN)
     assert share > 0.5 and warnings == []
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize("trouble", ["lamp", "moved camera", "snow"])
 def test_a_trouble_costs_trust(trouble: str) -> None:

@@ -130,6 +130,7 @@ def year(tmp_path_factory: pytest.TempPathFactory) -> predict.Annual:
     return predict.run(root / "transport", weather, out=root / "year")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     rows = {round(row["azimuth_deg"]): row for row in year.about["protection"]}

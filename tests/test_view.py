@@ -51,6 +51,7 @@ def test_statistics_of_regions(fisheye: Path) -> None:
         assert row["min_cdm2"] == row["max_cdm2"] == pytest.approx(5000.0, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command_writes_png_page_and_csv(fisheye: Path, tmp_path: Path) -> None:
     panorama = tmp_path / "p.exr"
@@ -69,6 +70,7 @@ def test_the_command_writes_png_page_and_csv(fisheye: Path, tmp_path: Path) -> N
     assert float(rows[1]["mean_cdm2"]) == pytest.approx(300.0)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_bad_regions_and_files_are_named(fisheye: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["view", str(fisheye), "--region", "rect:1,2"])
@@ -101,6 +103,7 @@ ready.then(() => {
 </script></body>"""
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
 def test_the_page_answers_to_pointer_and_keyboard_at_phone_width(

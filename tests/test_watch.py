@@ -208,6 +208,7 @@ def test_no_other_file_can_be_had(address: str, cookie: str, path: str) -> None:
     assert len(body) < 200
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_port_in_use_is_one_line(address: str, session: Session) -> None:
     port = str(urlsplit(address).port)
@@ -217,6 +218,7 @@ def test_a_port_in_use_is_one_line(address: str, session: Session) -> None:
     assert f"port {port} cannot be used" in shown.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_without_the_library_the_remedy_is_named(session: Session) -> None:
     code = f"import sys; sys.modules['uvicorn'] = None; {MAIN}"
@@ -358,6 +360,7 @@ def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Pa
     assert answer_table(plain, worker)["last"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_new_brackets_are_merged_as_the_user_merged_the_others(tmp_path: Path) -> None:
     plain = make_session(tmp_path / "s")

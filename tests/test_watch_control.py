@@ -117,6 +117,7 @@ def events(session: Session) -> list[str]:
     return [row["event"] for row in read_journal(session)]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_notes_and_marks_come_into_the_journal(page: Page, session: Session) -> None:
     slot = session.slots()[0].id
@@ -139,6 +140,7 @@ def test_notes_and_marks_come_into_the_journal(page: Page, session: Session) -> 
     assert page.change("pause", minutes=0) == {"text": "The capture goes on."}
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_another_site_or_a_form_changes_nothing(page: Page, session: Session) -> None:
     note = json.dumps({"text": "x"}).encode()
@@ -166,6 +168,7 @@ def test_another_site_or_a_form_changes_nothing(page: Page, session: Session) ->
     assert events(session) == []
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_without_the_option_the_page_only_reads(session: Session) -> None:
     for page in served(session):

@@ -157,6 +157,7 @@ def test_repairs_are_said(tmp_path) -> None:
     assert (found.dni_wm2 >= 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize(
     ("change", "expected"),
@@ -232,6 +233,7 @@ _ROWS = b"".join(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(
     deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]

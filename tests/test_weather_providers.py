@@ -88,6 +88,7 @@ def _pvgis_epw(path: Path, year: weather.Weather, zone: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize("kind", ["csv", "json", "epw with a zone"])
 def test_every_form_of_pvgis_gives_the_same_hours(tmp_path: Path, kind: str) -> None:
@@ -109,6 +110,7 @@ def test_every_form_of_pvgis_gives_the_same_hours(tmp_path: Path, kind: str) -> 
     assert minutes == {10.6}
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_nsrdb_and_solaranywhere_give_the_same_hours(tmp_path: Path) -> None:
     year = _year(SEATTLE)
@@ -138,6 +140,7 @@ def test_nsrdb_and_solaranywhere_give_the_same_hours(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.dni_wm2, year.dni_wm2, atol=0.01, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_the_tmy2_file_of_pvlib_is_read() -> None:
     """Miami's TMY2 file, which pvlib ships: 8760 hours, centred on hh:30."""

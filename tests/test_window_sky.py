@@ -129,6 +129,7 @@ def test_a_marked_state_is_no_sky() -> None:
     assert np.allclose(sky.luminance_cdm2[5], CLOUDED.light.sky_cdm2[5], rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_clouds_hide_no_lamp() -> None:
     """A lamp is found under the skies that the windows showed, and not under Perez's."""
