@@ -50,7 +50,9 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
     The distance is [days] s, positive after solar noon.
     """
     known = np.isfinite(ghi_wm2)
-    middles = [0.5 * (first + last) for first, last in whole_days(t_unix_s[known], ghi_wm2[known])]
+    middles = [
+        0.5 * (first + last) for first, last in complete_days(t_unix_s[known], ghi_wm2[known])
+    ]
     times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
     at = sun.position(times, site)
     east, north, up = sun.direction(at.altitude_deg, at.azimuth_deg).T
@@ -87,7 +89,7 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
     return lowest < -_SETS_DEG and highest > _SETS_DEG
 
 
-def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
+def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
     """Return the first and last time of each spell of light between logged darkness.
 
     t_unix_s, ghi_wm2 : [n] rows in order of time.

@@ -6,7 +6,7 @@ import pytest
 
 from fieldlum.devices import open_camera
 from fieldlum.devices.clock import ClockFault, FastClock, RealClock
-from fieldlum.devices.uri import number, one_of, parse_uri, whole
+from fieldlum.devices.uri import integer_option, number, one_of, parse_uri
 from fieldlum.errors import DeviceError
 
 START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
@@ -55,7 +55,10 @@ def test_naive_start_is_refused() -> None:
 def test_uri_parts() -> None:
     uri = parse_uri("serial:/dev/ttyUSB0?kind=spn1&baud=9600")
     assert (uri.scheme, uri.place) == ("serial", "/dev/ttyUSB0")
-    assert uri.read(kind=one_of("spn1"), baud=whole(300, 115200)) == {"kind": "spn1", "baud": 9600}
+    assert uri.read(kind=one_of("spn1"), baud=integer_option(300, 115200)) == {
+        "kind": "spn1",
+        "baud": 9600,
+    }
 
 
 @pytest.mark.contract
@@ -77,8 +80,8 @@ def test_bad_uris_name_themselves(text: str, said: str) -> None:
 @pytest.mark.contract
 def test_unknown_option_is_named() -> None:
     with pytest.raises(DeviceError, match=r"unknown option 'sede'; did you mean 'seed'\?"):
-        parse_uri("sim:office?sede=1").read(seed=whole(0, 9))
+        parse_uri("sim:office?sede=1").read(seed=integer_option(0, 9))
     with pytest.raises(DeviceError, match="option seed=12: expected an integer from 0 to 9"):
-        parse_uri("sim:office?seed=12").read(seed=whole(0, 9))
+        parse_uri("sim:office?seed=12").read(seed=integer_option(0, 9))
     with pytest.raises(DeviceError, match="expected a number from 0 to 1"):
         parse_uri("sim:office?noise=nan").read(noise=number(0, 1))

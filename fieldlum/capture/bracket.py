@@ -82,7 +82,7 @@ class BracketCapture:
             try:
                 whole = missing == list(wanted) and self._takes_whole_brackets(wanted)
                 taken = (
-                    self._expose_whole(wanted, folder)
+                    self._expose_bracket(wanted, folder)
                     if whole
                     else [self._expose(missing[0], folder, state.attempt)]
                 )
@@ -248,7 +248,7 @@ class BracketCapture:
             still and isinstance(camera, BracketingCamera) and len(wanted) in camera.bracket_shots
         )
 
-    def _expose_whole(self, wanted: Sequence[FrameRequest], folder: Path) -> list[Frame]:
+    def _expose_bracket(self, wanted: Sequence[FrameRequest], folder: Path) -> list[Frame]:
         """Take all frames in one call; return them only if all exist."""
         self.recorder.claim(self.frame_bytes * len(wanted))
         folder.mkdir(parents=True, exist_ok=True)

@@ -52,7 +52,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
     files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
     frames = [p for p in files if p.suffix.lower() in (*RAW_SUFFIXES, *JPEG_SUFFIXES)]
     other = Counter(p.suffix.lower() for p in files if p.suffix.lower() in _OTHER_PICTURES)
-    said = [
+    notes = [
         f"{folder}: {count} {suffix} files, which cannot be merged"
         for suffix, count in sorted(other.items())
     ]
@@ -62,7 +62,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         raise InputError(
             folder, f"no raw or JPEG frames in it{found}", "a card's folder, such as DCIM", remedy
         )
-    return frames, said
+    return frames, notes
 
 
 def read_card(
@@ -131,11 +131,14 @@ def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
 
     If there is only one body of a model, frames without a serial number belong to it.
     """
-    told: dict[str, set[str]] = {}
+    serials: dict[str, set[str]] = {}
     for frame in frames:
-        told.setdefault(frame.camera, set()).update({frame.serial} - {""})
+        serials.setdefault(frame.camera, set()).update({frame.serial} - {""})
     return [
-        (f.camera, f.serial or (next(iter(told[f.camera])) if len(told[f.camera]) == 1 else ""))
+        (
+            f.camera,
+            f.serial or (next(iter(serials[f.camera])) if len(serials[f.camera]) == 1 else ""),
+        )
         for f in frames
     ]
 
@@ -158,7 +161,7 @@ def of_the_session(
     ours = min(
         count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", "")
     )
-    said = [
+    notes = [
         f"{number} frames of {' '.join(who).strip()}: the session's camera is "
         f"{' '.join(ours).strip()}"
         for who, number in count.items()
@@ -168,4 +171,4 @@ def of_the_session(
     jpeg = [frame for frame in mine if frame.path.suffix.lower() in JPEG_SUFFIXES]
     raw = [frame for frame in mine if frame.path.suffix.lower() not in JPEG_SUFFIXES]
     first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)
-    return first or second, said
+    return first or second, notes

@@ -38,14 +38,14 @@ _EVIDENCE = 3
 
 
 def clock_offset(
-    groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, told_s: float | None
+    groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, stated_s: float | None
 ) -> Offset:
     """Return the camera's clock minus UTC: as stated, from EXIF, or fitted to the plan.
 
     Raises InputError if no offset fits, or if several fit equally well.
     """
-    if told_s is not None:
-        start = Offset(told_s, "--utc-offset")
+    if stated_s is not None:
+        start = Offset(stated_s, "--utc-offset")
     elif tells_utc(groups):
         start = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
@@ -91,7 +91,7 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
     ]
 
 
-def contradiction(groups: Sequence[Group], slots: Sequence[Slot], told_s: float) -> str:
+def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: float) -> str:
     """Return a warning if the stated offset and EXIF's own contradict each other, else "".
 
     The warning states how many frames are near slots with each of the two offsets. groups: with
@@ -99,16 +99,16 @@ def contradiction(groups: Sequence[Group], slots: Sequence[Slot], told_s: float)
     """
     own = [g for g in groups if g.frames[0].exif_offset_s is not None]
     offsets_s = _exif_offsets_s(own)
-    if not slots or all(abs(offset_s - told_s) <= _SAME_OFFSET_S for offset_s in offsets_s):
+    if not slots or all(abs(offset_s - stated_s) <= _SAME_OFFSET_S for offset_s in offsets_s):
         return ""
     stated, exif = 0, 0
     for group in own:
         by_exif_s = group.frames[0].exif_offset_s or 0.0
-        stated += len(group.frames) * _near([group], slots, told_s)
+        stated += len(group.frames) * _near([group], slots, stated_s)
         exif += len(group.frames) * _near([group], slots, by_exif_s)
     total = sum(len(group.frames) for group in own)
     text = (
-        f"--utc-offset {hms(told_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: "
+        f"--utc-offset {hms(stated_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: "
         f"{stated} of {total} frames are near slots with the stated offset, {exif} with the "
         "camera's own"
     )
@@ -212,16 +212,16 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
 
     Brackets that were taken an hour early on some days look the same.
     """
-    said: list[str] = []
+    notes: list[str] = []
     for (before, old), (after, new) in pairwise(clocks):
         step_s = new.seconds - old.seconds
         if abs(step_s) > _STEP_S:
-            said.append(
+            notes.append(
                 f"{before[-1].frames[0].path} to {after[0].frames[0].path}: by the plan, the "
                 f"camera's clock was set by {step_s / 3600:+.3g} h between them; if it was not, "
                 "and brackets were taken at other hours, state --utc-offset"
             )
-    return said
+    return notes
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:

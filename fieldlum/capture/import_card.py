@@ -114,14 +114,14 @@ def _adopt_card(
     files, others = card_files(folder)
     profile = load_camera_profile(setup.camera.profile)
     frames, unread = read_card(files, progress, lens_f_number=profile.camera.fixed_f_number)
-    frames, strangers = of_the_session(frames, setup)
+    frames, other_cameras = of_the_session(frames, setup)
     frames, copies = without_copies(frames)
     if utc_offset_s is not None:
         frames = as_shown(frames)
     groups = group_frames(
         frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings))
     )
-    left_out = [*strangers, *copies, *unread, *others]
+    left_out = [*other_cameras, *copies, *unread, *others]
     if not groups:
         raise NotEnoughDataError(
             f"{folder}: no usable frame; {left_out[0]}; check that this is the right card"
@@ -147,8 +147,8 @@ def _adopt_card(
             for u in unmatched
         ]
         opposed = contradiction(part, slots, utc_offset_s) if utc_offset_s is not None else ""
-        if said := opposed or doubt(part, slots, offset):
-            notes.append(said)
+        if warning := opposed or doubt(part, slots, offset):
+            notes.append(warning)
     if refused and not matched:
         raise refused[0]
     if not matched:
@@ -201,18 +201,18 @@ def _one_a_slot(
     Two brackets can match one slot if the camera's clock was set.
     """
     best: dict[str, tuple[Match, Offset]] = {}
-    said: list[str] = []
+    left_out_notes: list[str] = []
     for match, offset in sorted(
         matched, key=lambda one: (-fits(one[0].group, one[0].slot), abs(one[0].late_s))
     ):
         if match.slot.id in best:
-            said.append(
+            left_out_notes.append(
                 f"{_range(match.group)}: not imported, because another bracket "
                 f"matches {match.slot.id} better"
             )
         else:
             best[match.slot.id] = match, offset
-    return sorted(best.values(), key=lambda one: one[0].slot.t_utc), said
+    return sorted(best.values(), key=lambda one: one[0].slot.t_utc), left_out_notes
 
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
@@ -238,15 +238,16 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
     if not missing:
         return ""
     there = [frame.exposure for frame in match.group.frames]
-    twins = [
+    same_exposures = [
         e
         for e in missing
         if any(same_exposure(e, f) for f in there)
         and any(e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)
     ]
     unsure = (
-        f"; frames of {shutter_text(twins[0].shutter_s)} s are used as those without a filter"
-        if twins
+        f"; frames of {shutter_text(same_exposures[0].shutter_s)} s are used as those without "
+        "a filter"
+        if same_exposures
         else ""
     )
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")

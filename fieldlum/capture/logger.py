@@ -113,7 +113,7 @@ class Logger:
         self._thread.start()
 
     def _loop(self) -> None:
-        told = ""
+        reported = ""
         while not self._stop.is_set():
             try:
                 self.poll_if_due()
@@ -122,10 +122,11 @@ class Logger:
                 # after any error, the irradiance of the following days must still be logged
             ) as error:
                 why = f"{type(error).__name__}: {error}"[:300]
-                if why != told:  # report a repeated error once, otherwise it would fill the disk
+                # A repeated error is reported once, otherwise it would fill the disk.
+                if why != reported:
                     with suppress(Exception):
                         self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
-                told = why
+                reported = why
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 
     def close(self) -> None:

@@ -51,16 +51,16 @@ def adopt_rows(
 
     Raises InputError for a file that cannot be read.
     """
-    told = _told(path, utc_offset_s, columns)
-    found = _read(path, told)
+    table = _logger_table(path, utc_offset_s, columns)
+    found = _read(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
     for other in before:
-        if other != told and other["file"] == told["file"]:
+        if other != table and other["file"] == table["file"]:
             withdrawn += withdraw(session, _readable(path, other))
     added = add_samples(session, found.samples)
-    if told not in before:
-        update_session(session, {"logger_files": [*before, told]})
+    if table not in before:
+        update_session(session, {"logger_files": [*before, table]})
     return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in found.left_out))
 
 
@@ -68,35 +68,35 @@ def check_rows(
     path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None = None
 ) -> None:
     """Raise InputError for a file that `adopt_rows` could not read."""
-    _read(path, _told(path, utc_offset_s, columns))
+    _read(path, _logger_table(path, utc_offset_s, columns))
 
 
-def _told(
+def _logger_table(
     path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None
 ) -> LoggerFileTable:
     """Return how a file is read (clock, columns), in the form that the session stores."""
-    told: LoggerFileTable = {"file": path.name}
+    table: LoggerFileTable = {"file": path.name}
     if utc_offset_s is not None:
-        told["utc_offset_s"] = utc_offset_s
+        table["utc_offset_s"] = utc_offset_s
     if columns:
-        told["columns"] = dict(columns)
-    return told
+        table["columns"] = dict(columns)
+    return table
 
 
-def _read(path: Path, told: LoggerFileTable) -> LoggerFile:
-    offset_s = told.get("utc_offset_s")
+def _read(path: Path, table: LoggerFileTable) -> LoggerFile:
+    offset_s = table.get("utc_offset_s")
     return read_logger_file(
-        path, None if offset_s is None else timedelta(seconds=offset_s), told.get("columns")
+        path, None if offset_s is None else timedelta(seconds=offset_s), table.get("columns")
     )
 
 
-def _readable(path: Path, told: LoggerFileTable) -> Sequence[IrradianceSample]:
+def _readable(path: Path, table: LoggerFileTable) -> Sequence[IrradianceSample]:
     """Return the file's rows as an earlier import read them.
 
     Empty if the file cannot be read now.
     """
     try:
-        return _read(path, told).samples
+        return _read(path, table).samples
     except InputError:
         return ()
 

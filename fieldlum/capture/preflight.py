@@ -58,10 +58,10 @@ def refuse_what_is_not_offered(
         raise NotEnoughDataError(
             f"no slot has an exposure, the first is {empty[0]}: plan the session with fieldlum plan"
         )
-    if said := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
-        more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
+    if refused := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
+        more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise DeviceError(
-            f"the plan has exposures that the camera cannot be set to: {said[0]}{more}; run "
+            f"the plan has exposures that the camera cannot be set to: {refused[0]}{more}; run "
             f"fieldlum doctor"
         )
 

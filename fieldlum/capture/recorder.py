@@ -156,7 +156,7 @@ class Recorder:
                 return True
             except OSError as error:
                 if not disk_is_full(error):
-                    self._open_anew(error)
+                    self._reopen(error)
                     continue
                 if self.full:
                     return False
@@ -166,7 +166,7 @@ class Recorder:
                     self.journal.append("disk-full", self._now(), bytes_free=self._free_bytes())
         return False
 
-    def _open_anew(self, error: OSError) -> None:
+    def _reopen(self, error: OSError) -> None:
         """Reopen the files, which become invalid if the disk was away or its folder was moved."""
         self.last_event = f"not written: {error.strerror or error}"
         with suppress(OSError, InputError):

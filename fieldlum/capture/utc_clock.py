@@ -18,7 +18,7 @@ STEP_S = 2.0
 def synchronised() -> bool:
     """Return whether a time server controls the clock, by systemd; False without systemd."""
     try:
-        said = subprocess.run(
+        answer = subprocess.run(
             ["timedatectl", "show", "-p", "NTPSynchronized", "--value"],
             capture_output=True,
             text=True,
@@ -26,7 +26,7 @@ def synchronised() -> bool:
         )
     except (OSError, subprocess.SubprocessError):
         return False
-    return said.stdout.strip() == "yes"
+    return answer.stdout.strip() == "yes"
 
 
 def boot_id() -> str:

@@ -51,12 +51,12 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
         ("f-number", found.f_number, asked.f_number, 2.0),
         ("ISO", found.iso, asked.iso, 1.0),
     )
-    said = [
+    differences = [
         f"{name} {is_:g} instead of {should:g}"
         for name, is_, should, per_octave in pairs
         if is_ > 0 and should > 0 and abs(per_octave * math.log2(is_ / should)) > TOLERANCE_EV
     ]
-    return ", ".join(said)
+    return ", ".join(differences)
 
 
 def clipped_share(path: Path) -> float:

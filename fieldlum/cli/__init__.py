@@ -101,17 +101,17 @@ class _CommandGroup(click.Group):
             if error.errno not in DISK_TROUBLE:
                 raise
             place = f"{error.filename}: " if error.filename else ""
-            said = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
-            _complain(ctx, said)
+            message = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
+            _complain(ctx, message)
             sys.exit(InputError.exit_code)
         except ModuleNotFoundError as error:
             if error.name not in COMPUTE_PACKAGES:
                 raise
-            said = (
+            message = (
                 f"the package {error.name} is not installed, because this computer only "
                 "captures; install it with: pip install 'fieldlum[compute]'"
             )
-            _complain(ctx, said)
+            _complain(ctx, message)
             sys.exit(InputError.exit_code)
         except KeyboardInterrupt:
             click.echo(

@@ -49,8 +49,8 @@ def command(session_folder: Path, uri: str, every_s: float, rows: int | None) ->
             written = log(
                 session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say
             )
-        said = f"{written} rows"
+        message = f"{written} rows"
     except KeyboardInterrupt:
-        said = "stopped"
+        message = "stopped"
     with suppress(OSError):  # the terminal may be closed by now
-        click.echo(f"{session.irradiance}: {said}")
+        click.echo(f"{session.irradiance}: {message}")

@@ -82,7 +82,7 @@ def command(
     if next_ or replan:
         if set_ or out:
             raise click.UsageError("--next and --replan work on a session: omit --set and --out")
-        answer, said = (
+        answer, sentences = (
             _coming(target, weather_file) if next_ else _replanned(target, ics, html, weather_file)
         )
     elif set_ is None or out is None:
@@ -96,15 +96,15 @@ def command(
         )
     elif start and not 1950 <= start.year <= 2100:
         raise click.UsageError(f"--start {start:%Y-%m-%d}: expected a year from 1950 to 2100")
-    elif said := _meaningless(set_, start, year, days, count):
-        raise click.UsageError(said)
+    elif message := _meaningless(set_, start, year, days, count):
+        raise click.UsageError(message)
     else:
         asked = (set_, start.date() if start else None, year, days, count)
-        answer, said = _planned(target, asked, weather_file, out, ics, html)
+        answer, sentences = _planned(target, asked, weather_file, out, ics, html)
     if as_json:
         terminal.emit_json(answer)
     else:
-        click.echo("\n".join(said))
+        click.echo("\n".join(sentences))
 
 
 def _meaningless(
@@ -137,12 +137,12 @@ def _planned(
     answer = plan.summary(session, made)
     for note in made.warnings:
         terminal.say(f"note: {note}")
-    said = plan.sentences(answer)
+    sentences = plan.sentences(answer)
     if ics:
         plan.write_calendar(session, datetime.now(UTC))
     if html:
-        plan.write_sheets(session, weather, [*said[1:], *made.warnings])
-    return asdict(answer), said
+        plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
+    return asdict(answer), sentences
 
 
 def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:

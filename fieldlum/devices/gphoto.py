@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.driver_process import Child, Serve
 from fieldlum.devices.settings import nearest
-from fieldlum.devices.uri import DeviceUri, whole
+from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
 
@@ -137,7 +137,7 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     """Open the camera. Raises DeviceError without the package gphoto2 or without a camera."""
     from importlib.util import find_spec
 
-    options = uri.read(delete=whole(0, 1))
+    options = uri.read(delete=integer_option(0, 1))
     if find_spec("gphoto2") is None:
         raise DeviceError(
             f"{uri.text}: the package gphoto2 is missing; pip install 'fieldlum[gphoto]' "

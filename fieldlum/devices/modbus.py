@@ -22,7 +22,7 @@ from fieldlum.devices.registers import (
     load_register_profile,
 )
 from fieldlum.devices.serial_port import SerialPort, device_errors
-from fieldlum.devices.uri import DeviceUri, number, one_of, whole
+from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
@@ -168,12 +168,12 @@ def open_pyranometer(
     """
     options: dict[str, Any] = uri.read(
         kind=str,
-        unit=whole(1, 247),
-        dhi_unit=whole(1, 247),
-        dni_unit=whole(1, 247),
-        baud=whole(300, 115200),
+        unit=integer_option(1, 247),
+        dhi_unit=integer_option(1, 247),
+        dni_unit=integer_option(1, 247),
+        baud=integer_option(300, 115200),
         parity=one_of("N", "E", "O"),
-        stop=whole(1, 2),
+        stop=integer_option(1, 2),
         timeout=number(0.05, 30.0),
     )
     if not uri.place or "kind" not in options:

@@ -218,7 +218,7 @@ class RpicamCamera:
                 f"install it with: sudo apt install rpicam-apps"
             ) from None
         try:
-            said = process.communicate(timeout=timeout_s)[0].decode("utf-8", "replace")
+            printed = process.communicate(timeout=timeout_s)[0].decode("utf-8", "replace")
         except subprocess.TimeoutExpired:
             _kill(process)
             raise DeviceError(
@@ -227,16 +227,16 @@ class RpicamCamera:
         except BaseException:
             _kill(process)
             raise
-        if "No space left on device" in said:
+        if "No space left on device" in printed:
             raise OSError(errno.ENOSPC, "No space left on device")
-        if process.returncode != 0 or "ERROR: ***" in said:
-            raise DeviceError(f"rpicam: {_reason(said, process.returncode)}")
-        return said
+        if process.returncode != 0 or "ERROR: ***" in printed:
+            raise DeviceError(f"rpicam: {_reason(printed, process.returncode)}")
+        return printed
 
 
-def _reason(said: str, code: int) -> str:
+def _reason(printed: str, code: int) -> str:
     """Return the line of the program's output that names the fault."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    lines = [line.strip() for line in printed.splitlines() if line.strip()]
     errors = [line for line in lines if "ERROR" in line]
     if any("in use by another process" in line for line in lines):
         return "another program uses the camera; end that program"

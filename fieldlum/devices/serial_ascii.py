@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fieldlum.devices.uri import DeviceUri, number, one_of, whole
+from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
 from fieldlum.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def open_pyranometer(
     kind = one_of("spn1", "ascii")
     if uri.options.get("kind") == "ascii":
         return _open_lines(uri, clock)
-    options = uri.read(kind=kind, baud=whole(300, 921600), timeout=number(0.1, 60.0))
+    options = uri.read(kind=kind, baud=integer_option(300, 921600), timeout=number(0.1, 60.0))
     if "kind" not in options:
         raise DeviceError(f"{uri.text}: no kind; add ?kind=spn1 or ?kind=ascii&profile=NAME")
     from fieldlum.devices.serial_spn1 import Spn1

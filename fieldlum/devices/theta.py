@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.settings import nearest
-from fieldlum.devices.uri import DeviceUri, whole
+from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
 
@@ -285,7 +285,7 @@ def _numbers(values: object) -> list[float]:
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
     """Open the camera. Raises DeviceError for unknown options, or if no Theta answers."""
-    options = uri.read(delete=whole(0, 1))
+    options = uri.read(delete=integer_option(0, 1))
     address = uri.place or ADDRESS
     if urlsplit(address).scheme != "http" or not urlsplit(address).hostname:
         raise DeviceError(f"{uri.text}: no HTTP address; expected a URI like theta:{ADDRESS}")

@@ -80,7 +80,7 @@ def number(low: float, high: float) -> Callable[[str], float]:
     return _within(float, f"a number from {low:g} to {high:g}", low, high)
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+def integer_option(low: int, high: int) -> Callable[[str], int]:
     """Return a reader of an integer within limits."""
     return _within(int, f"an integer from {low} to {high}", low, high)
 

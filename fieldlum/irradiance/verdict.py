@@ -152,7 +152,7 @@ def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return []
-    said = [
+    notes = [
         f"{100 * share:.0f} % of the rows by day {fault}"
         for mark, fault in _FAULTS.items()
         if (share := float(np.mean((clean.marks[up] & mark) != 0))) > MOST_BY_DAY
@@ -160,15 +160,15 @@ def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
     with np.errstate(invalid="ignore"):
         weak = float(np.mean(sun.too_weak(clean.ghi_wm2, altitude, top)[up]))
     if weak > MOST_BY_DAY:
-        said.append(
+        notes.append(
             f"{100 * weak:.0f} % of the rows by day have less light than the darkest "
             "overcast sky: check whether they are in kW/m2"
         )
-    lone = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
-    if lone > MOST_BY_DAY:
-        said.append(
-            f"{100 * lone:.0f} % of the rows by day have only global irradiance and no "
+    global_only = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
+    if global_only > MOST_BY_DAY:
+        notes.append(
+            f"{100 * global_only:.0f} % of the rows by day have only global irradiance and no "
             "neighbouring row within half an hour: direct irradiance cannot be derived from "
             "them; log at least every minute"
         )
-    return said
+    return notes

@@ -77,13 +77,13 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     # camera points up.
     if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:
         return ""
-    told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
-    if len(told) > 1:
+    rolls_deg = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
+    if len(rolls_deg) > 1:
         return (
             "the camera was turned within the bracket: its EXIF has the roll angles "
-            f"{_degrees(told)}; capture the bracket again with a fixed camera"
+            f"{_degrees(rolls_deg)}; capture the bracket again with a fixed camera"
         )
-    off = float(signed_angle_deg(told.pop() - lens.roll_deg)) if told else 0.0
+    off = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
     if abs(off) <= _HELD_DEG:
         return ""
     return (

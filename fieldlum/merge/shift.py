@@ -85,8 +85,8 @@ def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1)
     share = cv2.resize(
         seen[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA
     )
-    whole = (share == 255) & (mean > least)
-    return Small(np.log(np.where(whole, mean, 1.0)).astype(np.float32), whole, by)
+    complete = (share == 255) & (mean > least)
+    return Small(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
 
 
 def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:

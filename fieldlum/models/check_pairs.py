@@ -50,12 +50,12 @@ def check_plausible(path: Path, rows: Stated, site: Site) -> None:
 
 
 def _check_once(
-    path: Path, lines: Sequence[int], values: Sequence[datetime] | Sequence[Path], said: str
+    path: Path, lines: Sequence[int], values: Sequence[datetime] | Sequence[Path], finding: str
 ) -> None:
     first: dict[datetime | Path, int] = {}
     for line, value in zip(lines, values, strict=True):
         if value in first:
-            found = f"lines {first[value]} and {line}: {said}"
+            found = f"lines {first[value]} and {line}: {finding}"
             raise InputError(path, found, "each bracket once", "remove one of them, or set ok = 0")
         first[value] = line
 
@@ -70,7 +70,7 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
     if not (apart > MOST_SUN_DEG).any():
         return
     k = int(np.nanargmax(apart))
-    said = (
+    finding = (
         f"line {rows.lines[k]}: sun at altitude {rows.altitude_deg[k]:.1f}, azimuth "
         f"{rows.azimuth_deg[k]:.1f}"
     )
@@ -79,7 +79,7 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
         "check t_utc, the sign of the longitude and the order of the rows, or clear both "
         "sun columns"
     )
-    raise InputError(path, said, expected, remedy)
+    raise InputError(path, finding, expected, remedy)
 
 
 def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64]) -> None:
@@ -88,7 +88,7 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
     up = altitude_deg > sun.CLEAR_SUN_DEG
     limits = sun.bsrn_limits(altitude_deg, top)
     weak = sun.too_weak(rows.dhi_wm2 + rows.dni_wm2 * sine, altitude_deg, top)
-    for wrong, said, remedy in (
+    for wrong, finding, remedy in (
         (
             rows.dhi_wm2 > limits.dhi_wm2[1],
             "more diffuse light than any sky gives",
@@ -111,5 +111,5 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
                 f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} with "
                 f"the sun at "
             )
-            found += f"{altitude_deg[k]:.0f} deg, {said}"
+            found += f"{altitude_deg[k]:.0f} deg, {finding}"
             raise InputError(path, found, "W/m2", remedy)

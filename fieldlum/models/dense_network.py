@@ -204,8 +204,8 @@ def bfloat16_pays(device: torch.device) -> bool:
     """Return whether the hardware has bfloat16 products; emulated ones are slower than float32."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    told = torch.backends.cpu.get_cpu_capability()
-    return "AVX512" in told and _cpu_has("avx512_bf16")
+    capability = torch.backends.cpu.get_cpu_capability()
+    return "AVX512" in capability and _cpu_has("avx512_bf16")
 
 
 def _cpu_has(flag: str) -> bool:

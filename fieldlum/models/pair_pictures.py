@@ -114,11 +114,11 @@ def _checked(
 ) -> Panorama:
     found = panorama.luminance_cdm2.shape
     if found != shape:
-        said = (
+        finding = (
             f"{found[1]} x {found[0]} pixels",
             (f"{shape[1]} x {shape[0]} pixels as in the first row"),
         )
-        raise InputError(path, *said, remedy)
+        raise InputError(path, *finding, remedy)
     if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
         found = f"heading {_heading(panorama, path, setup):g}"
         raise InputError(path, found, f"heading {heading:g} as in the first row", remedy)

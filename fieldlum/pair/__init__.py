@@ -149,7 +149,7 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
             "less light than the darkest overcast sky: the instrument was covered or "
             "faulty, or values are in kW/m2"
         )
-    whole = "" if taken.complete else "bracket incomplete"
+    missing_frames = "" if taken.complete else "bracket incomplete"
     poor = f"the sun was measured on few pixels, with an uncertainty of {taken.sun_u_percent:.0f} %"
     poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
     return Pair(
@@ -158,7 +158,7 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
         altitude_deg,
         azimuth_deg,
         why=why,
-        caution=_joined(whole, poor, light.caution),
+        caution=_joined(missing_frames, poor, light.caution),
     )
 
 

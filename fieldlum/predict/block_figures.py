@@ -40,7 +40,7 @@ def unseen_bounds(
 
 def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
     """Return the `HOUR_COLUMNS` of a block that the model determines, [k] each."""
-    light, told = block.light, block.prediction
+    light, predicted = block.light, block.prediction
     return {
         "dni_wm2": light.dni_wm2,
         "dhi_wm2": light.dhi_wm2,
@@ -48,8 +48,8 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
         "sun_azimuth_deg": light.sun_azimuth_deg,
         "disc_lx": block.disc_lx,
         "occupied": np.zeros(len(light)),
-        "trusted": trusted_hours(told).astype(float),
-        "expected_log10_mse": told.expected_mse,
+        "trusted": trusted_hours(predicted).astype(float),
+        "expected_log10_mse": predicted.expected_mse,
     }
 
 
@@ -99,13 +99,13 @@ def relative_uncertainty(
 def _relative_of_map(
     block: HourBlock, views: Views
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    told = block.prediction
-    shape = (len(told.trusted), len(views.azimuths_deg))
-    if told.log10_sd is None:
-        same = np.log(10.0) * np.sqrt(np.asarray(told.expected_mse, float))[:, None]
+    predicted = block.prediction
+    shape = (len(predicted.trusted), len(views.azimuths_deg))
+    if predicted.log10_sd is None:
+        same = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse, float))[:, None]
         return np.broadcast_to(same, shape), np.broadcast_to(same, shape)
-    flat = told.luminance_cdm2.reshape(shape[0], -1)
-    spread = np.float32(np.log(10.0)) * told.log10_sd.reshape(shape[0], -1)
+    flat = predicted.luminance_cdm2.reshape(shape[0], -1)
+    spread = np.float32(np.log(10.0)) * predicted.log10_sd.reshape(shape[0], -1)
     ev = flat @ views.illuminance
     ev_off = (flat * spread) @ views.illuminance
     power = np.where(flat > SOURCE_CDM2, flat, np.float32(0.0)) ** 2

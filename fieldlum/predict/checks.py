@@ -172,7 +172,7 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
         return None
 
 
-def begin_anew(folder: Path) -> None:
+def delete_earlier_year(folder: Path) -> None:
     """Delete predict.json and maps.zarr first, so that an interrupted run never looks complete.
 
     Otherwise an interruption could leave the hours of one weather file with the classes of another.

@@ -24,9 +24,9 @@ from fieldlum.predict.annual import Annual, write_hourly, write_pictures, write_
 from fieldlum.predict.blocks import ModelRoom, room_of
 from fieldlum.predict.checks import (
     already,
-    begin_anew,
     check_session,
     default_folder,
+    delete_earlier_year,
     fitted_uncertainty,
     inputs_of,
 )
@@ -105,7 +105,7 @@ def run(
         )
     light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
     azimuths = view_azimuths_deg(room.heading_deg, views)
-    begin_anew(folder)
+    delete_earlier_year(folder)
     annual, doubt, u_of_maps = measure(
         model_folder,
         room,

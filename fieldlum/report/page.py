@@ -122,9 +122,9 @@ EV_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", 
 
 def _cells(values: Float, step: float) -> str:
     """Return [days, 24] as little-endian 16-bit integers in base64."""
-    whole = np.clip(np.nan_to_num(values, nan=0.0) / step, 0, NOTHING - 1).round().astype("<u2")
-    whole[~np.isfinite(values)] = NOTHING
-    return base64.b64encode(whole.tobytes()).decode()
+    steps = np.clip(np.nan_to_num(values, nan=0.0) / step, 0, NOTHING - 1).round().astype("<u2")
+    steps[~np.isfinite(values)] = NOTHING
+    return base64.b64encode(steps.tobytes()).decode()
 
 
 def heat_map(

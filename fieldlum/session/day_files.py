@@ -13,7 +13,7 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
-from fieldlum.session.lines import append_whole, cut_torn_tail
+from fieldlum.session.lines import append_complete, cut_torn_tail
 from fieldlum.session.writing import sync_folder
 
 DAY_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c", "status", "raw", "crc")
@@ -65,7 +65,7 @@ class DayFiles:
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
         if day != self._day:
             self._open(day)
-        append_whole(self._handle, encode_sample(sample), flush=self._flush)
+        append_complete(self._handle, encode_sample(sample), flush=self._flush)
 
     def _open(self, day: str) -> None:
         self.close()
@@ -82,7 +82,7 @@ class DayFiles:
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         try:
             if spoilt or os.fstat(handle).st_size == 0:
-                append_whole(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
+                append_complete(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
                 sync_folder(self._folder)
         except OSError:
             os.close(handle)

@@ -12,7 +12,13 @@ from typing import Unpack
 
 from fieldlum.records import utc_text
 from fieldlum.session.folder import Session
-from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, encode_line, exclusive
+from fieldlum.session.lines import (
+    append_complete,
+    cut_torn_tail,
+    decode_line,
+    encode_line,
+    exclusive,
+)
 from fieldlum.session.tables import EventFields, JournalEvent
 
 
@@ -38,7 +44,7 @@ class Journal:
         """
         data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock, exclusive(self._handle):
-            append_whole(self._handle, data, flush=self._flush)
+            append_complete(self._handle, data, flush=self._flush)
 
     def close(self) -> None:
         """Close the file."""

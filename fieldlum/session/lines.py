@@ -149,7 +149,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     return cut
 
 
-def append_whole(handle: int, data: bytes, *, flush: bool) -> None:
+def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
     """Append all of `data`; if the disk is full, restore the earlier length of the file."""
     before = os.fstat(handle).st_size
     try:

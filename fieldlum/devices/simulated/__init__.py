@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fieldlum.devices.uri import DeviceUri, number, whole
+from fieldlum.devices.uri import DeviceUri, integer_option, number
 from fieldlum.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fieldlum.devices.clock import Clock
     from fieldlum.session import Session
 
-_SEED = whole(0, 2**31)
+_SEED = integer_option(0, 2**31)
 
 
 def _check_place(uri: DeviceUri) -> None:
