@@ -161,10 +161,20 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     path = Path(file)
     suffix = path.suffix.lower()
     if suffix not in PANORAMA_SUFFIXES:
-        raise InputError(path, f"suffix '{suffix}'", " or ".join(PANORAMA_SUFFIXES))
+        raise InputError(
+            path,
+            f"suffix '{suffix}'",
+            " or ".join(PANORAMA_SUFFIXES),
+            "give the file one of these suffixes",
+        )
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        raise InputError(path, f"a map of {width} x {height} pixels", "twice as wide as high")
+        raise InputError(
+            path,
+            f"a map of {width} x {height} pixels",
+            "twice as wide as high",
+            "resample the map, or pass a panorama",
+        )
     with replacing_path(path) as temporary:
         if suffix == ".exr":
             images.write_panorama(temporary, panorama)

@@ -85,7 +85,12 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
         first = first or setting
         if setting != first:
             found = f"f/{setting[0]:g} and ISO {setting[1]:g}"
-            raise InputError(path, found, f"f/{first[0]:g} and ISO {first[1]:g} as the first frame")
+            raise InputError(
+                path,
+                found,
+                f"f/{first[0]:g} and ISO {first[1]:g} as the first frame",
+                "take all frames with one aperture and ISO",
+            )
         black, full = black_dn(mosaic, profile), full_dn(mosaic, profile)
         means: list[Array] = []
         errors: list[Array] = []

@@ -61,11 +61,16 @@ def read_campaign(path: Path) -> CampaignFile:
     table = read_toml(path)
     unknown = table.keys() - {"name", "common", "room"}
     if unknown:
-        raise InputError(path, f"unknown key '{min(unknown)}'", "name, [common] and [[room]]")
+        raise InputError(
+            path,
+            f"unknown key '{min(unknown)}'",
+            "name, [common] and [[room]]",
+            "correct or remove the key",
+        )
     common = _filled(build(CampaignRoom, table.get("common", {}), f"{path} [common]"), DEFAULTS)
     tables = table.get("room")
     if not isinstance(tables, list) or not tables:
-        raise InputError(path, "no [[room]]", _EXPECTED)
+        raise InputError(path, "no [[room]]", _EXPECTED, "add a table [[room]] for each room")
     rooms = tuple(
         _filled(build(CampaignRoom, entry, f"{path} [[room]] {k}"), common)
         for k, entry in enumerate(tables, start=1)
@@ -73,9 +78,13 @@ def read_campaign(path: Path) -> CampaignFile:
     names = [room.session for room in rooms]
     for number, name in enumerate(names, start=1):
         if not name:
-            raise InputError(path, f"[[room]] {number} has no session", _EXPECTED)
+            raise InputError(
+                path, f"[[room]] {number} has no session", _EXPECTED, "add its session"
+            )
         if names.count(name) > 1:
-            raise InputError(path, f"session {name} occurs twice", "each session once")
+            raise InputError(
+                path, f"session {name} occurs twice", "each session once", "remove the repetition"
+            )
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 
 

@@ -63,7 +63,7 @@ def describe(path: Path) -> Facts:
     if path.is_dir():
         return _folder(path)
     if not path.is_file():
-        raise InputError(path, "no such file or folder")
+        raise InputError(path, "no such file or folder", remedy="check the path")
     suffix = path.suffix.lower()
     readers: dict[str, Callable[[Path], Facts]] = {
         ".exr": _panorama,

@@ -76,7 +76,9 @@ def command(
     from fieldlum.web.snapshot import Snapshots
 
     if weather != "synthetic" and not Path(weather).is_file():
-        raise InputError(weather, "no such file", "a weather year, or the word synthetic")
+        raise InputError(
+            weather, "no such file", "a weather year, or the word synthetic", "check the path"
+        )
     snapshots = Snapshots(session)
     worker = Worker(session, snapshots.moment, weather) if compute else None
     changes = Control(session, snapshots.state) if control else None

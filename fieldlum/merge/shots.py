@@ -77,11 +77,13 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
     time, or if a file is named twice.
     """
     if not files:
-        raise InputError("merge", "no frames", "at least one raw or JPEG file")
+        raise InputError(
+            "merge", "no frames", "at least one raw or JPEG file", "name the frames of one bracket"
+        )
     found, known = [], set()
     for path in files:
         if not path.is_file():
-            raise InputError(path, "no such file", "a raw or JPEG frame")
+            raise InputError(path, "no such file", "a raw or JPEG frame", "check the path")
         if (real := path.resolve()) in known:
             raise InputError(
                 path,
@@ -105,6 +107,7 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
                 shot.path,
                 f"filter '{shot.exposure.nd}'",
                 f"one of the profile's: {', '.join(known)}",
+                "add the filter as [[nd]] to the profile, or correct its name",
             )
     kinds = {is_jpeg(s.path) for s in shots}
     if kinds != {profile.camera.kind == "jpeg"}:

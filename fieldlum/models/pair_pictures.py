@@ -67,6 +67,7 @@ def read_pictures(
             path,
             f"line {bare}: sunpatch is empty, but other rows have one",
             "a sunpatch in all rows or in none",
+            "complete or remove the column",
         )
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None

@@ -33,7 +33,10 @@ def read_address(option: str) -> str:
     address = read_targets(option)[0][0]
     if urlsplit(address).scheme not in ("http", "https"):
         raise InputError(
-            option[1:], "an address that is not http", "an address with http:// or https://"
+            option[1:],
+            "an address that is not http",
+            "an address with http:// or https://",
+            "correct the address",
         )
     return address
 

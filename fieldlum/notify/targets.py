@@ -42,7 +42,9 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
     path = Path(text[1:])
     lines = _lines(path)
     if not lines:
-        raise InputError(path, "no address", "one apprise address per line")
+        raise InputError(
+            path, "no address", "one apprise address per line", "write an address into the file"
+        )
     return lines, _privacy_note(path)
 
 

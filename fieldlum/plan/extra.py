@@ -49,7 +49,12 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
     where = sun.position([at], setup.site)
     altitude = float(where.altitude_deg[0])
     if altitude <= 0:
-        raise InputError(session.plan, f"the sun is {-altitude:.0f} deg below the horizon", "day")
+        raise InputError(
+            session.plan,
+            f"the sun is {-altitude:.0f} deg below the horizon",
+            "day",
+            "add a bracket by day",
+        )
     like = max((s for s in slots if s.t_utc <= at), key=lambda s: s.t_utc, default=slots[0])
     hour = DaylightHours((at,), np.array([altitude]), where.azimuth_deg)
     (slot,) = make_slots(hour, setup, like.exposures)

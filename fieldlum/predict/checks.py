@@ -133,7 +133,9 @@ def inputs_of(
 
     synthetic = str(weather) == SYNTHETIC
     if not synthetic and not weather.is_file():
-        raise InputError(weather, "no such file", "a weather file, or the word synthetic")
+        raise InputError(
+            weather, "no such file", "a weather file, or the word synthetic", "check the path"
+        )
     return {
         "model": model.resolve().name,
         "model_sha256": sha256(model / "config.json"),

@@ -98,7 +98,10 @@ def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
             raise InputError(path, f"line {number}: {error}", "mon-fri,08:00,18:00") from None
         if not start < end:
             raise InputError(
-                path, f"line {number}: {row[1]} is not before {row[2]}", "a start before the end"
+                path,
+                f"line {number}: {row[1]} is not before {row[2]}",
+                "a start before the end",
+                "correct the times",
             )
         periods += [(day, start, end) for day in days]
     if not periods:
@@ -125,6 +128,7 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
             path,
             f"{len(rows) - 1} hours",
             f"{HOURS_OF_YEAR}, local standard time from 1 January 00:00",
+            "write a row for each hour, or periods with days,start,end",
         )
     hours = np.zeros(HOURS_OF_YEAR, bool)
     for k, row in enumerate(rows[1:]):
@@ -133,6 +137,7 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
                 path,
                 f"line {k + 2}: occupied is '{row[column] if len(row) > column else ''}'",
                 "0 or 1",
+                "correct the value",
             )
         hours[k] = row[column] == "1"
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)

@@ -55,7 +55,12 @@ def room_from_clicks(
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:
-        raise InputError(where, f"camera height {camera_height_m:g} m", "0.05 to 50 m")
+        raise InputError(
+            where,
+            f"camera height {camera_height_m:g} m",
+            "0.05 to 50 m",
+            "measure the lens above the floor",
+        )
     start = _start(clicks, grid, camera_height_m, where)
     return _fit(start, clicks, grid, camera_height_m)
 
@@ -80,7 +85,12 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for number in _numbers(clicks):
         corners = sum(click.kind == "window" and click.window == number for click in clicks)
         if corners < 2:
-            raise InputError(where, f"window {number} has {corners} corners", "two opposite ones")
+            raise InputError(
+                where,
+                f"window {number} has {corners} corners",
+                "two opposite ones",
+                "click two corners that are opposite each other",
+            )
 
 
 def _numbers(clicks: Sequence[Click]) -> list[int]:

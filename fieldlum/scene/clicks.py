@@ -83,14 +83,16 @@ def _click(where: str, line: int, row: Any) -> Click:
         raise InputError(where, "no table", f"keys {', '.join(COLUMNS)}")
     kind = str(row.get("kind", "")).strip()
     if kind not in KINDS:
-        raise InputError(where, f"kind '{kind[:40]}'", f"one of {', '.join(KINDS)}")
+        raise InputError(
+            where, f"kind '{kind[:40]}'", f"one of {', '.join(KINDS)}", "correct the kind"
+        )
     try:
         x, y = float(row["x_px"]), float(row["y_px"])
         window = int(row.get("window") or 0)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(where, str(error)[:80], "numbers") from None
     if not (np.isfinite(x) and np.isfinite(y)):
-        raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers")
+        raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers", "correct the numbers")
     of_window = kind in ("window", "bar", "transom")
     if of_window != (1 <= window <= 50):
         expected = "a window's number from 1" if of_window else "no window's number"

@@ -138,7 +138,12 @@ def _tls(path: Path, table: Any) -> TlsFiles | None:
         return None
     names = ("ca", "certificate", "key")
     if not isinstance(table, dict) or set(table) != set(names):
-        raise InputError(path, f"tls {table!r}", 'a table "tls" with ca, certificate and key')
+        raise InputError(
+            path,
+            f"tls {table!r}",
+            'a table "tls" with ca, certificate and key',
+            "add the three files to the table",
+        )
     files = [path.parent / str(table[name]) for name in names]
     for file in files:
         if not file.is_file():
@@ -146,6 +151,7 @@ def _tls(path: Path, table: Any) -> TlsFiles | None:
                 file,
                 "no such file",
                 f"a certificate or key file, as the table tls of {path.name} names it",
+                "check the path in the table tls",
             )
     if files[2].stat().st_mode & 0o077:
         found = "a private key that other users can read"

@@ -27,7 +27,12 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
     known |= {path.stem for path in session.panoramas.glob("*.exr")}
     if slot not in known:
         example = min(known, default="20270320T153000Z")
-        raise InputError(session.root, f"no slot {slot}", f"a slot's id such as {example}")
+        raise InputError(
+            session.root,
+            f"no slot {slot}",
+            f"a slot's id such as {example}",
+            "choose a slot of plan.csv",
+        )
     try:
         result = merged_state(marks(session).get(slot, ""), state)
     except ValueError as error:
@@ -46,7 +51,9 @@ def add_note(session: Session, text: str) -> str:
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     if not 0 < len(line) <= MAX_NOTE:
         found = f"a note of {len(line)} characters"
-        raise InputError(session.root, found, f"1 to {MAX_NOTE} characters")
+        raise InputError(
+            session.root, found, f"1 to {MAX_NOTE} characters", "shorten the note, or write one"
+        )
     append_event(session, NOTE, datetime.now(UTC), text=line)
     return line
 

@@ -82,9 +82,19 @@ class Control:
         state = self.state()
         if state["rehearsal"]:
             found = "a rehearsal in simulated time"
-            raise InputError(self.session.root, found, "a capture in real time")
+            raise InputError(
+                self.session.root,
+                found,
+                "a capture in real time",
+                "start fieldlum capture without --clock fast",
+            )
         if state["running"] is False:
-            raise InputError(self.session.root, "no capture runs here", "a running capture")
+            raise InputError(
+                self.session.root,
+                "no capture runs here",
+                "a running capture",
+                "start fieldlum capture first",
+            )
         return state
 
 

@@ -200,7 +200,10 @@ def _time(path: Path, line: int, text: str) -> datetime:
         return parse_utc(text)
     except ValueError as error:
         raise InputError(
-            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
+            path,
+            f"line {line}: {error}",
+            "a UTC time such as 2027-03-20T15:30:00Z",
+            "correct the time",
         ) from None
 
 
