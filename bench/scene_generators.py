@@ -52,8 +52,24 @@ def disc(mat: str, centre: tuple[float, float, float], radius: float) -> str:
     return quad(mat, [(x + radius * np.cos(a), y + radius * np.sin(a), z) for a in angles])
 
 
+def side_wall(room: Room, wall: str) -> str:
+    """The west or east wall, around its window if it has one; glass in mid-wall."""
+    t, deep, tall = room.wall_thickness_m, room.depth_m, room.height_m
+    x0 = -t if wall == "west" else room.width_m
+    for rect in guess_of(room).windows:
+        if rect.wall != wall:
+            continue
+        (y0, y1), (z0, z1), x = rect.u_m, rect.z_m, x0 + t / 2
+        text = block("wall", (x0, -t, 0.0), (x0 + t, y0, tall))
+        text += block("wall", (x0, y1, 0.0), (x0 + t, deep + t, tall))
+        text += block("wall", (x0, y0, 0.0), (x0 + t, y1, z0))
+        text += block("wall", (x0, y0, z1), (x0 + t, y1, tall))
+        return text + quad("pane", [(x, y0, z0), (x, y1, z0), (x, y1, z1), (x, y0, z1)])
+    return block("wall", (x0, -t, 0.0), (x0 + t, deep + t, tall))
+
+
 def shell(room: Room) -> str:
-    """Walls with their window's hole, reveals, floor, ceiling, glass in mid-wall."""
+    """Walls with their windows' holes (the first is in the south wall), reveals, floor, ceiling."""
     t, wide, deep, tall = room.wall_thickness_m, room.width_m, room.depth_m, room.height_m
     w = room.window[0]
     u0, u1 = wide - w.left_m - w.width_m, wide - w.left_m
@@ -66,8 +82,7 @@ def shell(room: Room) -> str:
     text += f"void glass pane 0 0 3 {n:.5f} {n:.5f} {n:.5f}\n"
     text += block("floor", (-t, -t, -0.1), (wide + t, deep + t, 0.0))
     text += block("ceiling", (-t, -t, tall), (wide + t, deep + t, tall + 0.3))
-    text += block("wall", (-t, -t, 0.0), (0.0, deep + t, tall))
-    text += block("wall", (wide, -t, 0.0), (wide + t, deep + t, tall))
+    text += side_wall(room, "west") + side_wall(room, "east")
     text += block("wall", (0.0, deep, 0.0), (wide, deep + t, tall))
     text += block("wall", (0.0, -t, 0.0), (u0, 0.0, tall)) + block(
         "wall", (u1, -t, 0.0), (wide, 0.0, tall)
@@ -292,6 +307,77 @@ def mullions() -> tuple[Room, str]:
     return room, text + bars(room, places, [0.95, 2.2])
 
 
+def corner() -> tuple[Room, str]:
+    """L-shaped room with windows in two walls at different sills, wall azimuth 163."""
+    room = _room(
+        163.0,
+        Window("south", 0.8, 2.2, 0.9, 1.6, GLASS, 1, 0.0),
+        width_m=4.8,
+        depth_m=5.6,
+        height_m=2.9,
+        camera_x_m=2.1,
+        camera_y_m=2.5,
+        camera_z_m=1.4,
+        wall_thickness_m=0.3,
+        reflectance_floor=0.26,
+    )
+    second = Window("west", 1.2, 1.3, 1.25, 1.1, GLASS, 1, 0.0)
+    room = replace(room, window=(*room.window, second))
+    things = block("wall", (3.3, 3.6, 0.0), (4.8, 5.6, 2.9))
+    things += block("wood", (0.2, 3.6, 0.0), (1.4, 4.4, 0.74))
+    things += block("wood", (2.8, 0.7, 0.68), (4.2, 1.4, 0.74))
+    return room, shell(room) + things + ground(-0.1) + bars(room, [(2.9, 0.07)], [])
+
+
+def gallery() -> tuple[Room, str]:
+    """High clerestory in a tall room with a beam and a gallery, wall azimuth 197."""
+    room = _room(
+        197.0,
+        Window("south", 0.5, 4.2, 2.3, 1.3, GLASS, 1, 0.0),
+        width_m=5.2,
+        depth_m=7.2,
+        height_m=4.2,
+        camera_x_m=2.7,
+        camera_y_m=3.6,
+        camera_z_m=1.5,
+        wall_thickness_m=0.4,
+        reflectance_floor=0.32,
+    )
+    things = block("wood", (0.0, 1.5, 3.7), (5.2, 1.75, 4.2))
+    things += block("wall", (0.0, 5.4, 2.3), (5.2, 7.2, 2.5))
+    things += block("wood", (0.0, 5.4, 2.5), (5.2, 5.45, 3.4))
+    things += block("wood", (1.0, 4.0, 0.0), (2.4, 4.8, 0.74))
+    text = shell(room) + things + ground(-0.1)
+    return room, text + bars(room, [(1.55, 0.06), (2.6, 0.06), (3.65, 0.06)], [])
+
+
+def curtain() -> tuple[Room, str]:
+    """A curtain in folds, half drawn inside, and a round table, wall azimuth 145."""
+    room = _room(
+        145.0,
+        Window("south", 0.6, 3.0, 0.3, 2.2, GLASS, 1, 0.0),
+        width_m=4.3,
+        depth_m=5.2,
+        height_m=2.8,
+        camera_x_m=2.0,
+        camera_y_m=2.8,
+        camera_z_m=1.4,
+        wall_thickness_m=0.3,
+        reflectance_floor=0.3,
+        reflectance_walls=0.65,
+    )
+    folds = ""
+    for k in range(14):  # from the window's left end, as seen from outside, over 1.4 m
+        x, y = 0.55 + 0.1 * k, (0.06, 0.16)
+        a, b = y if k % 2 == 0 else y[::-1]
+        low, high = 0.02, 2.7
+        folds += quad("wall", [(x, a, low), (x + 0.1, b, low), (x + 0.1, b, high), (x, a, high)])
+    things = folds + disc("wood", (2.9, 1.6, 0.74), 0.55)
+    things += block("wood", (2.82, 1.52, 0.0), (2.98, 1.68, 0.7))
+    things += block("wood", (0.0, 3.0, 0.0), (0.45, 4.8, 1.6))
+    return room, shell(room) + things + ground(-0.1) + bars(room, [(2.2, 0.07)], [])
+
+
 TONES = {"wood": 0.35, "facade": 0.5, "frame": 0.4, "ceiling": 0.8}
 
 
@@ -328,4 +414,8 @@ ROOMS = {
     # Not looked at while the fit was changed.
     "arch": arch,
     "blind": blind,
+    # Rendered before, and fitted after, the last change of the verdict (decision 18).
+    "corner": corner,
+    "gallery": gallery,
+    "curtain": curtain,
 }

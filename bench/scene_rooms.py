@@ -26,7 +26,7 @@ from fieldlum import plan, simulate, sun
 from fieldlum.light import Light, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.projection import rotation
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, slot_id
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene.geometry import glass_optics
 from fieldlum.scene.radiance import octree
 from fieldlum.scene.view import pixel_rays
@@ -87,9 +87,7 @@ def render(name: str, out: Path, height: int, tests: int) -> None:
     level = rotation(0.0, tilt_deg, roll_deg, heading)
     rays = in_room(world @ level.T, heading)[order]
     suns = in_room(light.shown_sun_direction, heading)
-    gap = 0.02
-    low = np.array([-gap, -room.wall_thickness_m / 2.0, -gap])
-    high = np.array([room.width_m + gap, room.depth_m + gap, room.height_m + gap])
+    low, high = inside_of(room)
     disc_lx = np.zeros(len(light))
     with octree(without_glass(text)) as tree:
         truth = build_truth(tree, eye, rays, low, high, GLASS)
@@ -117,6 +115,15 @@ def render(name: str, out: Path, height: int, tests: int) -> None:
     )
 
 
+def inside_of(room: Room) -> tuple[Array, Array]:
+    """Low and high corner of the space behind glass: to mid-wall in walls with a window."""
+    gap, pane = 0.02, room.wall_thickness_m / 2.0
+    walls = {w.wall for w in room.window}
+    west, east = (pane if wall in walls else gap for wall in ("west", "east"))
+    low = np.array([-west, -pane, -gap])
+    return low, np.array([room.width_m + east, room.depth_m + gap, room.height_m + gap])
+
+
 def photographed(maps: Array, height: int, rng: np.random.Generator) -> Array:
     """The maps by a simulated camera: noise of 1.5 % and vignetting that is 4 % wrong at 90 deg
     from the axis, as its correction leaves.
@@ -139,7 +146,15 @@ def measured(room: Room, rng: np.random.Generator) -> Room:
     def off(sd: float) -> float:
         return float(sd * rng.standard_normal())
 
-    w = room.window[0]
+    def edges_off(w: Window) -> Window:
+        return replace(
+            w,
+            left_m=w.left_m + off(0.04),
+            width_m=w.width_m + off(0.04),
+            sill_m=w.sill_m + off(0.04),
+            height_m=w.height_m + off(0.04),
+        )
+
     return replace(
         room,
         width_m=room.width_m * (1.0 + off(0.015)),
@@ -147,15 +162,7 @@ def measured(room: Room, rng: np.random.Generator) -> Room:
         camera_x_m=room.camera_x_m + off(0.05),
         camera_y_m=room.camera_y_m + off(0.05),
         wall_thickness_m=room.wall_thickness_m + off(0.03),
-        window=(
-            replace(
-                w,
-                left_m=w.left_m + off(0.04),
-                width_m=w.width_m + off(0.04),
-                sill_m=w.sill_m + off(0.04),
-                height_m=w.height_m + off(0.04),
-            ),
-        ),
+        window=tuple(edges_off(w) for w in room.window),
     )
 
 

@@ -192,10 +192,17 @@ def within(point: Array, low: Array, high: Array) -> Array:
 
 
 def glass_between(origin: Array, end: Array, direction: Array, low: Array, high: Array, t: float):
-    """Transmittance of the pane that rays cross from the room outwards, else 1, [r]."""
+    """Transmittance of the pane that rays cross from the room outwards, else 1, [r].
+
+    The pane is in the face of the inside through which a ray leaves.
+    """
     crosses = within(origin, low, high) & ~within(end, low, high)
-    through = glass_optics(t, direction[:, 1])[0]
-    return np.where(crosses, through, 1.0)
+    face = np.where(direction > 0.0, high, low)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.where(direction != 0.0, (face - origin) / direction, np.inf)
+    axis = np.argmin(np.where(np.isnan(distance), np.inf, distance), axis=1)
+    cosine = np.take_along_axis(direction, axis[:, None], axis=1)[:, 0]
+    return np.where(crosses, glass_optics(t, cosine)[0], 1.0)
 
 
 def operators(

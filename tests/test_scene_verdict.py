@@ -5,15 +5,17 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fieldlum import scene, sun
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.light import light_at
+from fieldlum.light import Light, light_at
 from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import Transport, fit
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
+from fieldlum.scene_fit.apply import with_patches
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
@@ -24,6 +26,7 @@ from fieldlum.scene_fit.verdict import (
     SceneVerdict,
     choose_geometry,
     judge,
+    light_of_year,
     outside_hours,
     sun_blocks,
     sunny_hours,
@@ -42,8 +45,22 @@ ROOM = Room(
 SHIFTED = replace(ROOM, window=(replace(ROOM.window[0], left_m=1.6, sill_m=0.4),))
 
 
+HEIGHT = 12
+
+
+def _patch_of(light: Light) -> NDArray[np.float32]:
+    suns, lx = light.shown_sun_direction, light.direct_lx
+    return scene.sun_patches(ROOM, None, suns, lx, height=HEIGHT, heading_deg=180.0).luminance_cdm2
+
+
+def _light_in_room(light: Light) -> NDArray[np.float32]:
+    """Luminance of a room whose light is the diffuse light outside and its sun patches."""
+    base = (0.01 * light.diffuse_lx)[:, None, None] * np.ones((HEIGHT, 2 * HEIGHT))
+    return (base + _patch_of(light)).astype(np.float32)
+
+
 def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
-    """Captures of a room whose light is the diffuse light outside and its own sun patches."""
+    """Captures of the room; clear: with direct sun."""
     times = [
         datetime(2027, *day, 16, 30, tzinfo=UTC) + timedelta(hours=h)
         for day in days
@@ -53,22 +70,17 @@ def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
     up = np.asarray(np.maximum(np.sin(np.radians(place.altitude_deg)), 0.0), float)
     beam = np.where((up > 0.05) & clear, 800.0, 0.0)
     light = light_at(times, SEATTLE, beam, np.asarray(60.0 + 40.0 * up, np.float64))
-    height = 12
-    patch = scene.sun_patches(
-        ROOM, None, light.shown_sun_direction, light.direct_lx, height=height, heading_deg=180.0
-    ).luminance_cdm2
-    base = (0.01 * light.diffuse_lx)[:, None, None] * np.ones((height, 2 * height))
     n = len(times)
     return Dataset(
         light,
-        (base + patch).astype(np.float32),
-        patch,
+        _light_in_room(light),
+        _patch_of(light),
         np.zeros(n),
         180.0,
         np.array([sun.standard_date(t, SEATTLE.timezone) for t in times], "datetime64[D]"),
         tuple(map(slot_id, times)),
         SiteFile(SEATTLE, CameraSetup(heading_deg=180.0), ROOM),
-        np.ones((height, 2 * height), bool),
+        np.ones((HEIGHT, 2 * HEIGHT), bool),
         np.zeros(n),
     )
 
@@ -97,34 +109,41 @@ def test_no_sunny_hour_outside_the_search_has_a_neighbour_inside() -> None:
     assert 0.1 < outside[sunny].mean() < 0.6
 
 
+def _with_patches_of(data: Dataset, room: Room) -> Dataset:
+    setup = replace(data.setup, room=room)
+    return with_patches(replace(data, setup=setup))
+
+
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
-    wrong = scene.sun_patches(
-        SHIFTED,
-        None,
-        CAPTURES.light.shown_sun_direction,
-        CAPTURES.light.direct_lx,
-        height=12,
-        heading_deg=180.0,
-    ).luminance_cdm2
-    bare = replace(CAPTURES, setup=replace(CAPTURES.setup, room=None))
-    candidates = {
-        "none": (replace(bare, patch_cdm2=None), 0.2),
-        "stated": (replace(bare, patch_cdm2=wrong), 0.3),
-        "fitted": (bare, 0.01),
-    }
+    wrong = _with_patches_of(CAPTURES, SHIFTED)
     verdict = judge(
         [
-            GeometryCandidate(name, data, data, misfit)
-            for name, (data, misfit) in candidates.items()
+            GeometryCandidate("none", replace(CAPTURES, patch_cdm2=None), 0.2),
+            GeometryCandidate("stated", wrong, 0.3),
+            GeometryCandidate("fitted", CAPTURES, 0.01),
         ],
         _fit,
     )
-    by_name = {s.name: s.expected_log10_mse for s in verdict.scores}
-    assert verdict.chosen == "fitted" and verdict.trusted
-    assert by_name["fitted"] < 0.5 * min(by_name["none"], by_name["stated"])
-    assert verdict.expected_log10_mse == by_name["fitted"]
+    expected = {s.name: s.expected_log10_mse for s in verdict.scores}
+    assert verdict.chosen == "fitted"
+    assert expected["fitted"] < 0.5 * min(expected["none"], expected["stated"])
+    assert verdict.expected_log10_mse == expected["fitted"]
+    # five days of two seasons: the suns of other seasons are far from all captures
+    assert not verdict.trusted and verdict.trusted_share < 0.5
+
+
+@pytest.mark.analytic
+def test_the_year_has_the_captures_skies() -> None:
+    times = CAPTURES.light.t_utc
+    clear = sun.clearsky(times, SEATTLE)
+    half = light_at(times, SEATTLE, 0.5 * clear.dni_wm2, 2.0 * clear.dhi_wm2)
+    year = light_of_year(replace(CAPTURES, light=half), np.random.default_rng(0))
+    here = sun.clearsky(year.t_utc, SEATTLE)
+    assert (year.sun_altitude_deg > 0.0).all() and len({t.month for t in year.t_utc}) == 12
+    np.testing.assert_allclose(year.dni_wm2, 0.5 * here.dni_wm2, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(year.dhi_wm2, 2.0 * here.dhi_wm2, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.property
@@ -151,11 +170,19 @@ def test_patches_that_are_right_are_chosen_against_the_held_out_errors() -> None
 
 
 @pytest.mark.property
-def test_a_scene_that_explains_little_is_not_trusted() -> None:
+def test_a_scene_that_explains_little_says_so() -> None:
     scores = [GeometryScore("none", 3e-3, 0.05), GeometryScore("fitted", 2e-3, 0.03)]
     verdict = choose_geometry(scores)
-    assert verdict.chosen == "fitted" and not verdict.trusted
+    assert verdict.chosen == "fitted" and verdict.trusted
     assert "leave 60 %" in verdict.reason
+
+
+@pytest.mark.property
+def test_a_model_that_trusts_few_hours_is_not_trusted() -> None:
+    scores = [GeometryScore("none", 3e-2, 0.05, 0.1), GeometryScore("fitted", 2e-2, 0.01, 0.4)]
+    verdict = choose_geometry(scores)
+    assert verdict.chosen == "fitted" and not verdict.trusted
+    assert verdict.trusted_share == 0.4 and "40 % of a year" in verdict.reason
 
 
 @pytest.mark.property
@@ -171,7 +198,7 @@ def test_a_richer_geometry_must_be_clearly_better() -> None:
 def test_overcast_captures_say_what_is_missing() -> None:
     overcast = _captures(((3, 20),), clear=False)
     with pytest.raises(NotEnoughDataError, match="capture clear hours"):
-        judge([GeometryCandidate("none", overcast, overcast)], _fit)
+        judge([GeometryCandidate("none", overcast)], _fit)
 
 
 def _fit_of(captures: Dataset) -> SceneFit:
@@ -186,11 +213,11 @@ def _fit_of(captures: Dataset) -> SceneFit:
 @pytest.mark.property
 @pytest.mark.parametrize("chosen", ["none", "stated", "fitted"])
 def test_the_verdict_reaches_the_scene(chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    verdict = SceneVerdict(chosen, 3e-3, chosen == "fitted", f"{chosen}: least error", ())
+    verdict = SceneVerdict(chosen, 3e-3, chosen == "fitted", f"{chosen}: least error", (), 0.9)
     monkeypatch.setattr(stage, "judge_fit", lambda *_args, **_more: verdict)
     scene_ = stage.judged_scene(CAPTURES, _fit_of(CAPTURES))
     assert scene_.chosen == chosen and scene_.trusted == (chosen == "fitted")
-    assert scene_.expected_log10_mse == 3e-3
+    assert scene_.expected_log10_mse == 3e-3 and scene_.trusted_share == 0.9
     assert scene_.verdict == f"{chosen}: least error"
 
 

@@ -89,6 +89,7 @@ def answer_of(scene: Scene) -> JsonTable:
         "verdict": scene.verdict,
         "trusted": scene.trusted,
         "expected_log10_mse": scene.expected_log10_mse,
+        "trusted_share": scene.trusted_share,
         "hours": scene.hours,
         "notes": list(scene.notes),
     }

@@ -47,7 +47,6 @@ class SceneFit:
     room: the fitted box in the stated world axes; `north_deg` and `clock_min` say how north and
     clock differ from those stated. u: standard uncertainties by parameter name. before and after:
     values by parameter name. albedo [6 + solids]. room_draws: see `posterior.Posterior`.
-    before_last: guess and room before the last search, which alone uses all hours.
     """
 
     stated: Room
@@ -62,14 +61,6 @@ class SceneFit:
     hours: int
     notes: tuple[str, ...]
     room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    before_last: tuple[Guess, Room] | None = None
-
-    @property
-    def outside_view(self) -> SceneFit:
-        """The fit before the hours outside the search were used."""
-        if self.before_last is None:
-            return self
-        return replace(self, guess=self.before_last[0], room=self.before_last[1])
 
 
 def fit_scene(
@@ -111,7 +102,6 @@ def fit_scene(
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
     guess = search.polish(guess, search.fit_hours)
     misfits = search.misfits(guess)
-    before_last = guess
     guess = search.polish(guess, np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
@@ -124,7 +114,6 @@ def fit_scene(
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    room_before_last = _with_albedo(room_of(before_last, room), search.albedo)
     notes = tuple(_notes(u, evidence))
     progress(100, 100, "")
     return SceneFit(
@@ -140,7 +129,6 @@ def fit_scene(
         len(evidence),
         notes,
         spread.room_draws,
-        (before_last, room_before_last),
     )
 
 

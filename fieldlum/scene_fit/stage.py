@@ -110,6 +110,7 @@ def judged_scene(
         scene,
         trusted=verdict.trusted and outside >= MIN_HOURS_OUTSIDE,
         expected_log10_mse=verdict.expected_log10_mse,
+        trusted_share=verdict.trusted_share,
     )
 
 
@@ -127,11 +128,10 @@ def judge_fit(
     bare = replace(stated, patch_cdm2=None)
     boxed = with_scene(stated, scene_of(fit, "stated", ""))
     fitted = with_scene(data, scene_of(fit, "fitted", ""))
-    before = with_scene(data, scene_of(fit.outside_view, "fitted", ""))
     candidates = [
-        GeometryCandidate("none", bare, bare, mean["none"]),
-        GeometryCandidate("stated", boxed, boxed, mean["stated"]),
-        GeometryCandidate("fitted", fitted, before, mean["fitted"]),
+        GeometryCandidate("none", bare, mean["none"]),
+        GeometryCandidate("stated", boxed, mean["stated"]),
+        GeometryCandidate("fitted", fitted, mean["fitted"]),
     ]
     return judge(candidates, fit_model, seed=seed, progress=progress)
 

@@ -1,10 +1,8 @@
 """Choose the geometry for training, and its expected error: no patch, stated box, or fitted scene.
 
-The sun patches of hours that no search saw choose the geometry (decision 17). The expected error is
-that of transport models on held-out hours. Held-out days of a clustered campaign have neighbours:
-20 March is predicted from 19 and 21 March, whose sun was in the same place; their errors are too
-small. Errors of hours whose suns are far from all others are too large, because most suns of a year
-are nearer to a captured one. The year's mean distance to a captured sun weights the two.
+The sun patches of hours that no search saw choose the geometry (decision 17). The expected error
+and the share of trusted hours are those that the transport model, trained with the chosen geometry,
+gives to the hours of a year (decision NNN): `predict` gives the same.
 """
 
 from __future__ import annotations
@@ -19,9 +17,11 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.light import facades_of
+from fieldlum.light import facades_of, light_at
+from fieldlum.models import trusted_hours
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, Room, quiet
+from fieldlum.scene.patches import sun_patches
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 # Chosen: suns closer than this leave together; neighbouring hours are 12 to 15 degrees apart.
 BLOCK_DEG = 9.0
 OUTSIDE_EVERY = 3  # chosen: a third of the sun's directions is outside the search
-MIN_NEAR_DAYS = 3  # chosen: with fewer, a day left out has no neighbour
+# Hours of a year, whose mean expected error has a standard error of about 10 %.
+YEAR_HOURS = 150
 PIXELS = 250  # drawn by solid angle; measured: the ranking of three geometries is that with 500
 # Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
 # several times brighter than the room; a sun below which refraction and horizon are uncertain; a
@@ -50,7 +51,11 @@ _WORTH = 0.95
 _SAME_MISFIT = 1.1
 # Chosen: a scene that leaves more than this share of the misfit without patches lacks something.
 MAX_UNEXPLAINED = 0.5
-_MAX_EXTRAPOLATION = 3.0  # chosen: of the step from near to far suns
+MIN_TRUSTED_SHARE = 0.5  # chosen: of a year's hours; with less, most of the year is a guess
+# Chosen, not measured: below this sun, clear-sky irradiance is uncertain; beam and diffuse
+# irradiance are at most these multiples of a cloudless sky's.
+_LOWEST_CLEAR_SUN_DEG = 5.0
+_MAX_BEAM, _MAX_DIFFUSE = 1.2, 4.0
 
 
 class Predictor(Protocol):
@@ -68,35 +73,31 @@ FitTransport = Callable[["Dataset", "Patch"], Predictor]
 class GeometryCandidate:
     """A geometry to compare.
 
-    data: captures with its heading, sun, room and sun patches (None: no patch). before: the same of
-    a search that did not see the hours outside. misfit: of patches on these hours (NaN: unknown).
+    data: captures with its heading, sun, room and sun patches (None: no patch). misfit: of patches
+    on the hours outside the search (NaN: unknown).
     """
 
     name: str
     data: Dataset
-    before: Dataset
     misfit: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class GeometryScore:
-    """Expected log10 MSE of a year's hours, and the patch misfit of hours outside the search.
-
-    near, far: log10 MSE of sunny hours with and without a neighbouring sun among the others.
-    """
+    """Expected log10 MSE and share of trusted hours of a year; patch misfit outside the search."""
 
     name: str
     expected_log10_mse: float
     misfit: float
-    near: float = float("nan")
-    far: float = float("nan")
+    trusted_share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class SceneVerdict:
     """The chosen geometry and why it was chosen.
 
-    trusted: whether held-out errors and the misfit of patches agree.
+    trusted: whether the model trusts most hours of a year, and its errors and the misfit of patches
+    speak for the same geometry.
     """
 
     chosen: str
@@ -104,6 +105,7 @@ class SceneVerdict:
     trusted: bool
     reason: str
     scores: tuple[GeometryScore, ...]
+    trusted_share: float = 1.0
 
 
 def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
@@ -157,68 +159,61 @@ def judge(
     """
     first = candidates[0].data
     room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)
-    sunny, far = sunny_hours(first, room), outside_hours(first, room)
-    far[np.flatnonzero(~sunny)[::OUTSIDE_EVERY]] = True
-    number = np.searchsorted(np.unique(first.days), first.days)
-    near = number % OUTSIDE_EVERY == 1 if number.max() >= MIN_NEAR_DAYS - 1 else far
-    weight = _far_weight(first, room, sunny, near, far)
-    pixels = _draw(first, np.random.default_rng(seed))
+    outside_hours(first, room)  # raises an error for too few directions
+    rng = np.random.default_rng(seed)
+    pixels, light = _draw(first, rng), light_of_year(first, rng)
     scores = []
     for k, candidate in enumerate(candidates):
         progress(k, len(candidates), f"scene: judging {candidate.name}")
-        by_far = left_out_errors(replace(candidate.before, seen=pixels), far, fit)
-        by_near = left_out_errors(replace(candidate.data, seen=pixels), near, fit)
-        distant, close = np.nanmean(by_far[sunny]), float(np.nanmean(by_near[sunny]))
-        clear = close + weight * max(float(distant) - close, 0.0)
-        others = np.nan_to_num(np.nanmean(np.concatenate([by_far[~sunny], by_near[~sunny], [0.0]])))
-        expected = sunny.mean() * clear + (1.0 - sunny.mean()) * others
-        score = GeometryScore(
-            candidate.name, float(expected), candidate.misfit, close, float(distant)
+        prediction = year_prediction(replace(candidate.data, seen=pixels), light, fit)
+        scores.append(
+            GeometryScore(
+                candidate.name,
+                float(prediction.expected_mse.mean()),
+                candidate.misfit,
+                float(trusted_hours(prediction).mean()),
+            )
         )
-        scores.append(score)
     progress(len(candidates), len(candidates), "")
     return choose_geometry(scores)
 
 
-def _far_weight(
-    data: Dataset,
-    room: Room | None,
-    sunny: NDArray[np.bool_],
-    near: NDArray[np.bool_],
-    far: NDArray[np.bool_],
-) -> float:
-    """Return where the year's suns are between the near (0) and the far (1) ones.
+def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
+    """Return `YEAR_HOURS` hours of a year at random, each under the sky of a random capture.
 
-    What counts is the mean angle between a sun and the nearest captured one.
+    A capture's sky is its beam and diffuse irradiance over that of a cloudless sky.
     """
-    suns = data.light.sun_direction
+    site, first = data.setup.site, data.light.t_utc[0]
+    begin = datetime(first.year, 1, 1, tzinfo=UTC)
+    hours = [begin + timedelta(hours=hour) for hour in range(365 * 24)]
+    up = np.asarray(sun.position(hours, site).altitude_deg) > _LOWEST_SUN_DEG
+    times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), YEAR_HOURS, replace=False))]
+    high = np.flatnonzero(data.light.sun_altitude_deg > _LOWEST_CLEAR_SUN_DEG)
+    drawn = rng.choice(high if len(high) else np.arange(len(data)), YEAR_HOURS)
+    there = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
+    here = sun.clearsky(times, site)
 
-    def distance(out: NDArray[np.bool_]) -> float:
-        return _mean_distance_deg(suns[sunny & out], suns[sunny & ~out])
-
-    close, distant = distance(near), distance(far)
-    year = _mean_distance_deg(_year_suns(data, room), suns[sunny])
-    if distant - close < 1.0:  # no day has a neighbour: both are far
-        return 0.0
-    return float(np.clip((year - close) / (distant - close), 0.0, _MAX_EXTRAPOLATION))
-
-
-def _mean_distance_deg(suns: Array, captured: Array) -> float:
-    """Return the mean angle from suns [n, 3] to the nearest captured one [m, 3]."""
-    cosine = (suns @ captured.T).max(axis=1)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
+    beam = data.light.dni_wm2[drawn] / np.maximum(there.dni_wm2, 1.0)
+    diffuse = data.light.dhi_wm2[drawn] / np.maximum(there.dhi_wm2, 1.0)
+    beam, diffuse = np.minimum(beam, _MAX_BEAM), np.minimum(diffuse, _MAX_DIFFUSE)
+    return light_at(times, site, beam * here.dni_wm2, diffuse * here.dhi_wm2)
 
 
-def _year_suns(data: Dataset, room: Room | None) -> Array:
-    """Return directions of the suns of a year that reach a window, [n, 3]."""
-    begin = datetime(data.light.t_utc[0].year, 1, 1, tzinfo=UTC)
-    times = [
-        begin + timedelta(days=day, hours=hour) for day in range(0, 365, 7) for hour in range(24)
-    ]
-    place = sun.position(times, data.setup.site)
-    suns = sun.direction(place.altitude_deg, place.azimuth_deg)
-    facing = (suns @ facades_of(room).normals.T).max(axis=1)
-    return suns[(facing > _SUNNY_SHARE) & (np.asarray(place.altitude_deg) > _LOWEST_SUN_DEG)]
+def year_prediction(data: Dataset, light: Light, fit: FitTransport) -> Prediction:
+    """Return the prediction of the hours of `light` by a model of the captures."""
+    mode: Patch = "none" if data.patch_cdm2 is None else "absolute"
+    patch = None
+    if data.patch_cdm2 is not None:
+        assert data.setup.room is not None
+        patch = sun_patches(
+            data.setup.room,
+            data.setup,
+            light.shown_sun_direction,
+            light.direct_lx,
+            height=data.shape[0],
+            heading_deg=data.heading_deg,
+        ).luminance_cdm2
+    return fit(data, mode).predict(light, patch)
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -230,29 +225,13 @@ def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
     return mask.reshape(data.shape)
 
 
-def left_out_errors(data: Dataset, out: NDArray[np.bool_], fit: FitTransport) -> Array:
-    """Return the mean squared log10 error of the hours left `out` [n] by a model of the others.
-
-    Other hours are NaN, [n]. The seen pixels are drawn by solid angle and count alike.
-    """
-    mode: Patch = "none" if data.patch_cdm2 is None else "absolute"
-    model = fit(data.take(~out), mode)
-    check = data.take(out)
-    predicted = model.predict(check.light, check.patch_cdm2).luminance_cdm2[:, data.seen]
-    true = check.luminance_cdm2[:, data.seen]  # [m, P]
-    error = np.log10(np.maximum(predicted, _FLOOR_CDM2) / np.maximum(true, _FLOOR_CDM2))
-    errors = np.full(len(data), np.nan)
-    errors[out] = (error**2).mean(axis=1)
-    return errors
-
-
 def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
     """Return the simplest geometry that no richer one clearly beats; scores are simplest first.
 
     A richer geometry beats a simpler one if its patches leave clearly fewer wrong pixels on hours
-    that no search saw. If both leave as many, its error on held-out sun directions must be clearly
-    smaller. The choice is not trusted if these errors speak for another geometry, or if its patches
-    leave much unexplained.
+    that no search saw. If both leave as many, its expected error must be clearly smaller. The
+    choice is not trusted if the model trusts less than half of a year's hours, or if the expected
+    errors speak for another geometry.
     """
     chosen = scores[0]
     for score in scores[1:]:
@@ -260,9 +239,11 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
             chosen = score
     errors = ", ".join(f"{s.name} {s.expected_log10_mse:.1e}" for s in scores)
     misfits = ", ".join(f"{s.name} {100.0 * s.misfit:.1f} %" for s in scores)
+    share = 100.0 * chosen.trusted_share
     reason = (
         f"{chosen.name}: no richer geometry has clearly fewer wrong pixels near sun patches "
-        f"({misfits}), or as few and a smaller error on held-out sun directions ({errors})"
+        f"({misfits}), or as few and a smaller expected error ({errors}); {share:.0f} % of a "
+        f"year's hours are trusted"
     )
     least = min(scores, key=lambda s: s.expected_log10_mse)
     agrees = chosen.expected_log10_mse <= least.expected_log10_mse / _WORTH
@@ -270,12 +251,18 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
         reason += f"; the errors speak for {least.name}: capture more clear hours"
     unexplained = chosen.misfit / max(scores[0].misfit, 1e-9)
     if chosen is not scores[0] and unexplained > MAX_UNEXPLAINED:
-        agrees = False
         reason += (
             f"; its patches leave {100.0 * unexplained:.0f} % of the misfit without patches: the "
-            f"room has something that no box explains (slats, leaves, a slope), see overlay.png"
+            f"room has something that the scene lacks (slats, leaves, a slope), see overlay.png"
         )
-    return SceneVerdict(chosen.name, chosen.expected_log10_mse, agrees, reason, tuple(scores))
+    return SceneVerdict(
+        chosen.name,
+        chosen.expected_log10_mse,
+        agrees and chosen.trusted_share >= MIN_TRUSTED_SHARE,
+        reason,
+        tuple(scores),
+        chosen.trusted_share,
+    )
 
 
 def _is_better(richer: GeometryScore, simpler: GeometryScore) -> bool:
