@@ -24,6 +24,7 @@ from scene_generators import ROOMS, exact_guess
 from scene_rooms import load, measured, with_box
 
 from fieldlum.errors import FieldlumError
+from fieldlum.models import trusted_hours
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
 from fieldlum.projection import equirect_solid_angles
@@ -47,13 +48,30 @@ def fitted(data: Dataset, found: SceneFit, *, captures: bool) -> Dataset:
     return with_scene(data, scene if captures else replace(scene, clock_min=0.0))
 
 
-def error_of(data: Dataset, test: Dataset, seen: Array) -> tuple[float, float]:
-    """Actual and own expected log10 MSE on the test hours."""
+@dataclass(frozen=True)
+class Scored:
+    """Actual and own expected log10 MSE on the test hours, and both of the trusted hours."""
+
+    error: float
+    expected: float
+    trusted_share: float
+    trusted_error: float
+    trusted_expected: float
+
+
+def score_of(data: Dataset, test: Dataset, seen: Array) -> Scored:
+    """Score a model of the captures on the test hours."""
     mode = "none" if data.patch_cdm2 is None else "absolute"
     model = fit(replace(data, seen=seen), patch=mode)
     made = model.predict(test.light, test.patch_cdm2)
-    error = np.log10(np.maximum(made.luminance_cdm2, 1.0) / np.maximum(test.luminance_cdm2, 1.0))
-    return float((error[:, seen] ** 2).mean()), float(made.expected_mse.mean())
+    log = np.log10(np.maximum(made.luminance_cdm2, 1.0) / np.maximum(test.luminance_cdm2, 1.0))
+    error, expected, trusted = (
+        (log[:, seen] ** 2).mean(axis=1),
+        made.expected_mse,
+        trusted_hours(made),
+    )
+    of_trusted = [float(x[trusted].mean()) if trusted.any() else np.nan for x in (error, expected)]
+    return Scored(float(error.mean()), float(expected.mean()), float(trusted.mean()), *of_trusted)
 
 
 @dataclass(frozen=True)
@@ -66,6 +84,7 @@ class Judged:
     scene: Scene
     off: dict[str, tuple[float, float]]  # fitted less true, and the stated uncertainty
     cpu_s: float
+    hours: Scored | None = None  # of the chosen geometry, if its errors were taken
 
     @property
     def row(self) -> str:
@@ -76,7 +95,11 @@ class Judged:
         shown = [f"{self.errors[g]:.1e}" if g in self.errors else "-" for g in GEOMETRIES]
         angles = [f"{off:+.2f} ({u:.2f})" for off, u in (self.off[n] for n in SHOWN)]
         trusted = "yes" if self.scene.trusted else "no"
-        cells = [self.name, str(self.draw), *shown, chosen, ratio, trusted, *angles]
+        hours = ["-", "-"]
+        if self.hours is not None:
+            factor = self.hours.trusted_error / self.hours.trusted_expected
+            hours = [f"{100.0 * self.hours.trusted_share:.0f} %", f"{factor:.1f}"]
+        cells = [self.name, str(self.draw), *shown, chosen, ratio, trusted, *hours, *angles]
         return "| " + " | ".join([*cells, f"{self.cpu_s:.0f}"]) + " |"
 
 
@@ -140,8 +163,10 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     }
     pairs = {name: pairs[name] for name in wanted.geometries.split(",")}
     seen = draw_pixels(user, np.random.default_rng(9), wanted.scored)
-    errors = {name: error_of(*pair, seen)[0] for name, pair in pairs.items()}
-    return Judged(path.stem, draw, errors, scene, offsets(path, found, stated, north, clock), cpu)
+    scores = {name: score_of(*pair, seen) for name, pair in pairs.items()}
+    errors = {name: score.error for name, score in scores.items()}
+    off = offsets(path, found, stated, north, clock)
+    return Judged(path.stem, draw, errors, scene, off, cpu, scores.get(scene.chosen))
 
 
 def offsets(
@@ -213,6 +238,7 @@ def two_days(path: Path, draw: int) -> Array:
 def judge_rooms(wanted: argparse.Namespace) -> None:
     """Print a line of the table for each room, draw and number of clear hours; then a summary."""
     head = ["room", "draw", *GEOMETRIES, "chosen", "expected / error", "trusted"]
+    head += ["hours trusted", "their error / expected"]
     head += [f"{n.rpartition('_')[0]} off (u)" for n in SHOWN] + ["CPU s"]
     print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|", flush=True)
     rows = []

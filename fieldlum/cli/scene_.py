@@ -103,7 +103,7 @@ def _show(scene: Scene) -> None:
     click.echo(f"bars and furniture   {bars_and_solids:9d}")
     click.echo(scene.verdict)
     if scene.expected_log10_mse is not None:
-        doubt = "" if scene.trusted else " (not trusted: the evidence contradicts itself)"
+        doubt = "" if scene.trusted else " (not trusted)"
         click.echo(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")
     for note in scene.notes:
         say(f"note: {note}")

@@ -2,7 +2,7 @@
 
 The sun patches of hours that no search saw choose the geometry (decision 17). The expected error
 and the share of trusted hours are those that the transport model, trained with the chosen geometry,
-gives to the hours of a year (decision NNN): `predict` gives the same.
+gives to the hours of a year (decision 18): `predict` gives the same.
 """
 
 from __future__ import annotations
@@ -33,16 +33,13 @@ Array = NDArray[np.float64]
 # Chosen: suns closer than this leave together; neighbouring hours are 12 to 15 degrees apart.
 BLOCK_DEG = 9.0
 OUTSIDE_EVERY = 3  # chosen: a third of the sun's directions is outside the search
-# Hours of a year, whose mean expected error has a standard error of about 10 %.
-YEAR_HOURS = 150
+YEAR_HOURS = 150  # measured: their mean expected error has a standard error of 10 to 15 %
 PIXELS = 250  # drawn by solid angle; measured: the ranking of three geometries is that with 500
 # Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
-# several times brighter than the room; a sun below which refraction and horizon are uncertain; a
-# luminance below that of a room by day.
+# several times brighter than the room; a sun below which refraction and horizon are uncertain.
 _SUNNY_SHARE = 0.1
 _LEAST_SUN_LX = 1000.0
 _LOWEST_SUN_DEG = 2.0
-_FLOOR_CDM2 = 1.0
 # Largest error of a richer geometry over that of a simpler one with as many wrong pixels. Chosen
 # with three rooms by plain Radiance (bench/scene_rooms.py), when errors alone decided.
 _WORTH = 0.95
@@ -159,7 +156,7 @@ def judge(
     """
     first = candidates[0].data
     room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)
-    outside_hours(first, room)  # raises an error for too few directions
+    outside_hours(first, room)  # raises NotEnoughDataError for too few directions
     rng = np.random.default_rng(seed)
     pixels, light = _draw(first, rng), light_of_year(first, rng)
     scores = []
