@@ -24,11 +24,11 @@ class Scene:
     room: the fitted box relative to true north. north_deg: how far room and camera are turned
     clockwise from the stated direction; clock_min: how late the stated times are. before, after, u:
     values and standard uncertainties by parameter. misfit: share of the pixels near sun patches
-    that are wrong, on hours held out of the search. expected_log10_mse, trusted_share: of a year's
-    hours, by the model trained with the chosen geometry; None: unknown. chosen: the geometry that the captures support.
-    stated_heading_deg, stated_room: the start of the fit. A scene is used only with captures that
-    state the same, otherwise a correction would be applied twice. room_draws: the numbers of the
-    room in repeated searches, by the names of `scene.drawn_rooms.room_parameters`.
+    that are wrong, on hours held out of the search. chosen: the geometry that the captures support.
+    expected_log10_mse, trusted_share: of a year's hours, by the model trained with the chosen
+    geometry; None: unknown. stated_heading_deg, stated_room: the start of the fit. A scene is used
+    only with captures that state the same, otherwise a correction would be applied twice.
+    room_draws: the numbers of the room in repeated searches, by the names of `scene.drawn_rooms.room_parameters`.
     """
 
     north_deg: float
