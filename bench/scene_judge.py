@@ -1,6 +1,6 @@
 """Scenes fitted to the rooms of `scene_rooms.py`, and what they are worth.
 
-    python bench/scene_judge.py OUT [NAME ...] [--draws 1] [--few 30,15,8,4,two-days]
+    python bench/scene_judge.py OUT [NAME ...] [--draws 1] [--few 30,15,8,4,four-days,two-days]
 
 gives a user's errors to each room (standard deviations: lengths 1.5 %, edges 4 cm, camera 5 cm;
 north 1 degree and clock 5 minutes off, either way; level 0.3 degrees), fits the scene, and prints
@@ -186,7 +186,8 @@ def offsets(
 
 def summary(rows: Sequence[Judged]) -> str:
     """Return what the rows have in common, one statement a line."""
-    ratios = [r.errors["fitted"] / r.errors["exact geometry"] for r in rows]
+    both = [r.errors for r in rows if {"fitted", "exact geometry"} <= r.errors.keys()]
+    ratios = [errors["fitted"] / errors["exact geometry"] for errors in both] or [np.nan]
     z = [abs(off) / u for r in rows for off, u in r.off.values()]
     within = 100.0 * np.mean(np.array(z) < COVER)
     worse = []
@@ -235,6 +236,17 @@ def two_days(path: Path, draw: int) -> Array:
     return np.flatnonzero(np.isin(user.days, days[[np.argmax(direct), np.argmin(direct)]]))
 
 
+def four_days(path: Path, draw: int) -> Array:
+    """Rows of four days spread evenly over the captured days."""
+    user = user_of(path, draw)[0]
+    days = np.unique(user.days)
+    kept = days[np.linspace(0, len(days) - 1, 4).round().astype(int)]
+    return np.flatnonzero(np.isin(user.days, kept))
+
+
+DAYS = {"two-days": two_days, "four-days": four_days}
+
+
 def judge_rooms(wanted: argparse.Namespace) -> None:
     """Print a line of the table for each room, draw and number of clear hours; then a summary."""
     head = ["room", "draw", *GEOMETRIES, "chosen", "expected / error", "trusted"]
@@ -248,8 +260,8 @@ def judge_rooms(wanted: argparse.Namespace) -> None:
             path = wanted.out / f"{name}.npz"
             for number in few:
                 hours = None
-                if number == "two-days":
-                    hours = two_days(path, draw)
+                if number in DAYS:
+                    hours = DAYS[number](path, draw)
                 elif number:
                     hours = few_hours(path, draw, int(number))
                 try:
@@ -259,7 +271,7 @@ def judge_rooms(wanted: argparse.Namespace) -> None:
                     continue
                 row = rows[-1]
                 label = f"{name}, {number} clear hours" if number.isdigit() else name
-                label = f"{name}, two days" if number == "two-days" else label
+                label = f"{name}, {number}" if number in DAYS else label
                 print(replace(row, name=label).row, flush=True)
                 if number or wanted.verdicts:
                     print(f"   {row.scene.verdict}; {'; '.join(row.scene.notes)}", flush=True)
@@ -277,7 +289,7 @@ def main() -> None:
     parser.add_argument("--geometries", default=every, help="of which errors are taken")
     parser.add_argument("--pictures", type=Path, help="folder for overlays, windows and plans")
     parser.add_argument("--verdicts", action="store_true", help="print the verdicts' reasons")
-    parser.add_argument("--few", default="", help="numbers of clear hours that stay, or two-days")
+    parser.add_argument("--few", default="", help="numbers of clear hours that stay, or days")
     judge_rooms(parser.parse_args())
 
 
