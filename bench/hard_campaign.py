@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from fieldlum import models, plan, simulate, sun
 from fieldlum.bench import markdown
+from fieldlum.demo import troubles_named
 from fieldlum.glare import glare_directions, view_azimuths_deg
 from fieldlum.glare.standards import class_of, exceeded_in_share
 from fieldlum.models import Fitted, fit
@@ -44,17 +45,6 @@ from fieldlum.train import findings, seen_skies, usable_captures
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"
 YEAR_STEP = 5  # every fifth day of the year is rendered
-# Words by which a note names the trouble. No note names a trouble of the instrument or exposures.
-NAMED_BY = {
-    "clouds": "windows showed skies",
-    "north": "north is wrong",
-    "clock_drift": "clock of the pictures differs",
-    "knock": "turned",
-    "lamps": "a lamp was on",
-    "blind": "A moved blind",
-    "people": "such as a person",
-    "chair": "furniture",
-}
 COLUMNS = {
     "trouble": "trouble",
     "seeds": "seeds",
@@ -238,7 +228,7 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
         )
     ]
     present = troubles.names if troubles is not None else ()
-    named = [t for t, words in NAMED_BY.items() if any(words in text for text in notes)]
+    named = troubles_named(notes)
     turned = troubles is not None and troubles.north is not None
     year = _year(fitted, data, tests.turned_year if turned else tests.year, folder)
     return dict(scores) | {

@@ -8,7 +8,12 @@ import pytest
 from learning_room import dataset, write_pairs
 from scipy.special import expit
 
-from fieldlum.models.camera_turns import camera_turns, turned_back, turned_rays
+from fieldlum.models.camera_turns import (
+    camera_turns,
+    interpolation_u,
+    turned_back,
+    turned_rays,
+)
 from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.projection import equirect_rays
 from fieldlum.session.files.alignment_csv import find_alignment
@@ -61,6 +66,25 @@ def test_heading_tilt_and_roll_are_found() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.analytic
+def test_a_knock_of_a_sixth_of_a_pixel_in_heading_is_found() -> None:
+    angles = np.zeros((12, 3))
+    angles[3:8, 0] = PIXEL_DEG / 6.0
+    found = camera_turns(pictures(angles), SEEN, HEADING)
+    assert found.turned.tolist() == [False] * 3 + [True] * 5 + [False] * 4
+    assert np.abs(found.angles_deg - angles).max() < 0.05 * PIXEL_DEG
+
+
+@pytest.mark.analytic
+def test_only_pixels_that_are_mixed_across_an_edge_are_uncertain() -> None:
+    logs = np.zeros((HEIGHT, 2 * HEIGHT))
+    logs[:, 40:60] = 4.0
+    u = interpolation_u(logs, HEADING, (0.1 * PIXEL_DEG, 0.0, 0.0))
+    # analytic: 0.1 (1 - 0.1) of a contrast of 4 at an edge; nothing far from edges or between pixels
+    assert u[30, 40] == pytest.approx(0.36, abs=0.01) and u[30, 20] == u[30, 50] == 0.0
+    assert interpolation_u(logs, HEADING, (PIXEL_DEG, 0.0, 0.0)).max() < 1e-6
+
+
 @pytest.mark.analytic
 def test_a_camera_that_stood_still_is_left_alone() -> None:
     found = camera_turns(pictures(np.zeros((9, 3))), SEEN, HEADING)

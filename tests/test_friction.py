@@ -69,16 +69,17 @@ def test_a_long_command_states_its_time_and_stays_alive_in_a_log(
     # one transport model of 108 captures, tested once; two trainings of the network of 5 minutes
     parts = {"folds": 1, "curve_captures": 0, "render_hours": 0, "with_stress": False}
     assert bench_s(1, 2, 108, 6670, budget_min=5.0, **parts) == pytest.approx(9.72 + 600.0)
-    now = iter([0.0, 30.0, 90.0, 100.0, 200.0])
+    now = iter([0.0, 30.0, 90.0, 100.0, 200.0, 300.0])
     monkeypatch.setattr(terminal.time, "monotonic", lambda: next(now))
     with terminal.progress("predict") as show:
-        for done in (1, 3, 4, 6):
-            show(done, 12, "")
+        for done in (1, 3, 4, 6, 2):
+            show(done, 12, "next model")
     # analytic: 3 of 12 in 90 s leave 270 s, 6 of 12 in 200 s leave 200 s
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
         "predict: 3 of 12, about 4 minutes left",
         "predict: 6 of 12, about 3 minutes left",
+        "predict: 2 of 12 (next model)",  # work of several parts has no known end
     ]
 
 

@@ -118,15 +118,19 @@ def _progress_lines(label: str) -> Progress:
     Short work prints no line.
     """
     started = last = time.monotonic()
+    before = -1.0
+    repeats = False  # work of several parts, such as a model after another, whose count is unknown
 
     def show(done: int, total: int, text: str) -> None:
-        nonlocal last
+        nonlocal last, before, repeats
         now = time.monotonic()
+        share = done / total if total > 0 else 0.0
+        repeats, before = repeats or share < before, share
         if now - last < LINE_EVERY_S or total <= 0:
             return
         last = now
-        left = (now - started) * (total - done) / done if done > 0 else None
-        more = "" if left is None else f", {duration_text(left)} left"
+        left = (now - started) * (total - done) / done if done > 0 and not repeats else None
+        more = f" ({text})" if left is None else f", {duration_text(left)} left"
         say(f"{label}: {done} of {total}{more}")
 
     return show

@@ -18,9 +18,11 @@ from fieldlum.models.camera_turns import (
     LEAST_ROWS,
     CameraTurns,
     camera_turns,
+    interpolation_u,
     turned_back,
     turned_rays,
 )
+from fieldlum.models.teaching import weight_of
 from fieldlum.projection import direction
 from fieldlum.records import Progress, counted
 from fieldlum.session.files.alignment_csv import (
@@ -31,6 +33,7 @@ from fieldlum.session.files.alignment_csv import (
 )
 
 _LEAST_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
+_LEAST_WEIGHT = 0.5  # pixels with less weight by interpolation teach nothing; chosen
 _LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 
 
@@ -84,16 +87,22 @@ def align(
     heading_deg: float,
     turns: CameraTurns,
 ) -> None:
-    """Turn the captures' maps, masks [n, H, W] and counts to the common pose, in place."""
+    """Turn the captures' maps, masks [n, H, W] and counts to the common pose, in place.
+
+    Interpolation blurs sharp edges, such as a window's. Pixels that would have less than half
+    weight by this uncertainty have none.
+    """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
         logs = np.log(np.maximum(np.nan_to_num(maps[k]), _LEAST_CDM2))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
+        weight = weight_of(interpolation_u(logs, heading_deg, angles))
+        weight = np.where(weight < _LEAST_WEIGHT, 0.0, weight)
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6
         if (count := counts[k]) is not None:
-            turned = turned_back(count.astype(float), heading_deg, angles)
-            counts[k] = turned.astype(np.float16)
+            weight *= turned_back(count.astype(float), heading_deg, angles)
+        counts[k] = weight.astype(np.float16)
 
 
 def shown_place(

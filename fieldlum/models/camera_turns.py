@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from fieldlum.projection import equirect_pixel, equirect_rays, row_altitudes_deg, signed_angle_deg
@@ -40,17 +40,19 @@ _TILES = (6, 12)  # independent parts of the picture, for the standard errors; n
 _HIGHEST_DEG = 70.0
 _EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
 _MOST_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
-# Light from another direction moves edges a little: daily medians of the office's clean captures
-# scatter by 0.003 px in heading and roll, 0.05 px (at most 0.10) in tilt. Measured; no command
-# repeats it.
-_LIGHT_PX = 0.05
-# A pose of n captures is corrected if it differs by LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n). The
-# light alone makes single clean captures of the office and of eight simulated rooms differ by up to
-# 0.6 px.
-LEAST_TURN_PX, SINGLE_TURN_PX = 0.25, 0.5
-# px2. A single capture must differ by 0.8 px to count as a separate pose, twelve captures by 0.22
-# px. Chosen.
-MOVE_COST = 0.3
+# Light from another direction moves edges a little. In clean captures of the office and of eight
+# simulated rooms at 116 x 58 pixels, medians over a day differ from zero by at most 0.03 px in
+# heading, 0.13 px in tilt and 0.07 px in roll; 95 % of the single captures by at most 0.06, 0.25 and
+# 0.24 px; the largest single differences are 0.19, 0.42 and 0.45 px. Measured;
+# no command repeats it.
+_LIGHT_PX = np.array((0.02, 0.05, 0.04))  # standard uncertainty by this; chosen
+# Turns about each axis count in this unit: two to three times the largest of these daily medians. A
+# pose of n captures is corrected if it differs by 1 + SINGLE_TURN / sqrt(n) units. Chosen.
+TURN_PX = np.array((0.08, 0.25, 0.25))
+SINGLE_TURN = 1.0
+# In units squared. A single capture must differ by 3.1 units to count as a separate pose, twelve
+# captures by 0.9 units. Chosen.
+MOVE_COST = 4.8
 # Least correlation of the edges of a turned-back capture with the room's edges. Clean captures have
 # 0.24 (darkest hours) to 1; those of a camera turned by 30 px have 0.10 to 0.16. Measured; no
 # command repeats it.
@@ -101,6 +103,24 @@ def _angles_deg(rays: Array) -> tuple[Array, Array]:
     return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
 
 
+def _places(
+    shape: tuple[int, int], heading_deg: float, angles_deg: Array | Sequence[float]
+) -> Array:
+    """Return the row and column at which a turned camera's map shows each pixel, [2, H, W] px."""
+    height, width = shape
+    rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
+    row, column = equirect_pixel(*_angles_deg(rays), height, width, heading_deg)
+    return np.stack((row - 0.5, column - 0.5))
+
+
+def _at(maps: Array, places: Array) -> Array:
+    """Return a map [H, W] at places [2, H, W], linear between pixels, across the seam."""
+    wide = np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
+    return map_coordinates(
+        wide, places + np.array((0.0, 1.0))[:, None, None], order=1, mode="nearest"
+    )
+
+
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return a turned camera's map [H, W] as an unturned camera would show it.
 
@@ -108,11 +128,22 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     its frame.
     """
     height, width = maps.shape
-    rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
-    row, column = equirect_pixel(*_angles_deg(rays), height, width, heading_deg)
+    return _at(maps, _places((height, width), heading_deg, angles_deg))
+
+
+def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
+    """Return the uncertainty of `turned_back` by edges between pixels, [H, W].
+
+    A turn by a fraction f of a pixel mixes neighbours in the picture, and turning it back mixes them
+    again. What remains is f (1 - f) of the contrast of the neighbours.
+    """
+    height, width = maps.shape
+    places = _places((height, width), heading_deg, angles_deg)
+    part = places - np.floor(places)
+    mixed = (part * (1.0 - part)).max(axis=0)
     wide = np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
-    at = np.stack((row - 0.5, column - 0.5 + 1.0))
-    return map_coordinates(wide, at, order=1, mode="nearest")
+    contrast = (maximum_filter(wide, 3) - minimum_filter(wide, 3))[:, 1:-1]
+    return mixed * _at(contrast, places)
 
 
 def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
@@ -280,11 +311,15 @@ def _poses(angles: Array, aligned: NDArray[np.bool_], pixel_deg: float) -> Array
     """
     out = np.zeros_like(angles)
     rows = np.flatnonzero(aligned)
-    for start, stop in _pieces(angles[rows] / pixel_deg):
-        pose = np.median(angles[rows[start:stop]], axis=0)
-        least_px = LEAST_TURN_PX + SINGLE_TURN_PX / np.sqrt(stop - start)
-        if np.abs(pose).max() >= least_px * pixel_deg:
-            out[rows[start:stop]] = np.where(np.abs(pose) < LEAST_TURN_PX * pixel_deg, 0.0, pose)
+    unit = TURN_PX * pixel_deg
+    pieces = _pieces(angles[rows] / unit)
+    counts = [stop - start for start, stop in pieces]
+    poses = np.array([np.median(angles[rows[start:stop]], axis=0) for start, stop in pieces])
+    poses -= np.median(np.repeat(poses, counts, axis=0), axis=0)  # of most captures
+    for (start, stop), pose in zip(pieces, poses, strict=True):
+        size = np.abs(pose) / unit
+        if size.max() >= 1.0 + SINGLE_TURN / np.sqrt(stop - start):
+            out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
     return out
 
 

@@ -19,6 +19,11 @@ _MOSTLY = 0.5
 _DOUBTFUL = 0.1  # not measured
 
 
+def weight_of(relative_u: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the weights, 0 to 1, of values with relative standard uncertainties."""
+    return 1.0 / (1.0 + relative_u**2 / _HALF)
+
+
 def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
     """Return the weight of each pixel, 0 to 1, [H, W]; None if the picture does not record it."""
     if panorama.flags is None and panorama.u_cdm2 is None:
@@ -27,7 +32,7 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
     if panorama.u_cdm2 is not None:
         light = np.maximum(np.nan_to_num(panorama.luminance_cdm2), 1e-6)
         relative = np.nan_to_num(np.asarray(panorama.u_cdm2, float) / light, posinf=1e3)
-        counts = 1.0 / (1.0 + relative**2 / _HALF)
+        counts = weight_of(relative)
     if panorama.flags is not None:
         counts = np.where((panorama.flags & TEACHES_NOTHING) != 0, 0.0, counts)
     return counts.astype(np.float16)

@@ -131,8 +131,26 @@ def moved_object(data: Dataset, *, with_patch: bool) -> MovedObject | None:
                 clear = float(((amount / sd) ** 2)[region[small.seen]].sum())
                 if clear > clearest and _lasts(process, rows, step, region[small.seen]):
                     factor = float(np.exp(sign * np.median(signed[region])))
-                    best, clearest = _placed(day, factor, region, data.heading_deg), clear
+                    first = _first_day(process, rows, level, region[small.seen])
+                    best, clearest = _placed(first, factor, region, data.heading_deg), clear
     return best
+
+
+def _first_day(process: Process, rows: Rows, level: Array, region: Mask) -> Any:
+    """Return the day from which a step explains most of a region's light; level: [k].
+
+    The region's usual light is fitted with each step: a region that is darker than the rest on all
+    days would otherwise have an earlier step.
+    """
+    y = process.y[rows][:, region].mean(axis=1) - np.median(process.y[rows], axis=1)
+    days, noisy = process.days[rows], process.noisy(_NOISE)[np.ix_(rows, rows)]
+    gains: dict[Any, float] = {}
+    for day in np.unique(days)[1:]:
+        columns = np.stack((level, np.where(days >= day, level, 0.0)), axis=1)  # [k, 2]
+        weights = np.linalg.solve(noisy, columns)
+        explained = weights.T @ y
+        gains[day] = float(explained @ np.linalg.solve(columns.T @ weights, explained))
+    return max(gains, key=gains.__getitem__)
 
 
 def _lasts(process: Process, rows: Rows, step: Array, region: Mask) -> bool:
