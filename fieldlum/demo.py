@@ -221,7 +221,7 @@ def _figures(
         (
             "paired DNI, DHI",
             f"{dni:.1f}, {dhi:.1f} W/m²",
-            "rms difference from what the simulated instrument reads with its troubles, sun above 10°"
+            "rms difference from the simulated, troubled instrument, sun above 10°"
             if troubled
             else "rms error against the truth, sun above 10°",
         ),

@@ -80,7 +80,7 @@ def test_only_pixels_that_are_mixed_across_an_edge_are_uncertain() -> None:
     logs = np.zeros((HEIGHT, 2 * HEIGHT))
     logs[:, 40:60] = 4.0
     u = interpolation_u(logs, HEADING, (0.1 * PIXEL_DEG, 0.0, 0.0))
-    # analytic: 0.1 (1 - 0.1) of a contrast of 4 at an edge; nothing far from edges or between pixels
+    # analytic: 0.1 (1 - 0.1) of a contrast of 4 at an edge; nothing far from it
     assert u[30, 40] == pytest.approx(0.36, abs=0.01) and u[30, 20] == u[30, 50] == 0.0
     assert interpolation_u(logs, HEADING, (PIXEL_DEG, 0.0, 0.0)).max() < 1e-6
 

@@ -42,9 +42,9 @@ _EDGES = 0.6  # share of the pixels that is compared, those with the strongest e
 _MOST_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
 # Light from another direction moves edges a little. In clean captures of the office and of eight
 # simulated rooms at 116 x 58 pixels, medians over a day differ from zero by at most 0.03 px in
-# heading, 0.13 px in tilt and 0.07 px in roll; 95 % of the single captures by at most 0.06, 0.25 and
-# 0.24 px; the largest single differences are 0.19, 0.42 and 0.45 px. Measured;
-# no command repeats it.
+# heading, 0.13 px in tilt and 0.07 px in roll; 95 % of the single captures by at most 0.06, 0.25
+# and 0.24 px; the largest single differences are 0.19, 0.42 and 0.45 px. Measured; no command
+# repeats it.
 _LIGHT_PX = np.array((0.02, 0.05, 0.04))  # standard uncertainty by this; chosen
 # Turns about each axis count in this unit: two to three times the largest of these daily medians. A
 # pose of n captures is corrected if it differs by 1 + SINGLE_TURN / sqrt(n) units. Chosen.
@@ -134,8 +134,8 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the uncertainty of `turned_back` by edges between pixels, [H, W].
 
-    A turn by a fraction f of a pixel mixes neighbours in the picture, and turning it back mixes them
-    again. What remains is f (1 - f) of the contrast of the neighbours.
+    A turn by a fraction f of a pixel mixes neighbours in the picture, and turning it back mixes
+    them again. What remains is f (1 - f) of the contrast of the neighbours.
     """
     height, width = maps.shape
     places = _places((height, width), heading_deg, angles_deg)
