@@ -129,7 +129,7 @@ class GroundTruth:
             patch[k] = self._view_points.direct(toward[k]) * direct_lx[k]
             sunlit[k] = self._piece_points.direct(toward[k]) * direct_lx[k]
         columns = self._columns(light, sunlit)
-        out = np.ascontiguousarray((self.to_pixels @ (self.from_points @ columns)).T, np.float32)
+        out = np.ascontiguousarray(self.pixels_cdm2(columns).T, np.float32)
         out += patch
         seen = self._seen_sky
         out[:, seen] += light.sky_at(self._sky_rays[seen]) * self.view.sky.ravel()[seen]
@@ -142,16 +142,29 @@ class GroundTruth:
 
     def _columns(self, light: Light, sunlit: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the luminance of sky, plain, and pieces after all bounces, [columns, n]."""
+        outdoors = np.zeros((FIRST_PIECE, len(light)), np.float32)
+        outdoors[:SKY] = light.sky_cdm2.T
+        outdoors[PLAIN] = light.sky.ground_cdm2
+        return self.columns(outdoors, sunlit.T)
+
+    def columns(
+        self, outdoors: NDArray[np.float32], first_lx: NDArray[np.float32] | float = 0.0
+    ) -> NDArray[np.float32]:
+        """Return the luminance of outdoors, and of pieces after all bounces, [columns, n].
+
+        outdoors: luminance of sky and plain [FIRST_PIECE, n]; first_lx: direct sun on the pieces
+        [p, n].
+        """
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)[:, None]
-        columns = np.zeros((FIRST_PIECE + len(self.pieces), len(light)), np.float32)
-        columns[:SKY] = light.sky_cdm2.T
-        columns[PLAIN] = light.sky.ground_cdm2
-        first = self._outdoors @ columns[:FIRST_PIECE] + sunlit.T
+        first = self._outdoors @ outdoors + first_lx
         pieces = reflect * first
         for _ in range(self._passes):
             pieces = reflect * (first + self._bounces @ pieces)
-        columns[FIRST_PIECE:] = pieces
-        return columns
+        return np.concatenate((outdoors, pieces))
+
+    def pixels_cdm2(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the luminance of the pixels' surfaces, without direct sun, [H W, n]."""
+        return self.to_pixels @ (self.from_points @ columns)
 
     @cached_property
     def _passes(self) -> int:
@@ -207,11 +220,13 @@ def ground_truth(
     cache: Path | None = None,
     workers: int | None = None,
     progress: Progress = quiet,
+    of_pieces: Any = None,
 ) -> GroundTruth:
     """Compute the Radiance coefficients of a box room, or read them from `cache` (a folder).
 
-    They are stored under a hash of room, size and quality. Raises InputError for a setup without a
-    box room.
+    They are stored under a hash of room, size and quality. of_pieces: `GroundTruth.from_pieces` of
+    the same room and quality at another height, which is not computed again. Raises InputError for
+    a setup without a box room.
     """
     room = setup.room
     if room is None or room.kind != "box":
@@ -245,7 +260,8 @@ def ground_truth(
     def both(done: int, _all: int, text: str, base: int = 0) -> None:
         progress(base + done, total, text)
 
-    from_pieces = _gather_pieces(scene, pieces, how, workers, both)
+    if of_pieces is None:
+        of_pieces = _gather_pieces(scene, pieces, how, workers, both)
     from_points = gather(
         scene,
         pieces,
@@ -258,10 +274,10 @@ def ground_truth(
     )
     if folder is not None:
         _save(folder, "points", from_points)
-        _save(folder, "pieces", from_pieces)
+        _save(folder, "pieces", of_pieces)
         with replacing_path(folder / "complete") as path:
             path.write_text(json.dumps({"key": key, "quality": quality}), encoding="utf-8")
-    return GroundTruth(setup, view, pieces, from_points, to_pixels, from_pieces, key)
+    return GroundTruth(setup, view, pieces, from_points, to_pixels, of_pieces, key)
 
 
 def _gather_pieces(

@@ -181,6 +181,27 @@ def facades_seen(data: Dataset) -> Facades:
 # training arrays
 
 
+# Computed light has no meaning below; far under that of any wall by day. Chosen.
+LEAST_COMPUTED_CDM2 = 1e-3
+# Largest gain of a pixel's computed light over the median of all pixels; chosen: black to white
+MOST_GAIN = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class ComputedLight:
+    """Light that was computed for the stated room.
+
+    luminance: of surfaces, without direct sun on them [n, P] cd/m2; gain: each pixel's captured
+    over its computed light, 0 at windows [P].
+    """
+
+    luminance: NDArray[np.float32]
+    gain: Array
+
+    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> ComputedLight:
+        return ComputedLight(self.luminance[:, pixels], self.gain[pixels])
+
+
 @dataclass(frozen=True, slots=True)
 class TrainingArrays:
     """Captures as arrays for the solver: n hours, P seen pixels.
@@ -191,7 +212,8 @@ class TrainingArrays:
     weight of each value by merge's flags and uncertainties [n, P], None if all are equal;
     perez_sky: `Features.sky` of Perez's skies [n, 2305], set if `features` has the skies that the
     windows showed; fitted_patches: whether the patches are from a measured or fitted room, so that
-    their edges are off by some centimetres.
+    their edges are off by some centimetres; computed: light of the stated room, if it is the prior
+    mean.
     """
 
     light: Light
@@ -210,6 +232,7 @@ class TrainingArrays:
     counts: NDArray[np.float16] | None = None
     perez_sky: NDArray[np.float32] | None = None
     fitted_patches: bool = False
+    computed: ComputedLight | None = None
 
     @property
     def trust(self) -> Array:
@@ -236,6 +259,7 @@ class TrainingArrays:
             filled=self.filled[:, pixels],
             weights=self.weights[pixels],
             counts=None if self.counts is None else self.counts[:, pixels],
+            computed=None if self.computed is None else self.computed[pixels],
         )
 
     def with_patch_scaled(self, factor: float) -> TrainingArrays:
@@ -330,13 +354,30 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
     return out
 
 
-def pixel_scale(arrays: TrainingArrays) -> Array:
+def computed_light(
+    arrays: TrainingArrays, open_sky: NDArray[np.intp], luminance: NDArray[np.float32]
+) -> ComputedLight:
+    """Return the computed light of surfaces [n, P] with each pixel's gain.
+
+    open_sky: the pixels that are windows. A pixel's gain is at most MOST_GAIN times the median,
+    either way.
+    """
+    gain = pixel_scale(arrays, np.maximum(luminance, np.float32(LEAST_COMPUTED_CDM2)))
+    middle = np.median(gain)
+    gain = np.clip(gain, middle / MOST_GAIN, middle * MOST_GAIN)
+    gain[open_sky] = 0.0
+    return ComputedLight(luminance, gain)
+
+
+def pixel_scale(arrays: TrainingArrays, per: NDArray[np.floating] | None = None) -> Array:
     """Return each pixel's mean light per unit of total light, over hours without sun on it, [P].
+
+    per [n, P]: another unit than total light.
 
     A pixel with fewer than three such hours gets its value from these, limited to the range of
     other pixels; with no such hour it gets the median of all pixels.
     """
-    total = arrays.light.total_lx[:, None]
+    total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
     unlit = (arrays.sky <= 0.5 * luminance) & ~arrays.filled

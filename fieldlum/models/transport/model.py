@@ -20,6 +20,7 @@ from fieldlum.models import ModelState, Patch, Prediction
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
     TrainingArrays,
+    computed_light,
     training_arrays_of,
 )
 from fieldlum.models.transport.physics import physics_of
@@ -48,6 +49,7 @@ from fieldlum.models.transport.uncertainty import (
     calibrate,
     experience,
     residual_noise,
+    seen_mse,
     sun_doubt,
 )
 from fieldlum.models.transport.window_sky import SkyField, seen_sky
@@ -134,6 +136,11 @@ class Transport:
         if recipe.second and self.held_out_mse is not None:
             captured = basis.captured_light, basis.captured.beam, self.held_out_mse
             expected = experience(light, features.beam, *captured, expected)
+        if self.response.pixels.computed.any() and self.held_out_mse is not None:
+            # Around computed light the kernel's variance is too small where captures are few.
+            held_out = seen_mse(features.beam, basis.captured.beam, self.held_out_mse)  # [n]
+            wider = np.maximum(np.sqrt(held_out / expected), 1.0).astype(sd.dtype)
+            sd, expected = sd * wider[:, None], np.maximum(expected, held_out)
         if patch is None or unsure.slip_deg <= 0.0:
             return sd, expected, trusted
         dark = np.maximum(luminance * (1.0 - share), np.float32(LEAST_CDM2))
@@ -233,12 +240,22 @@ def fit(
     if with_patch:
         arrays = arrays.with_patch_scaled(scale)
     progress(5, 100, "light between surfaces")
-    physics = physics_of(data.setup, data.light)
+    physics = physics_of(data.setup, data.light, data.heading_deg)
     progress(10, 100, "choosing by held-out days")
     drawn = _draw(arrays, seed)
-    bounced = None if physics is None else physics.features(data.light)
+    bounced = None
+    if physics is not None:
+        sunlight = physics.sunlight(data.light)
+        bounced = physics.features(sunlight)
+        light = physics.luminance(data.light, sunlight, data.seen)
+        arrays = replace(arrays, computed=computed_light(arrays, arrays.open_sky.index, light))
     chosen = choose_model(arrays[drawn], kernel, bounced, seen_sky(arrays))
-    arrays = replace(arrays, features=chosen.features, states=chosen.states)
+    arrays = replace(
+        arrays,
+        features=chosen.features,
+        states=chosen.states,
+        computed=arrays.computed if chosen.computed else None,
+    )
     pixels = fit_pixels(
         arrays,
         chosen.basis,
@@ -246,7 +263,7 @@ def fit(
         lambda done, total: progress(20 + 70 * done // total, 100, "fitting"),
     )
     progress(90, 100, "calibrating uncertainty")
-    kept = None if chosen.features.bounced is None else physics
+    kept = physics if chosen.computed or chosen.features.bounced is not None else None
     basis = LightBasis(
         chosen.kernel,
         arrays.features,

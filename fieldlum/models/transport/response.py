@@ -22,7 +22,8 @@ class LightBasis:
     """The captured hours, with which the kernel compares a new hour.
 
     captured: features of the n captured hours; captured_light: their sun and sky; projector: [n,
-    r]; physics: the coarse room model, if used; patches: descriptor of sun patches, if known.
+    r]; physics: the coarse room model, if hours or the prior mean use it; patches: descriptor of
+    sun patches, if known.
     """
 
     kernel: Kernel
@@ -65,12 +66,18 @@ class RoomResponse:
     patch_scale: float  # fitted factor on all sun patches
     recipe: Recipe
 
-    def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
-        """Return the features of n hours for the kernel; patch: [n, H, W] cd/m2."""
+    def features(
+        self, light: Light, patch: NDArray[np.float32] | None, sunlight: NDArray[np.float32] | None
+    ) -> Features:
+        """Return the features of n hours for the kernel.
+
+        patch: [n, H, W] cd/m2; sunlight: of the room's coarse model [n, k].
+        """
         basis = self.basis
         features = basis.states.add(light_features(light), light)
-        if basis.physics is not None:
-            features = replace(features, bounced=basis.physics.features(light))
+        if basis.captured.bounced is not None and sunlight is not None:
+            assert basis.physics is not None
+            features = replace(features, bounced=basis.physics.features(sunlight))
         if basis.patches is None or patch is None or self.recipe.below:
             return features
         return basis.patches.add(features, patch, light, self.open_sky.mask(self.seen))
@@ -78,11 +85,16 @@ class RoomResponse:
     def maps(self, light: Light, patch: NDArray[np.float32] | None) -> SurfaceMaps:
         """Predict hours without the sun's disc; patch [n, H, W] cd/m2 of direct sun."""
         pixels, basis = self.pixels, self.basis
-        features = self.features(light, patch)
+        sunlight = None if basis.physics is None else basis.physics.sunlight(light)
+        features = self.features(light, patch, sunlight)
         cross = basis.kernel(features, basis.captured)  # [n, captures]
         coefficients = (cross @ basis.projector).astype(np.float32)  # [n, r]
         unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale.astype(np.float32)
-        surface = np.maximum(coefficients @ pixels.b.T, pixels.least.astype(np.float32))  # [n, P]
+        surface = coefficients @ pixels.b.T  # [n, P]
+        if pixels.computed.any() and basis.physics is not None and sunlight is not None:
+            computed = basis.physics.luminance(light, sunlight, self.seen)
+            surface += computed * pixels.computed.astype(np.float32) / unit
+        surface = np.maximum(surface, pixels.least.astype(np.float32))
         luminance = surface * unit  # [n, P] cd/m2
         direct = None
         if patch is not None:

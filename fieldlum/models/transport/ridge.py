@@ -28,14 +28,18 @@ MOST_THREADS = 8  # limits the memory; chosen
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Covariates of each pixel, values [k, n, P]; their gains have a Gaussian prior, [k]."""
+    """Covariates of each pixel, values [k, n, P]; their gains have a Gaussian prior, [k].
+
+    surface: the number of leading covariates that are light of the surface itself.
+    """
 
     values: NDArray[np.floating]
     mean: Array
     variance: Array
+    surface: int = 0
 
     def __getitem__(self, pixels: slice | NDArray[np.intp]) -> Columns:
-        return Columns(self.values[:, :, pixels], self.mean, self.variance)
+        return Columns(self.values[:, :, pixels], self.mean, self.variance, self.surface)
 
 
 def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:

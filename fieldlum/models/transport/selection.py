@@ -125,7 +125,7 @@ def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _Fi
         basis.assumed,
     )
     direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
-    found = compose(whole - direct, least, fit.gains, fit.columns.values)
+    found = compose(whole - direct, least, fit.gains, fit.columns)
     found = with_patches(found, arrays, arrays.light.total_lx[:, None] * scale, recipe)
     return _First(found, fit.target, scale)
 
@@ -213,7 +213,7 @@ def recipes_for(
 class SelectedRecipe:
     """The choice of held-out days: kernel, its covariance [n, n] of captures, features, recipe.
 
-    Table: everything that was tried.
+    table: everything that was tried; computed: whether computed light is the prior mean.
     """
 
     kernel: Kernel
@@ -225,6 +225,7 @@ class SelectedRecipe:
     table: list[tuple[Recipe, float, float]]
     states: StateColumns = USUAL
     sky_field: SkyField | None = None
+    computed: bool = False
 
 
 def choose_model(
@@ -236,17 +237,35 @@ def choose_model(
     """Return the best choice on held-out days, at the pixels `drawn`.
 
     bounced: the sun's light in a coarse model of the room [n, k]; sky: the skies that windows
-    showed. The choices include the use of these skies, and a lamp that is on in all captures.
+    showed. The choices include the use of these skies, of the computed light of `drawn`, and a lamp
+    that is on in all captures.
     """
+    drawn = _with_better_mean(drawn, kernel, bounced)
     drawn, field = _with_seen_sky(drawn, kernel, sky)
-    chosen = replace(_choose_recipe(drawn, kernel, bounced), sky_field=field)
+    used = drawn.computed is not None
+    chosen = replace(_choose_recipe(drawn, kernel, bounced), sky_field=field, computed=used)
     always = replace(drawn.states, always=True)
     lit = replace(drawn, features=always.add(drawn.features, drawn.light), states=always)
     trial = _choose_kernel(lit, kernel, [Recipe(s, PATCH_GAIN_VARIANCE) for s in LAMP_NOISES], None)
     if not _lamp_is_on(chosen, trial, drawn.days):
         return _under_perez(drawn, chosen)
     chosen = replace(_choose_recipe(lit, kernel, bounced), states=always, sky_field=field)
-    return _under_perez(lit, chosen)
+    return _under_perez(lit, replace(chosen, computed=used))
+
+
+def _with_better_mean(
+    drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
+) -> TrainingArrays:
+    """Return the arrays with computed light as the prior mean, if it lowers held-out errors."""
+    if drawn.computed is None:
+        return drawn
+    recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
+    plain = replace(drawn, computed=None)
+    errors = [
+        float(_choose_kernel(arrays, kernel, recipes, bounced).held.judged.mean())
+        for arrays in (drawn, plain)
+    ]
+    return drawn if errors[0] < errors[1] else plain
 
 
 def _with_seen_sky(

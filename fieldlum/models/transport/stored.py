@@ -26,7 +26,9 @@ from fieldlum.strict_toml import build, plain
 
 Array = NDArray[Any]
 
-PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
+# absent from models of earlier versions
+LIGHT_ARRAYS = ("sun_light", "sky_modes", "sky_light")
+PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece", *LIGHT_ARRAYS)
 TRUST_FIGURES = ("novelty", "patch", "mse", "slip_deg")
 TRUST_ARRAYS = ("inverse", "factors", "variances", "second")
 
@@ -99,7 +101,7 @@ def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Room
     return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),
-        pixels=PixelFit(*(arrays[f"pixel_{f.name}"] for f in fields(PixelFit))),
+        pixels=_pixels(arrays),
         open_sky=OpenSky(*(arrays[f"sky_{f.name}"] for f in fields(OpenSky))),
         patch_scale=float(own["patch_scale"]),
         recipe=Recipe(**own["recipe"]),
@@ -113,6 +115,13 @@ def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> U
     return Uncertainty(**{**own["trust"], **trust, **noise})
 
 
+def _pixels(arrays: Mapping[str, NDArray[Any]]) -> PixelFit:
+    """Return the pixels' values; before 0.4 no model used computed light."""
+    unused = {"computed": np.zeros(len(arrays["pixel_scale"]), np.float32)}
+    stored = {f.name: arrays.get(f"pixel_{f.name}", unused.get(f.name)) for f in fields(PixelFit)}
+    return PixelFit(**stored)  # pyright: ignore[reportArgumentType]
+
+
 def _basis(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> LightBasis:
     altitude, azimuth = arrays["train_sun"]
     nothing = np.zeros(len(altitude))
@@ -120,7 +129,11 @@ def _basis(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> LightBasi
     captured = Features(*(arrays.get(f"train_{f.name}") for f in fields(Features)))  # pyright: ignore[reportArgumentType]
     physics = None
     if own["room"] is not None:
-        parts = {name: arrays[f"physics_{name}"] for name in PHYSICS_ARRAYS}
+        parts = {
+            name: arrays[f"physics_{name}"]
+            for name in PHYSICS_ARRAYS
+            if f"physics_{name}" in arrays
+        }
         room = build(Room, own["room"], "the model's room")
         physics = Physics(room, **parts, norm=float(arrays["physics_norm"]))
     patches = own["patchwork"]

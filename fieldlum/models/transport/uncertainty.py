@@ -210,6 +210,14 @@ def experience(
     return np.maximum((near @ held_out_mse + FEW * guess) / (near.sum(axis=1) + FEW), guess)
 
 
+def seen_mse(beam: Array, train_beam: Array, held_out_mse: Array) -> Array:
+    """Return the mean held-out error of captures of the same kind of sky, [m].
+
+    beam [m], train_beam [n]: the sun's share of the light; held_out_mse [n].
+    """
+    return np.interp(beam, MIDDLES, _of_classes(train_beam, lambda rows: held_out_mse[rows].mean()))
+
+
 def log_sd(
     surface_share: NDArray[np.floating],
     patch_share: NDArray[np.floating] | float,
