@@ -116,7 +116,7 @@ def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> U
 
 
 def _pixels(arrays: Mapping[str, NDArray[Any]]) -> PixelFit:
-    """Return the pixels' values; before 0.4 no model used computed light."""
+    """Return the pixels' values; models of earlier versions use no computed light."""
     unused = {"computed": np.zeros(len(arrays["pixel_scale"]), np.float32)}
     stored = {f.name: arrays.get(f"pixel_{f.name}", unused.get(f.name)) for f in fields(PixelFit)}
     return PixelFit(**stored)  # pyright: ignore[reportArgumentType]
