@@ -104,3 +104,32 @@ def test_restarts_return_the_best_and_the_spread_of_results_alike() -> None:
     assert cost(best) <= cost(start)
     assert set(search.valley) == {p.name for p in search.parameters}
     assert all(sd >= 0.0 for sd in search.valley.values())
+
+
+@pytest.mark.analytic
+def test_the_room_that_explains_the_captures_best_is_chosen_with_its_own_light() -> None:
+    """A room's light below the patches comes from its own patches, not from the room before."""
+    search, start = _search(())
+    tries: list[Guess] = []
+
+    class _Bare(SceneSearch):
+        def box(self, guess: Guess) -> Guess:
+            tries.append(guess)
+            return guess
+
+        def bars(self, guess: Guess, every: int = 1) -> Guess:
+            return guess
+
+        def furnished(self, guess: Guess, most: int) -> Guess:
+            return guess
+
+    search.__class__ = _Bare
+    turned = [replace(start, wall_azimuth_deg=start.wall_azimuth_deg + t) for t in (-2, 0.3, 3)]
+    steps: list[int] = []
+    given = search.evidence, search.albedo
+    assert search.contents(turned, steps.append) == turned[1]
+    own = search.evidence.below
+    search.evidence, search.albedo = given
+    search.relight(turned[1])
+    assert np.allclose(own, search.evidence.below, rtol=1e-9)
+    assert tries == turned and steps == [0, 1, 2, 3]

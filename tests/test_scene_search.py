@@ -145,7 +145,7 @@ def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> No
     objective = Objective(turned, start, parameters, albedo, PRIOR_SHARE * first)
     coarse, _ = pattern_search(objective, start, parameters, fine=4.0)
     fine, _ = pattern_search(objective, coarse, parameters, coarse=0.25)
-    found, cost = principal_search(objective, fine, parameters)  # as `SceneSearch.refined` does
+    found, cost = principal_search(objective, fine, parameters)  # as `SceneSearch.polish` does
     assert cost <= objective(replace(guess_of(ROOM), north_deg=1.0))
     values = {p.name: p.read(found) for p in parameters}
     assert found.north_deg == pytest.approx(1.0, abs=0.45)  # a sixth of a pixel
@@ -258,18 +258,20 @@ def test_costs_of_sunlit_entries_and_of_one_solid_are_those_of_everything(
     evidence: SceneEvidence,
 ) -> None:
     shelf = Solid((0.0, 1.0, 0.0), (0.5, 2.0, 1.8), 0.4)
-    table = Solid((1.0, 1.0, 0.0), (2.4, 2.0, 0.7), 0.3)
+    table = Solid((1.0, 1.0, 0.0), (2.4, 2.0, 1.4), 0.3)  # hides part of the window
+    view = evidence.view
+    evidence = replace(evidence, view=replace(view, weights=np.full(len(view.weights), 1e-4)))
     guess = replace(guess_of(ROOM), solids=(shelf,))
     parameters = room_parameters(guess)
     objective = Objective(evidence, guess, parameters, stated_albedo(ROOM), 1e-4)
     albedo = np.append(objective.albedo, shelf.albedo)
     more = replace(guess, solids=(shelf, table), north_deg=0.7)
     everything = evidence.misfit(evidence.patches(more, np.append(albedo, table.albedo))).mean()
-    cost = SolidCost(
-        evidence, replace(guess, north_deg=0.7), albedo, objective.without_patches(more)
-    )
+    cost = SolidCost(evidence, replace(guess, north_deg=0.7), albedo, objective.prior(more))
+    assert view.misfit_of(view.kinds(more)) == view.misfit(more)
     assert objective(more) == pytest.approx(everything + objective.without_patches(more), rel=1e-6)
     assert cost(more) == pytest.approx(objective(more), rel=1e-6)
+    assert evidence.view.misfit(more) != pytest.approx(evidence.view.misfit(guess), rel=1e-3)
     assert cost.without != pytest.approx(cost(more) - cost.prior, rel=1e-3)
 
 

@@ -23,7 +23,6 @@ from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import (
     COARSE_PIXELS_EVERY,
     KEPT_OUT_EVERY,
-    MAX_SOLIDS,
     Misfits,
     SceneSearch,
     StatedRoom,
@@ -84,20 +83,12 @@ def fit_scene(
     kept_out = _kept_out(data, room, evidence)
     prior = StatedRoom(room, pose, clock_sd_min)
     search = SceneSearch(data, evidence, np.flatnonzero(~kept_out), np.flatnonzero(kept_out), prior)
-    guess = search.windows(search.start)
-    progress(5, 100, "north, clock and box")
-    guess = search.box(guess)
-    progress(20, 100, "bars")
-    guess = search.bars(guess)
-    search.relight(guess)
-    progress(30, 100, "furniture")
-    for number in range(MAX_SOLIDS):
-        progress(30 + 50 * number // MAX_SOLIDS, 100, f"furniture: {number} found")
-        more = search.furniture(guess)
-        if more is guess:
-            break
-        guess = search.polish(more, search.fit_hours, COARSE_PIXELS_EVERY)
-        search.relight(guess)
+    rooms = search.windows(search.start)
+
+    def step(number: int) -> None:
+        progress(5 + 75 * number // (len(rooms) + 1), 100, "shades, bars and furniture")
+
+    guess = search.contents(rooms, step)
     progress(80, 100, "all together")
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
     guess = search.polish(guess, search.fit_hours)

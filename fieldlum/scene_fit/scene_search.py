@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -25,7 +26,11 @@ from fieldlum.scene_fit.exterior import (
     propose_exterior,
     propose_shapes,
 )
-from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_parameters
+from fieldlum.scene_fit.furniture import (
+    pixel_depths,
+    propose_solids,
+    solid_parameters,
+)
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.parameters import (
     SUN_DEG_PER_MIN,
@@ -69,6 +74,7 @@ KEPT_OUT_GAIN = 0.001  # the same on held-out hours, which exceeds rounding; cho
 # Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
 # searches start. A shade needs a larger gain, because a wrong one moves north, clock and edges.
 MAX_SOLIDS = 8
+FIRST_SOLIDS = 2  # of each room, before the best room is chosen
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SHADE_GAIN = 0.02
@@ -167,54 +173,63 @@ class SceneSearch:
         """The evidence of the hours that the search uses."""
         return self.evidence.hours(self.fit_hours)
 
-    def windows(self, guess: Guess) -> Guess:
-        """Search edges, bars and the walls' azimuth in the picture of the windows alone.
+    def windows(self, guess: Guess) -> list[Guess]:
+        """Search edges and bars in the picture of the windows alone, from several azimuths.
 
-        Without its bars a window bends the walls' azimuth, which later searches do not correct.
+        The picture and the tape measure leave the walls' azimuth open by 2 or 3 degrees: each
+        azimuth is a room of its own until `contents` has found what else is in it.
         """
-        if not self.evidence.view.weights.any():
-            return guess
-        cost = ViewCost(self.objective(self.evidence))
         turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
-        tries: list[tuple[Guess, float]] = []
-        for turn_deg in RESTART_TURNS_DEG:
-            trial, _ = pattern_search(cost, turned(guess, turn_deg), self.parameters, fine=2.0)
+        starts = [turned(guess, turn_deg) for turn_deg in RESTART_TURNS_DEG]
+        if not self.evidence.view.weights.any():
+            return starts
+        cost = ViewCost(self.objective(self.evidence))
+        others = [p for p in self.parameters if p.name != WALL]
+        found: list[Guess] = []
+        for start in starts:
+            trial, _ = pattern_search(cost, start, others, fine=2.0)
             proposals: list[Bar] = []
             for number in range(len(trial.windows)):
                 picture = seen_picture(self.evidence.view, trial, number)
                 proposals += propose_bars(picture, trial, number)
             trial = replace(trial, bars=(*trial.bars, *proposals))
-            both = [*self.parameters, *bar_parameters(trial)]
-            tries.append(pattern_search(cost, trial, both, fine=2.0))
-        best, least = min(tries, key=lambda pair: pair[1])
-        for bar in best.bars[len(guess.bars) :]:
-            without = replace(best, bars=tuple(b for b in best.bars if b is not bar))
-            if cost(without) < (1.0 + BAR_GAIN) * least:
-                best, least = without, cost(without)
-        return best
+            best, least = pattern_search(cost, trial, [*others, *bar_parameters(trial)], fine=2.0)
+            for bar in best.bars[len(guess.bars) :]:
+                without = replace(best, bars=tuple(b for b in best.bars if b is not bar))
+                if cost(without) < (1.0 + BAR_GAIN) * least:
+                    best, least = without, cost(without)
+            found.append(best)
+        return found
+
+    def contents(self, starts: Sequence[Guess], step: Callable[[int], None]) -> Guess:
+        """Return the best of several rooms, each with the shades, bars and furniture found in it.
+
+        Rooms with differently turned walls cost the same until they have bars and furniture. In a
+        wrong room these are not found, so that the search cannot begin with the room alone. step:
+        told the number of searches done.
+        """
+        given = self.evidence, self.albedo
+        rooms: list[tuple[float, Guess, SceneEvidence, Array]] = []
+        for number, start in enumerate(starts):
+            step(number)
+            self.evidence, self.albedo = given
+            guess = self.bars(self.box(start), COARSE_PIXELS_EVERY)
+            self.relight(guess)
+            guess = self.furnished(guess, FIRST_SOLIDS)
+            cost = self.objective(self.fit_evidence)(guess)
+            rooms.append((cost, guess, self.evidence, self.albedo))
+        _, guess, self.evidence, self.albedo = min(rooms, key=lambda room: room[0])
+        step(len(starts))
+        return self.furnished(guess, MAX_SOLIDS - FIRST_SOLIDS)
 
     def box(self, guess: Guess) -> Guess:
-        """Search north, clock, sizes, camera, window edges and shades from several clocks.
-
-        Shades are searched before the fine steps, because a missing shade makes all other numbers
-        wrong.
-        """
+        """Search north, clock, sizes, camera, window edges and shades from several clocks."""
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
-        tries: list[tuple[float, Guess]] = []
-        for clock in self.stated.start_clocks_min:
-            start = self.stated.at_clock(guess, clock)
-            trial, _ = pattern_search(coarse, start, self.parameters, fine=4.0)
-            trial = self.shaded(trial)
-            tries.append((coarse(trial), trial))
-        return self.refined(min(tries, key=lambda pair: pair[0])[1])
-
-    def refined(self, guess: Guess) -> Guess:
-        """Search north, clock, sizes, camera and window edges in small steps; estimate albedos."""
-        for _ in range(2):
-            self.albedo = self.evidence.albedos(guess, self.albedo)
-            fine = self.objective(self.fit_evidence)
-            guess, _ = pattern_search(fine, guess, self.parameters, coarse=0.5)
-        return principal_search(self.objective(self.fit_evidence), guess, self.parameters)[0]
+        starts = [self.stated.at_clock(guess, clock) for clock in self.stated.start_clocks_min]
+        tries = [pattern_search(coarse, start, self.parameters, fine=4.0) for start in starts]
+        guess = self.shaded(min(tries, key=lambda pair: pair[1])[0])
+        self.albedo = self.evidence.albedos(guess, self.albedo)
+        return guess
 
     def shaded(self, guess: Guess) -> Guess:
         """Add blinds, facades, canopies and arches while they take enough misfit away."""
@@ -257,8 +272,11 @@ class SceneSearch:
         ]
         return min(tries, key=lambda pair: pair[1])[0]
 
-    def bars(self, guess: Guess) -> Guess:
-        """Find bars in the picture of each window; search their place, width and depth."""
+    def bars(self, guess: Guess, every: int = 1) -> Guess:
+        """Find bars in the picture of each window; search their place, width and depth.
+
+        every: use every n-th pixel in the search.
+        """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
         albedo = self.albedo_with_solids(bare)
@@ -268,7 +286,7 @@ class SceneSearch:
             proposals += propose_bars(picture, bare, number)
         if not proposals:
             return self._pruned(guess)
-        objective = self.objective(self.fit_evidence)
+        objective = self.objective(self.fit_evidence.thinned(every))
         trial = replace(bare, bars=(*bare.bars, *proposals))
         trial, _ = pattern_search(objective, trial, bar_parameters(trial))
         trial = self._pruned(trial)
@@ -317,8 +335,18 @@ class SceneSearch:
                 return better
         return guess
 
+    def furnished(self, guess: Guess, most: int) -> Guess:
+        """Add up to `most` solids; after each, search everything again."""
+        for _ in range(most):
+            more = self.furniture(guess)
+            if more is guess:
+                break
+            guess = self.settled(more)
+            self.relight(guess)
+        return guess
+
     def _solid_cost(self, evidence: SceneEvidence, guess: Guess, albedo: Array) -> SolidCost:
-        return SolidCost(evidence, guess, albedo, self.objective(evidence).without_patches(guess))
+        return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
         """Return the guess without the bars and solids that no longer lower the misfit enough."""
@@ -366,15 +394,25 @@ class SceneSearch:
         }
         return best
 
-    def polish(self, guess: Guess, hours: NDArray[np.intp], every: int = 1) -> Guess:
-        """Search all numbers together in small steps, at every n-th pixel of hours [k]."""
-        objective = self.objective(self.evidence.hours(hours).thinned(every))
+    def settled(self, guess: Guess) -> Guess:
+        """Search all numbers together in small steps, at few pixels."""
+        objective = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        return pattern_search(objective, guess, self.all_parameters(guess), coarse=0.25)[0]
+
+    def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
+        """Search all numbers together in small steps and along principal axes, in hours [k]."""
+        objective = self.objective(self.evidence.hours(hours))
+        parameters = self.all_parameters(guess)
+        guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
+        return principal_search(objective, guess, parameters)[0]
+
+    def all_parameters(self, guess: Guess) -> list[Parameter]:
+        """Return the numbers of the room, its windows' shapes, its bars and its solids."""
         parameters = [*self.parameters, *self._shape_parameters(guess), *bar_parameters(guess)]
         for number, solid in enumerate(guess.solids):
             outside = is_outside(guess, solid)
             parameters += exterior_parameters(number) if outside else solid_parameters(number)
-        guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
-        return principal_search(objective, guess, parameters)[0]
+        return parameters
 
     def misfits(self, guess: Guess) -> Misfits:
         """Return three misfits on held-out hours: no sun patch, the stated box, and the guess."""

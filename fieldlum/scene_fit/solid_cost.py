@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.scene_fit.evidence import SceneEvidence
-from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.pose_prior import PosePrior
 from fieldlum.scene_fit.renderer import (
+    BAR,
     LitEntries,
     RoomRays,
     camera_rays,
     ends_of,
     ends_on_solid,
+    entries,
     lit_entries,
     shades,
 )
@@ -27,14 +29,14 @@ Array = NDArray[np.floating]
 class SolidCost:
     """Misfit and prior of a scene in which only the last solid changes.
 
-    The rest is rendered once: a solid removes light from the entries that it hides or shades, and
-    adds its own sunlit faces. This costs a fifth of `search.Objective`.
+    The rest is rendered once: a solid removes light from the entries that it hides or shades, adds
+    its own sunlit faces, and hides panes. This costs a fifth of `search.Objective`.
     """
 
     evidence: SceneEvidence
     guess: Guess  # without the solid
     albedo: Array  # [6 + solids] of the guess
-    prior: float  # of the guess, with its windows' picture: a solid has none
+    prior: float  # of the guess: a solid has none
     pose: PosePrior | None = None  # moves of the pose are none of a solid's
     _rays: RoomRays = field(init=False)
     _nearest: NDArray[np.float32] = field(init=False)
@@ -42,6 +44,10 @@ class SolidCost:
     _suns: NDArray[np.float32] = field(init=False)
     _lit: LitEntries = field(init=False)
     _shine: NDArray[np.float32] = field(init=False)
+    _view_rays: RoomRays = field(init=False)
+    _view_nearest: NDArray[np.float32] = field(init=False)
+    _kind: NDArray[np.int8] = field(init=False)
+    _view_misfit: float = field(init=False)
 
     def __post_init__(self) -> None:
         self._rays = camera_rays(self.guess, self.evidence.rays)
@@ -51,11 +57,26 @@ class SolidCost:
         self._lit = lit_entries(self.guess, ends, self._suns)
         tone = self.albedo.astype(np.float32)[ends.surface]  # [r]
         self._shine = self._lit.strength * tone[self._lit.ray]
+        view = self.evidence.view
+        self._view_rays = camera_rays(self.guess, view.rays)
+        _, self._view_nearest = ends_of(self.guess, self._view_rays)
+        self._kind = view.kinds(self.guess)
+        self._view_misfit = view.misfit_of(self._kind)
 
     @property
     def without(self) -> float:
         """Return the misfit without the solid."""
-        return self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
+        patches = self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
+        return patches + self._view_misfit
+
+    def _view(self, solid: Solid) -> float:
+        """Return the misfit of the windows' picture with the solid before them."""
+        rows, _, _ = entries(solid, self._view_rays, self._view_nearest)
+        if (self._kind[rows] == BAR).all():
+            return self._view_misfit
+        kind = self._kind.copy()
+        kind[rows] = BAR
+        return self.evidence.view.misfit_of(kind)
 
     def __call__(self, guess: Guess) -> float:
         """Return the misfit with the last solid of a guess."""
@@ -68,8 +89,12 @@ class SolidCost:
         hour, ray, shine = lit.hour[free], lit.ray[free], self._shine[free]
         free = ~shades(solid, self._position, self._suns, hour, ray)
         own = lit_entries(guess, ends, self._suns)
-        return self.prior + self.evidence.misfit_of_lit(
-            np.concatenate([hour[free], own.hour]),
-            np.concatenate([ray[free], rows[own.ray]]),
-            np.concatenate([shine[free], own.strength * np.float32(solid.albedo)]),
+        return (
+            self.prior
+            + self._view(solid)
+            + self.evidence.misfit_of_lit(
+                np.concatenate([hour[free], own.hour]),
+                np.concatenate([ray[free], rows[own.ray]]),
+                np.concatenate([shine[free], own.strength * np.float32(solid.albedo)]),
+            )
         )

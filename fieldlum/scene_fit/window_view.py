@@ -72,7 +72,9 @@ class WindowView:
         A pixel shows panes, reveals and the room in shares that the guess has. The luminance of
         the panes by rows, of sill, head, jambs and room are those that explain the picture best.
         """
-        share = self.shares(guess)
+        return self._errors(self.shares(guess))
+
+    def _errors(self, share: Array) -> Array:
         level = self.levels(share)
         pane, others = level[: -len(_LEVELS)][self.row], level[-len(_LEVELS) :]
         shown = share[:, 0] * pane + share[:, 1:] @ others
@@ -99,11 +101,19 @@ class WindowView:
 
     def shares(self, guess: Guess) -> Array:
         """Return the shares of panes, sill, head, jambs and room (with bars) in a pixel, [q, 5]."""
+        return self.shares_of(self.kinds(guess))
+
+    def kinds(self, guess: Guess) -> NDArray[np.int8]:
+        """Return what each ray sees, `PANE` ... `BAR`, [r]."""
         ends = surfaces(guess, self.rays)
         into = np.flatnonzero(ends.surface == OUTSIDE)
         turn = guess.camera_turn.T.astype(np.float32)
         kind = np.full(len(ends.surface), BAR, np.int8)
         kind[into] = seen_in_opening(guess, ends.position_m[into], self.rays[into] @ turn)
+        return kind
+
+    def shares_of(self, kind: NDArray[np.int8]) -> Array:
+        """Return the shares of what the rays see in each pixel, [q, 5]."""
         count = len(self.seen)
         counts = np.bincount(self.pixel * (BAR + 1) + kind, minlength=count * (BAR + 1))
         return counts.reshape(count, BAR + 1) / self.per_pixel
@@ -112,12 +122,20 @@ class WindowView:
         """Return numbers [q] whose squares add up to the misfit."""
         if not self.weights.any():
             return np.zeros(len(self.weights))
-        error = self.errors(guess)
+        return self._saturated(self.errors(guess))
+
+    def _saturated(self, error: Array) -> Array:
         return np.sqrt(self.weights) * error / np.sqrt(error**2 + WIDTH**2)
 
     def misfit(self, guess: Guess) -> float:
         """Return the share of all pixels that the guess's windows leave wrong."""
         return float((self.residuals(guess) ** 2).sum())
+
+    def misfit_of(self, kind: NDArray[np.int8]) -> float:
+        """Return the same from what each ray sees, [r]."""
+        if not self.weights.any():
+            return 0.0
+        return float((self._saturated(self._errors(self.shares_of(kind))) ** 2).sum())
 
 
 def window_view(data: Dataset, guess: Guess) -> WindowView:
