@@ -206,7 +206,7 @@ class SceneSearch:
 
         Rooms with differently turned walls cost the same until they have bars and furniture. In a
         wrong room these are not found, so that the search cannot begin with the room alone. step:
-        told the number of searches done.
+        called with the number of searches done.
         """
         given = self.evidence, self.albedo
         rooms: list[tuple[float, Guess, SceneEvidence, Array]] = []
