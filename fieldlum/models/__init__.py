@@ -100,7 +100,7 @@ class Fitted(Protocol):
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict maps of the n hours of `light`.
 
-        Patch_cdm2: luminance of direct sun only [n, H, W]. Memory grows with the number of hours,
+        patch_cdm2: luminance of direct sun only [n, H, W]. Memory grows with the number of hours,
         so predict in chunks.
         """
         ...

@@ -132,7 +132,7 @@ class Canvas:
 def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
     """Return the inputs of all pixels.
 
-    Average_log10: mean of log10 L over training images [H, W].
+    average_log10: mean of log10 L over training images [H, W].
     """
     from fieldlum.sky import reinhart_patches
 

@@ -126,7 +126,7 @@ class SceneEvidence:
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
         """Return the mean of `misfit` over hours, computed from sunlit entries.
 
-        Albedo: by surface [s].
+        albedo: by surface [s].
         """
         ends = surfaces(guess, self.rays)
         lit = lit_entries(guess, ends, self.suns_room(guess))

@@ -31,7 +31,7 @@ _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 class Control:
     """Changes of one session, carried out one at a time.
 
-    State: returns the page's current table.
+    state: returns the page's current table.
     """
 
     session: Session
