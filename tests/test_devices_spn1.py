@@ -149,7 +149,7 @@ def test_total_below_diffuse_is_marked() -> None:
     [
         (lambda reply: reply if reply == b"\xaf" else reply[:7], "SPN1 answered"),
         (lambda reply: reply if reply == b"\xaf" else b"\xfe\x80" + reply, "SPN1 answered"),
-        (lambda reply: reply if reply == b"\xaf" else b"", "awake, but does not answer"),
+        (lambda reply: reply if reply == b"\xaf" else b"", "woke, but sends no reading"),
         (lambda reply: b"", "did not answer when woken"),
         (lambda reply: b"\x00", "when woken; expected 0xAF"),
     ],

@@ -133,10 +133,7 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
     """
     known, own = picture.attributes, calibration_mark(profile)
     if known.get("calibration", own["calibration"]) != own["calibration"]:
-        found = (
-            f"merged with {known.get('camera', 'a profile')} of another calibration (lens, "
-            f"sensor, response, colour)"
-        )
+        found = f"merged with {known.get('camera', 'a profile')} of another calibration"
         raise InputError(
             file,
             found,
@@ -216,7 +213,7 @@ def spot_cdm2(
         )
         raise InputError(
             file,
-            f"the picture has no luminance {place}",
+            f"the picture shows no light {place}",
             "a direction within the lens's field, with light",
             remedy,
         )
@@ -260,7 +257,7 @@ def fit(
             "check the azimuths (clockwise from north), that all readings have one unit, "
             "and that the light was steady; correct the csv and run this again"
         )
-        raise InputError(source, found, "pictures and readings in one proportion", remedy)
+        raise InputError(source, found, "one factor from pictures to readings", remedy)
     residual = meter / (image * np.exp(centre)) - 1.0
     u_rel, line = float(np.hypot(u_log, meter_u)), _held_out_line(log, u)
     return ScaleFit(float(np.exp(centre)), u_rel, residual, far, line)

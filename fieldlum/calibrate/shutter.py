@@ -45,8 +45,8 @@ Pair = tuple[float, float]  # nominal times of the longer and the shorter frame 
 class ShutterReading:
     """The measured ratio of two neighbouring frames of a bracket.
 
-    log_ratio : ln of true over assumed exposure of the shorter frame minus that of the longer;
-    u_log : its u; seconds : time between the frames.
+    log_ratio : ln(true / assumed exposure) of the shorter frame minus that of the longer one;
+    u_log : its uncertainty; seconds : time between the frames.
     """
 
     pair: Pair

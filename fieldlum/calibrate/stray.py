@@ -202,7 +202,7 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
             source,
             f"stray light of {100 * share:.0f} % of the light",
             f"at most {100 * MOST_SHARE:.0f} %",
-            "check that places without luminance_cdm2 are black, and that the stated "
+            "check that rows without luminance_cdm2 are black, and that the stated "
             "luminance_cdm2 of the others is right",
         )
     u_rel = max(float(np.sqrt(candidates[choice.index].errors.mean())), LEAST_U_REL)

@@ -74,7 +74,7 @@ class DriftSeries:
 def series(
     kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
 ) -> DriftSeries:
-    """Return the values [n] of a quantity with the change of a robust line through them.
+    """Return a quantity's values [n] with the change of a robust line from first to last.
 
     The captures of one day share its weather. Therefore the interval is computed from the scatter
     of days, and is wide for few days.

@@ -92,10 +92,10 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
 
 
 def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: float) -> str:
-    """Return a warning if the stated offset and EXIF's own contradict each other, else "".
+    """Return a warning if EXIF's offset differs from the stated one by over a minute, else "".
 
-    The warning states how many frames are near slots with each of the two offsets. groups: with
-    times from `as_shown`. Offsets within a minute of each other agree.
+    The warning states how many frames are near slots with each of the two. groups: with times from
+    `as_shown`. Without slots there is no warning.
     """
     own = [g for g in groups if g.frames[0].exif_offset_s is not None]
     offsets_s = _exif_offsets_s(own)

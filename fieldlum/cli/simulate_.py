@@ -179,7 +179,7 @@ def command(
 def _planned(
     out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress
 ) -> Session:
-    """Write a new session with a plan's slots, or with random hours of the weather year."""
+    """Write a new session of planned slots, or of a `year_sample` of weather hours."""
     from fieldlum import plan, simulate
 
     set_, start, year, count, year_sample, seed = asked

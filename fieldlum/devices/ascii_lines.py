@@ -122,8 +122,8 @@ def load_ascii_profile(name: str) -> AsciiProfile:
         if missing := {e.key for e in profile.entry} - groups:
             raise InputError(
                 path,
-                f"no group named {', '.join(sorted(missing))} in the pattern",
-                "a group (?P<name>...) for each entry",
+                f"pattern: no group named {', '.join(sorted(missing))}",
+                "a group (?P<key>...) for each [[entry]]",
                 "correct the pattern",
             )
     return profile

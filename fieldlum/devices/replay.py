@@ -39,7 +39,9 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
             except InputError:
                 continue
     if not frames:
-        raise DeviceError(f"replay: no frames in {folder}; expected raw or JPEG files")
+        raise DeviceError(
+            f"replay: no frames in {folder}; expected raw or JPEG files with their exposure in EXIF"
+        )
     return sorted(frames, key=lambda frame: (_order(frame[1].t_camera), str(frame[0])))
 
 

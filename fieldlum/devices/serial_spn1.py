@@ -90,7 +90,7 @@ class Spn1:
         reply = self._port.read_until(b"\r", 64)
         if not reply:
             raise DeviceError(
-                f"{self._port.name}: SPN1 is awake, but does not answer; switch it off and on again"
+                f"{self._port.name}: SPN1 woke, but sends no reading; switch it off and on again"
             )
         return reply
 

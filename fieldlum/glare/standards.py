@@ -113,9 +113,9 @@ def dgp_uncertainty(
     """Return the standard uncertainty of DGP, [n, d].
 
     ev_relative, source_relative : relative uncertainties of Ev and of the luminance of sources. The
-    propagation is of first order. The error of Ev is the same in the Ev term and in the contrast
-    term. The sources' error is assumed to be independent of it. If they were correlated, they would
-    partly cancel; the result is then larger than the true uncertainty.
+    propagation is of first order. The error of Ev has opposite signs in the Ev term and in the
+    contrast term, but both are added: the result is larger than the true uncertainty. The sources'
+    error is assumed to be independent.
     """
     ratio = contrast / np.maximum(ev_lx, 1e-6) ** 1.87
     slope = DGP_CONTRAST / np.log(10.0) * ratio / (1.0 + ratio)

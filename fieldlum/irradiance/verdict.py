@@ -89,7 +89,7 @@ def health(
     if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
         day, step_s = was_set
         warnings.append(
-            f"from {day:%Y-%m-%d} on the days' light is centred {step_s / 60:+.0f} min from that "
+            f"from {day:%Y-%m-%d} on, the light's middle is {step_s / 60:+.0f} min from that "
             "of the days before: the logger's clock was probably set (daylight saving?); split the "
             "file there, and import each part with its own --utc-offset"
         )

@@ -193,7 +193,7 @@ def load_pairs(
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
         raise NotEnoughDataError(
-            f"{path}: no usable row; read the column why, correct the "
+            f"{path}: no usable row; see its column 'why', correct the "
             "cause and run fieldlum pair again"
         )
     return _assemble(path, rows, setup, notes, progress)

@@ -169,7 +169,7 @@ def passes(plan: TrainingPlan, run: Run, count: int) -> float:
 
 
 def finished(plan: TrainingPlan, run: Run, budget_s: float | None) -> bool:
-    """Return whether the budget, the steps, or all epochs and stages are used up."""
+    """Return whether the budget, the steps, the epochs or the stages are used up."""
     if budget_s and run.elapsed_s >= budget_s:
         return True
     if plan.schedule == "short":

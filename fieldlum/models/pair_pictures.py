@@ -115,11 +115,9 @@ def _checked(
 ) -> Panorama:
     found = panorama.luminance_cdm2.shape
     if found != shape:
-        finding = (
-            f"{found[1]} x {found[0]} pixels",
-            (f"{shape[1]} x {shape[0]} pixels as in the first row"),
-        )
-        raise InputError(path, *finding, remedy)
+        text = f"{found[1]} x {found[0]} pixels"
+        expected = f"{shape[1]} x {shape[0]} pixels as in the first row"
+        raise InputError(path, text, expected, remedy)
     if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
         found = f"heading {_heading(panorama, path, setup):g}"
         raise InputError(path, found, f"heading {heading:g} as in the first row", remedy)

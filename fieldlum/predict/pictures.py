@@ -50,9 +50,9 @@ def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
 
 
 def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Predict the maps of `telling_hours` a second time.
+    """Predict the maps of `telling_hours` again.
 
-    The year's maps are not stored, because they would need a gigabyte.
+    The year's maps were not kept, because they would need a gigabyte.
     """
     chosen = list(telling_hours(annual, room.setup.site.timezone))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)

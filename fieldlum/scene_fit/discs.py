@@ -76,9 +76,9 @@ def fit_pose(
 ) -> PoseFit:
     """Fit north, level, clock and lens scale to n measured centres of the disc.
 
-    altitude_deg, azimuth_deg, sigma_deg : [n], by the stated heading, level and lens, and their
+    altitude_deg, azimuth_deg : [n], by the stated heading, level and lens; sigma_deg : [n], their
     standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's axis. The sun's
-    apparent position is by NREL SPA. One gross error is detected and omitted if four discs remain.
+    apparent position is by NREL SPA. Gross errors are omitted, as long as four discs remain.
     Raises NotEnoughDataError for fewer than three discs.
     """
     altitude, azimuth, sigma = (

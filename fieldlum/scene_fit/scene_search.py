@@ -129,7 +129,7 @@ class StatedRoom:
 
     @property
     def is_clock_open(self) -> bool:
-        """Whether the clock is not known to a minute."""
+        """Whether the clock's standard deviation is over a minute."""
         return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:

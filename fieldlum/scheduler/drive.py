@@ -104,7 +104,7 @@ def run_each(
     take: Callable[[UnitOutcome], object],
     progress: Progress = quiet,
 ) -> None:
-    """Run every unit and pass each outcome to `take`; an error in `take` ends the other units too.
+    """Run every unit and pass each outcome to `take`; an error in `take` stops all units.
 
     Raises what `run_units` and `take` raise.
     """

@@ -107,7 +107,7 @@ class Troubles:
         return Troubles(**{name: getattr(self, name)})
 
     def seeded(self, seed: int) -> Troubles:
-        """Return the same sizes with other seeds."""
+        """Return the troubles with other seeds."""
         changed = {
             n: replace(getattr(self, n), seed=getattr(self, n).seed + seed) for n in self.names
         }

@@ -170,7 +170,7 @@ class GroundTruth:
     def _passes(self) -> int:
         """Number of bounces after which an evenly lit room changes by less than 1e-4.
 
-        It is the same for every hour, so that an hour does not depend on the others of its block.
+        It is the same for every hour, whatever other hours are in the same block.
         """
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)
         pieces = reflect

@@ -58,8 +58,8 @@ PRICE = float(np.log1p(1.0 / _SOFT))  # cost of omitting a capture: that of a ca
 class LeftOut:
     """The captures `rows` [k], each predicted by the others.
 
-    inverse [k, k]: of their covariance; weights [k, P]: inverse times values; error [k, P]:
-    measured minus predicted; variance [k]: of the prediction and the noise.
+    inverse [k, k]: of their covariance with noise; weights [k, P pixels]: inverse times values;
+    error [k, P]: measured minus predicted; variance [k]: of the error.
     """
 
     rows: Rows

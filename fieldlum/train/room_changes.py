@@ -81,8 +81,8 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     rows = np.flatnonzero(objects.any(axis=(1, 2)))
     if len(rows):
         notes.append(
-            f"WARNING: in {len(rows)} of {len(data)} captures something darkens a part of "
-            "the picture, such as a person, an object or clipped pixels. These pixels are "
+            f"WARNING: in {len(rows)} of {len(data)} captures a part of the picture is "
+            "too dark: a person, an object or clipped values. These pixels are "
             f"ignored in these captures; look at them: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts

@@ -114,7 +114,7 @@ def _words(finding: SettingFinding) -> str:
             f"{e[1]:.1f} minutes"
         ),
         "wall": lambda: (
-            f"the room is turned against the camera by {a[0]:+.1f} +- {e[0]:.1f} degrees"
+            f"the room, not the camera, is turned clockwise by {a[0]:+.1f} +- {e[0]:.1f} degrees"
         ),
         "camera": lambda: (
             f"the camera was displaced: captured sun patches are {a[0]:+.1f} +- {e[0]:.1f} pixels "

@@ -191,8 +191,8 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
     except OSError as error:
         listener.close()
         raise DeviceError(
-            f"port {port} cannot be used ({error.strerror}): another program has it; "
-            f"give --port N, or --port 0 for a free one"
+            f"port {port} cannot be used ({error.strerror}); "
+            f"give another --port N, or --port 0 for a free one"
         ) from None
     port = listener.getsockname()[1]
     lan_name = lan_address() if lan else ""

@@ -49,9 +49,9 @@ BLUR_PX = 0.25
 class SettingFinding:
     """What one cause alone would explain.
 
-    amount: how wrong the setting would be; error: standard errors over days; misfit: misfit that
-    remains; stated: misfit of the stated setting; sigmas: difference of the two in standard errors
-    over days.
+    amount: how wrong the setting would be; error: its standard error over days; misfit: misfit that
+    then remains; stated: misfit of the stated setting; sigmas: stated minus misfit, in standard
+    errors over days.
     """
 
     cause: str
