@@ -25,8 +25,8 @@ from fieldlum.scene_fit.scene_search import (
     KEPT_OUT_EVERY,
     Misfits,
     SceneSearch,
-    StatedRoom,
 )
+from fieldlum.scene_fit.stated_room import StatedRoom
 from fieldlum.scene_fit.verdict import outside_hours
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.records import Room
 from fieldlum.scene_fit.bars import (
     MAX_BAR_M,
     MIN_BAR_M,
@@ -33,7 +32,6 @@ from fieldlum.scene_fit.furniture import (
 )
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.parameters import (
-    SUN_DEG_PER_MIN,
     Parameter,
     bar_parameters,
     room_parameters,
@@ -45,24 +43,23 @@ from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
     PRIOR_SHARE,
     Objective,
+    ViewCost,
     aimed,
     along_valley,
     pattern_search,
     principal_search,
 )
 from fieldlum.scene_fit.solid_cost import SolidCost
+from fieldlum.scene_fit.stated_room import StatedRoom
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
-    from fieldlum.scene_fit.pose_prior import PosePrior
 
 Array = NDArray[np.floating]
 
-# Chosen, not varied: two thirds of the hours to fit and one third to check; clocks slightly beyond
-# the prior's 5 minutes, and half of that from a fitted room; a third of the pixels in a third of
-# the time.
+# Chosen, not varied: two thirds of the hours to fit and one third to check; clocks of half the
+# prior's 5 minutes from a fitted room; a third of the pixels in a third of the time.
 KEPT_OUT_EVERY = 3
-START_CLOCKS_MIN = (-6.0, 0.0, 6.0)
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
@@ -80,22 +77,6 @@ SHADE_TRIALS = 3
 SHADE_GAIN = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class ViewCost:
-    """The cost of a guess without its sun patches: the windows' picture and the prior."""
-
-    objective: Objective
-
-    @property
-    def pose(self) -> PosePrior | None:
-        """The pose's prior, as in `Objective`."""
-        return self.objective.pose
-
-    def __call__(self, guess: Guess) -> float:
-        """Return the cost of a guess."""
-        return self.objective.without_patches(guess)
-
-
 @dataclass(frozen=True)
 class Misfits:
     """Share [n] of wrong pixels near sun patches, in n hours held out of the search."""
@@ -108,38 +89,6 @@ class Misfits:
     def mean(self) -> dict[str, float]:
         """Return the mean share over the hours: no sun patches, stated room, fitted room."""
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
-
-
-@dataclass(frozen=True, slots=True)
-class StatedRoom:
-    """What is known before the search: stated room, pose by sun discs, uncertainty of the clock."""
-
-    room: Room
-    pose: PosePrior | None
-    clock_sd_min: float
-
-    @property
-    def start_clocks_min(self) -> tuple[float, ...]:
-        """Return the clocks from which searches start.
-
-        There are several if the clock is not known to a minute.
-        """
-        clock = 0.0 if self.pose is None else float(self.pose.values[3])
-        return START_CLOCKS_MIN if self.is_clock_open else (clock,)
-
-    @property
-    def is_clock_open(self) -> bool:
-        """Whether the clock's standard deviation is over a minute."""
-        return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
-
-    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess at another clock, with the pose that belongs to it."""
-        if self.pose is not None:
-            return self.pose.at_clock(guess, clock_min)
-        moved = clock_min - guess.clock_min
-        return replace(
-            guess, clock_min=clock_min, north_deg=guess.north_deg - SUN_DEG_PER_MIN * moved
-        )
 
 
 class SceneSearch:

@@ -107,6 +107,22 @@ class Objective:
         return self.prior_unit * (float(np.sum(np.square(z))) + pose)
 
 
+@dataclass(frozen=True, slots=True)
+class ViewCost:
+    """The cost of a guess without its sun patches: the windows' picture and the prior."""
+
+    objective: Objective
+
+    @property
+    def pose(self) -> PosePrior | None:
+        """The pose's prior, as in `Objective`."""
+        return self.objective.pose
+
+    def __call__(self, guess: Guess) -> float:
+        """Return the cost of a guess."""
+        return self.objective.without_patches(guess)
+
+
 def pattern_search(
     objective: GuessCost,
     guess: Guess,

@@ -1,0 +1,47 @@
+"""What is known of room, pose and clock before the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from fieldlum.records import Room
+from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.parameters import SUN_DEG_PER_MIN
+
+if TYPE_CHECKING:
+    from fieldlum.scene_fit.pose_prior import PosePrior
+
+START_CLOCKS_MIN = (-6.0, 0.0, 6.0)  # slightly beyond the prior's 5 minutes; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class StatedRoom:
+    """What is known before the search: stated room, pose by sun discs, uncertainty of the clock."""
+
+    room: Room
+    pose: PosePrior | None
+    clock_sd_min: float
+
+    @property
+    def start_clocks_min(self) -> tuple[float, ...]:
+        """Return the clocks from which searches start.
+
+        There are several if the clock is not known to a minute.
+        """
+        clock = 0.0 if self.pose is None else float(self.pose.values[3])
+        return START_CLOCKS_MIN if self.is_clock_open else (clock,)
+
+    @property
+    def is_clock_open(self) -> bool:
+        """Whether the clock's standard deviation is over a minute."""
+        return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
+
+    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
+        """Return the guess at another clock, with the pose that belongs to it."""
+        if self.pose is not None:
+            return self.pose.at_clock(guess, clock_min)
+        moved = clock_min - guess.clock_min
+        return replace(
+            guess, clock_min=clock_min, north_deg=guess.north_deg - SUN_DEG_PER_MIN * moved
+        )
