@@ -31,7 +31,7 @@ def written(folder: Path, argument: dict[str, Any]) -> int:
 def troubled(folder: Path, argument: dict[str, Any]) -> str:
     """Kill the process, hang, or report a full disk, as often as `times` states; then succeed."""
     seen = len(list(folder.glob(f"{argument['name']}.try*")))
-    (folder / f"{argument['name']}.try{seen}").touch()
+    (folder / f"{argument['name']}.try{seen}").write_text(str(os.getpid()))
     if seen < argument["times"]:
         if argument["how"] == "kill":
             os._exit(9)
