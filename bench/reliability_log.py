@@ -81,7 +81,7 @@ def cut_journal(session: Session) -> tuple[int, int]:
     journal = Journal(session)
     for i in range(20):
         journal.append(
-            "frame", START, slot="20270305T000000Z", index=i, frame={"file": f"{i:02d}_0.25s.dng"}
+            "frame", START, slot="20270305T000000Z", frame={"file": f"{i:02d}_0.25s.dng"}
         )
     journal.close()
     whole = session.journal.read_bytes()

@@ -68,9 +68,9 @@ def main() -> None:
                 e = errors(truth, maps, test.light, test.disc_lx)[:, seen]
                 assert model.held_out_mse is not None
                 said = (
-                    f"**{model.pixels.b.shape[1]} (chosen)**"
+                    f"**{model.response.pixels.b.shape[1]} (chosen)**"
                     if size is None
-                    else str(model.pixels.b.shape[1])
+                    else str(model.response.pixels.b.shape[1])
                 )
                 print(
                     f"| {name} | {kind} | {said} | {model.held_out_mse.mean():.2e} | "

@@ -8,6 +8,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import click
 import pytest
@@ -93,3 +94,30 @@ def test_a_wrong_option_is_found() -> None:
     assert _unknown(["merge", "--no-such-option"])
     assert _unknown(["mergee", "SESSION"]) == "no command mergee"
     assert _unknown(["merge", "SESSION"]) is None
+
+
+@pytest.mark.slow
+def test_names_that_benchmarks_take_from_the_package_exist() -> None:
+    missing = []
+    for path in sorted((ROOT / "bench").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        modules = {}  # of the package, by the name that the benchmark uses
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fieldlum"):
+                for name in node.names:
+                    try:
+                        exec(f"from {node.module} import {name.name} as found", place := {})
+                    except ImportError as error:
+                        missing.append(f"{path.name}: {error}")
+                        continue
+                    if isinstance(place["found"], ModuleType):
+                        modules[name.asname or name.name] = place["found"]
+        used = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute))
+        missing += [
+            f"{path.name}: {ast.unparse(node)}"
+            for node in used
+            if isinstance(node.value, ast.Name)
+            and (module := modules.get(node.value.id)) is not None
+            and not hasattr(module, node.attr)
+        ]
+    assert not missing

@@ -18,6 +18,7 @@ from pathlib import Path
 from fieldlum import plan, simulate
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session import open_session, sha256
+from fieldlum.simulate.truth import QUALITIES
 from fieldlum.site_toml import load_site
 from fieldlum.weather import TYPICAL_YEAR, Weather
 
@@ -85,7 +86,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("rooms", nargs="*", help="names without .toml; default: all")
     parser.add_argument("--height", type=int, default=115)
-    parser.add_argument("--quality", default="quick", choices=tuple(simulate.QUALITIES))
+    parser.add_argument("--quality", default="quick", choices=tuple(QUALITIES))
     asked = parser.parse_args()
     for name in asked.rooms or sorted(p.stem for p in HERE.glob("*.toml")):
         render(HERE / f"{name}.toml", asked.out, asked.height, asked.quality)
