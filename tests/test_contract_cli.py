@@ -1,5 +1,6 @@
 """Contract: every command has help with an example, is documented, and `--help` is light."""
 
+import ast
 import errno
 import os
 import re
@@ -16,6 +17,7 @@ from fieldlum.cli import COMMANDS, main
 pytestmark = pytest.mark.contract
 
 DOCS = Path(__file__).parents[1] / "docs"
+PACKAGE = Path(__file__).parents[1] / "fieldlum"
 CONTEXT = click.Context(main)
 PRESENT = main.list_commands(CONTEXT)
 
@@ -94,3 +96,18 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(monkeypatch: pytest.MonkeyPa
     result = CliRunner().invoke(main, ["info"])
     assert result.exit_code == 130
     assert "start it again to continue" in result.output
+
+
+def test_every_input_error_says_what_to_do() -> None:
+    """The third part of `FILE: found; expected; remedy` is never left out."""
+    without = [
+        f"{path}:{call.lineno}"
+        for path in PACKAGE.rglob("*.py")
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call)
+        and isinstance(call.func, ast.Name)
+        and call.func.id == "InputError"
+        and len(call.args) < 4
+        and "remedy" not in {keyword.arg for keyword in call.keywords}
+    ]
+    assert not without

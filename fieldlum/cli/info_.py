@@ -151,7 +151,10 @@ def _toml(path: Path) -> Facts:
             **table["plan"],
         }
     raise InputError(
-        path, f"tables {', '.join(table) or 'none'}", "a site, a camera profile or a session"
+        path,
+        f"tables {', '.join(table) or 'none'}",
+        "a site, a camera profile, an instrument profile or a session",
+        "name such a file",
     )
 
 
@@ -241,6 +244,7 @@ def _folder(path: Path) -> Facts:
         path,
         "no session, model or predicted year",
         "a folder with session.toml, config.json or predict.json",
+        "name such a folder, or a file in this one",
     )
 
 

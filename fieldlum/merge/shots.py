@@ -88,7 +88,8 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
             raise InputError(
                 path,
                 "this frame is listed twice and would count twice",
-                "each frame once; remove the repetition",
+                "each frame once",
+                "remove the repetition",
             )
         known.add(real)
         found.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
@@ -114,14 +115,20 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
         got = "JPEG" if True in kinds else "raw"
         odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
         raise InputError(
-            odd, f"a {got} frame", f"{profile.camera.kind} frames, as in {profile.camera.name}"
+            odd,
+            f"a {got} frame",
+            f"{profile.camera.kind} frames, as in {profile.camera.name}",
+            "remove this frame, or name the profile of its camera",
         )
     apertures = profile.scale.f_numbers
     for shot in shots:
         if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             raise InputError(
-                shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k is for no other aperture"
+                shot.path,
+                f"f/{shot.exposure.f_number:g}",
+                f"{valid}: k is for no other aperture",
+                "calibrate this aperture (fieldlum calibrate scale), or capture with one of these",
             )
 
     first = shots[0].exposure.f_number

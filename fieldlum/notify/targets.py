@@ -53,7 +53,9 @@ def _lines(path: Path) -> tuple[str, ...]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InputError(path, str(why), "a readable file of addresses") from None
+        raise InputError(
+            path, str(why), "a readable file of addresses", "check the path after the @"
+        ) from None
     stripped = (line.strip() for line in text.splitlines())
     return tuple(line for line in stripped if line and not line.startswith("#"))
 

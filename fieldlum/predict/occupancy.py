@@ -73,29 +73,31 @@ def read_occupancy(path: Path) -> Occupancy:
             csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
         )
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a readable csv", HOW) from None
+        raise InputError(path, str(error), HOW, "check the path of the csv") from None
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
     if not rows:
-        raise InputError(path, "an empty file", HOW)
+        raise InputError(path, "an empty file", HOW, "write one row for each period")
     if rows[0] == ["days", "start", "end"]:
         return _weekly(path, rows[1:])
     if "occupied" in rows[0]:
         return _hourly(path, rows)
-    raise InputError(path, f"columns {', '.join(rows[0])}", HOW)
+    raise InputError(path, f"columns {', '.join(rows[0])}", HOW, "correct the first line")
 
 
 def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
     periods = []
     for number, row in enumerate(rows, start=2):
         if len(row) != 3:
-            raise InputError(path, f"line {number}: {len(row)} cells", "days,start,end")
+            found = f"line {number}: {len(row)} cells"
+            raise InputError(path, found, "days,start,end", "correct that line")
         try:
             start, end = (
                 time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:]
             )
             days = _days(row[0])
         except ValueError as error:
-            raise InputError(path, f"line {number}: {error}", "mon-fri,08:00,18:00") from None
+            found = f"line {number}: {error}"
+            raise InputError(path, found, "mon-fri,08:00,18:00", "correct that line") from None
         if not start < end:
             raise InputError(
                 path,
@@ -105,7 +107,7 @@ def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
             )
         periods += [(day, start, end) for day in days]
     if not periods:
-        raise InputError(path, "no period", HOW)
+        raise InputError(path, "no period", HOW, "write one row for each period")
     return Occupancy("; ".join(" ".join(row) for row in rows), tuple(periods))
 
 

@@ -71,17 +71,20 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
         if not inside:
             found = f"x {click.x_px:g}, y {click.y_px:g}"
             size = f"within {grid.width_px} x {grid.height_px} px"
-            raise InputError(f"{where}:{click.line}", found, size)
+            remedy = "click on the panorama, or correct x_px and y_px"
+            raise InputError(f"{where}:{click.line}", found, size, remedy)
         altitude, _ = grid.angles(click.x_px, click.y_px)
         side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
         if side and altitude * side < _HORIZON_DEG:
             found = f"a {click.kind} corner {altitude:+.1f} deg from the horizon"
             below = "below" if side < 0 else "above"
-            raise InputError(f"{where}:{click.line}", found, f"{below} the horizon")
+            remedy = "correct the kind of this click, or its place"
+            raise InputError(f"{where}:{click.line}", found, f"{below} the horizon", remedy)
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
     if count["floor"] < 3 or count["ceiling"] < 1:
         found = f"{count['floor']} floor and {count['ceiling']} ceiling corners"
-        raise InputError(where, found, "three corners of the floor and one of the ceiling")
+        expected = "three corners of the floor and one of the ceiling"
+        raise InputError(where, found, expected, "click more corners")
     for number in _numbers(clicks):
         corners = sum(click.kind == "window" and click.window == number for click in clicks)
         if corners < 2:
@@ -137,7 +140,8 @@ def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _S
         at = np.array([_on_wall(turned[k], wall, distances) for k in own])
         if np.ptp(at[:, 0]) < 0.02 or np.ptp(at[:, 1]) < 0.02:
             found = f"the corners of window {number} have no width or no height"
-            raise InputError(where, found, "two opposite corners at least")
+            remedy = "click its opposite corners again"
+            raise InputError(where, found, "two opposite corners at least", remedy)
         values += [*np.sort(at[:, 0])[[0, -1]], *(np.sort(at[:, 1])[[0, -1]] + h)]
     sides = [
         _side(click, turned[k], distances, walls, numbers, values, h)
@@ -179,7 +183,8 @@ def _distances(xy: Array, where: str) -> list[float]:
     parts = [-xy[xy[:, 1] < 0, 1], -xy[xy[:, 0] < 0, 0], xy[xy[:, 1] >= 0, 1], xy[xy[:, 0] >= 0, 0]]
     if any(len(part) == 0 for part in parts):
         found = "all floor corners are on one side of the camera"
-        raise InputError(where, found, "three corners of the floor around the camera")
+        expected = "three corners of the floor around the camera"
+        raise InputError(where, found, expected, "click a floor corner on the other side")
     return [float(part.mean()) for part in parts]
 
 

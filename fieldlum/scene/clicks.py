@@ -65,22 +65,24 @@ def read_clicks(path: Path) -> list[Click]:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != COLUMNS:
                 names = ", ".join(reader.fieldnames or ())[:80] or "an empty file"
-                raise InputError(path, names, f"columns {', '.join(COLUMNS)}")
+                expected = f"columns {', '.join(COLUMNS)}"
+                raise InputError(path, names, expected, "name the columns in the first line")
             return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a csv of clicks") from None
+        raise InputError(path, str(error), "a csv of clicks", "check the path of the csv") from None
 
 
 def clicks_from_rows(rows: Any) -> list[Click]:
     """Return the clicks of a list of tables, as a page sends them. Raises InputError."""
     if not isinstance(rows, list) or len(rows) > 500:
-        raise InputError("clicks", "no list of at most 500 clicks", "a list")
+        remedy = "load the page again, and click fewer corners"
+        raise InputError("clicks", "no list of at most 500 clicks", "a list", remedy)
     return [_click(f"click {k}", k, row) for k, row in enumerate(rows, start=1)]
 
 
 def _click(where: str, line: int, row: Any) -> Click:
     if not isinstance(row, dict):
-        raise InputError(where, "no table", f"keys {', '.join(COLUMNS)}")
+        raise InputError(where, "no table", f"keys {', '.join(COLUMNS)}", "load the page again")
     kind = str(row.get("kind", "")).strip()
     if kind not in KINDS:
         raise InputError(
@@ -90,11 +92,12 @@ def _click(where: str, line: int, row: Any) -> Click:
         x, y = float(row["x_px"]), float(row["y_px"])
         window = int(row.get("window") or 0)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(where, str(error)[:80], "numbers") from None
+        raise InputError(where, str(error)[:80], "numbers", "correct the numbers") from None
     if not (np.isfinite(x) and np.isfinite(y)):
         raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers", "correct the numbers")
     of_window = kind in ("window", "bar", "transom")
     if of_window != (1 <= window <= 50):
         expected = "a window's number from 1" if of_window else "no window's number"
-        raise InputError(where, f"{kind} with window {window}", expected)
+        found = f"{kind} with window {window}"
+        raise InputError(where, found, expected, "correct the window's number")
     return Click(kind, window, x, y, line)

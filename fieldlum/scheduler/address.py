@@ -66,7 +66,8 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
     if text.startswith("processes:") or text.isdigit():
         count = text.removeprefix("processes:")
         if not count.isdigit() or int(count) < 1:
-            raise InputError("--scheduler", f"'{text}'", "processes:N with N of 1 or more")
+            expected, remedy = "processes:N with N of 1 or more", "write, for example, processes:2"
+            raise InputError("--scheduler", f"'{text}'", expected, remedy)
         return Scheduler("processes", int(count), say=say)
     if text.startswith(("tcp://", "tls://")):
         if text.startswith("tls://"):
@@ -75,7 +76,7 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
         return _cluster(_checked(text, "--scheduler"), None, say)
     if text.endswith(".json"):
         return _from_file(Path(text), say)
-    raise InputError("--scheduler", f"'{text}'", FORMS)
+    raise InputError("--scheduler", f"'{text}'", FORMS, "correct the text, or omit --scheduler")
 
 
 def _cluster(address: str, tls: TlsFiles | None, say: Callable[[str], None]) -> Scheduler:
@@ -104,7 +105,8 @@ def _checked(address: str, where: str) -> str:
     except ValueError:
         usable = False
     if not usable:
-        raise InputError(where, f"'{address}'", "tcp://HOST:PORT, for example tcp://127.0.0.1:8786")
+        remedy = "write, for example, tcp://127.0.0.1:8786"
+        raise InputError(where, f"'{address}'", "tcp://HOST:PORT", remedy)
     return address
 
 
@@ -116,13 +118,15 @@ def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
         remedy = "start one with: dask scheduler --scheduler-file FILE.json"
         raise InputError(path, error.strerror or str(error), "a scheduler file", remedy) from None
     except ValueError as error:
-        raise InputError(path, str(error), "JSON") from None
+        remedy = "let dask scheduler --scheduler-file write the file again"
+        raise InputError(path, str(error), "JSON", remedy) from None
     address = table.get("address") if isinstance(table, dict) else None
     if not isinstance(address, str) or not address.startswith(("tcp://", "tls://")):
         raise InputError(
             path,
             f"address {address!r}",
             'a key "address" with a value that begins with tcp:// or tls://',
+            "let dask scheduler --scheduler-file write the file again",
         )
     tls = _tls(path, table.get("tls"))
     if address.startswith("tls://") != (tls is not None):

@@ -96,4 +96,5 @@ def _file_system(url: str) -> tuple[Any, str]:
         remedy = "install it with: pip install 'fieldlum[cloud]'"
         raise InputError(url, "no client for this kind of URL", remedy=remedy) from None
     except ValueError as error:
-        raise InputError(url, str(error)[:120], "a URL such as s3://BUCKET/FOLDER") from None
+        expected = "a URL such as s3://BUCKET/FOLDER"
+        raise InputError(url, str(error)[:120], expected, "correct the URL") from None

@@ -118,7 +118,8 @@ def _reader(path: Path) -> csv.DictReader[str]:
             path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a readable csv of pairs") from None
+        remedy = "check the path, or write the file again with: fieldlum pair SESSION"
+        raise InputError(path, str(error), "a readable csv of pairs", remedy) from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     names = reader.fieldnames or ()
     missing = [name for name in NEEDED if name not in names]
@@ -135,7 +136,7 @@ def _reader(path: Path) -> csv.DictReader[str]:
 def _separator_remedy(names: Sequence[str]) -> str:
     mark = next((mark for mark in (";", "\t") if mark in (names or ("",))[0]), "")
     if not mark:
-        return ""
+        return "name the columns in the first line"
     return f"its cells are separated by {mark!r}: save it with commas, and points in numbers"
 
 
@@ -155,7 +156,7 @@ def _format(path: Path, names: Sequence[str]) -> int:
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
     if None in cells or any(value is None for value in cells.values()):
         found = f"line {line}: the number of cells differs from the header"
-        raise InputError(path, found, "one cell for each column")
+        raise InputError(path, found, "one cell for each column", "correct that line")
 
     def number(name: str, default: float = math.nan) -> float:
         return _number(path, line, name, cells.get(name) or "", default)
