@@ -11,7 +11,7 @@ from fieldlum.light import Light, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit, from_state
 from fieldlum.models.transport.features import training_arrays_of
-from fieldlum.models.transport.window_sky import seen_sky
+from fieldlum.models.transport.window_sky import scatter_of_skies, seen_sky
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Site, SiteFile, utc_text
 from fieldlum.simulate.troubles import Trouble, Troubles, true_light
@@ -115,6 +115,19 @@ def test_the_field_is_stored() -> None:
         again.predict(UNSEEN.light[:3]).luminance_cdm2,
         fitted.predict(UNSEEN.light[:3]).luminance_cdm2,
     )
+
+
+@pytest.mark.property
+def test_the_scatter_is_that_of_each_kind_of_hour() -> None:
+    """A wrong diffuse irradiance in sunny hours is stated there, and clouds as large as drawn."""
+    arrays = training_arrays_of(CLOUDED, with_patch=False)
+    sunny = arrays.features.beam >= 0.05
+    found = scatter_of_skies(arrays, (~sunny, sunny, sunny & ~sunny))
+    assert found[0] == pytest.approx(0.35, rel=0.35) and found[2] is None
+    factor = np.where(np.arange(len(sunny)) % 2, 3.0, 1.0 / 3.0) ** sunny
+    wrong = replace(arrays, sky=(factor[:, None] * arrays.sky).astype(np.float32))
+    dull, bright, _ = scatter_of_skies(wrong, (~sunny, sunny, sunny & ~sunny))
+    assert dull is not None and bright is not None and bright > 1.0 > 0.6 > dull
 
 
 @pytest.mark.property

@@ -174,7 +174,7 @@ def fit_and_score(
         **more,
     )
     fitted, doubted = findings(fitted, data, patch, setting)
-    skies = seen_skies(fitted)
+    skies = seen_skies(fitted, data)
     notes = (*_notes(data, patch, model, trials), *left_out, *skies, *changed, *doubted)
     return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes)
 
@@ -204,19 +204,32 @@ def findings(
     return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
 
 
-def seen_skies(fitted: Fitted) -> list[str]:
+def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
     """Return a note if the captures' skies were read off the windows."""
     from fieldlum.models.transport import Transport
+    from fieldlum.models.transport.features import training_arrays_of
+    from fieldlum.models.transport.uncertainty import CLASSES
+    from fieldlum.models.transport.window_sky import scatter_of_skies
 
-    sky_field = fitted.sky_field if isinstance(fitted, Transport) else None
-    if sky_field is None:
+    if not isinstance(fitted, Transport) or fitted.sky_field is None:
         return []
-    size = math.expm1(sky_field.sd)
+    with_patch = fitted.response.basis.patches is not None
+    arrays = training_arrays_of(data, with_patch=with_patch)
+    beam = arrays.features.beam
+    groups = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
+    kinds = ("overcast", "partly sunny", "sunny")
+    sizes = [
+        f"{math.expm1(sd):.0%} in {kind} hours"
+        for kind, sd in zip(kinds, scatter_of_skies(arrays, groups), strict=True)
+        if sd is not None
+    ]
+    typical = f" (typically {', '.join(sizes)}; k = 1)" if sizes else ""
     return [
-        f"the windows showed skies that differ by {size:.0%} (k = 1) from the Perez model for the "
-        f"measured irradiance: clouds, or an instrument that sees other light than the room. Each "
-        f"capture was learnt under its own sky. Predicted hours use the Perez model, and their "
-        f"uncertainty includes the difference"
+        f"the windows showed skies that differ from the Perez model for the measured "
+        f"irradiance{typical}: clouds, or an instrument that sees other light than the room, which "
+        f"changes the diffuse irradiance of sunny hours most. Each capture was learnt under its "
+        f"own sky. Predicted hours use the Perez model, and their uncertainty includes the "
+        f"difference"
     ]
 
 

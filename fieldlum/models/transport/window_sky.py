@@ -9,6 +9,7 @@ at and uses Perez's sky.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from fieldlum.light import Features
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
 from fieldlum.sky import reinhart_patches
+from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
 
@@ -93,6 +95,25 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     sky = perez * factor
     kept = (perez @ horizontal) / np.maximum(sky @ horizontal, LEAST_CDM2)  # [n]
     return SeenSky((sky * kept[:, None]).astype(np.float32), field)
+
+
+def scatter_of_skies(
+    arrays: TrainingArrays, groups: Sequence[NDArray[np.bool_]]
+) -> list[float | None]:
+    """Return how far seen skies differ from Perez's in each group of captures, masks of [n].
+
+    It is the robust standard deviation of ln of seen over usual luminance; None for groups with
+    under FEWEST_HOURS captures that show the sky. The field's sd is another figure: a few captures
+    with a wrong diffuse irradiance can multiply it.
+    """
+    ratios, _ = _patch_ratios(arrays)  # [n, k]
+    seen = np.isfinite(ratios)
+    out: list[float | None] = []
+    for rows in groups:
+        values = ratios[rows][seen[rows]]
+        enough = seen[rows].any(axis=1).sum() >= FEWEST_HOURS
+        out.append(robust_sigma(values, 0.0) if enough else None)
+    return out
 
 
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
