@@ -324,13 +324,13 @@ def test_a_port_that_does_not_open_says_what_to_do(
 ) -> None:
     from serial.tools.list_ports_common import ListPortInfo
 
-    from fieldlum.devices.serial_port import SerialPort
+    from fieldlum.devices.serial_port import SerialLine, SerialPort
 
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [ListPortInfo("/dev/ttyUSB1")])
     with pytest.raises(DeviceError, match=r"gone: no such port; ports: /dev/ttyUSB1$"):
-        SerialPort(str(tmp_path / "gone"), baud=9600, timeout_s=0.1)
+        SerialPort(str(tmp_path / "gone"), SerialLine(), timeout_s=0.1)
     with pytest.raises(DeviceError, match=r"/dev/null: not a serial port"):
-        SerialPort("/dev/null", baud=9600, timeout_s=0.1)
+        SerialPort("/dev/null", SerialLine(), timeout_s=0.1)
 
 
 @pytest.mark.contract
@@ -347,11 +347,11 @@ def test_a_port_that_does_not_open_says_what_to_do(
 def test_windows_ports_too(monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str) -> None:
     import serial
 
-    from fieldlum.devices.serial_port import SerialPort
+    from fieldlum.devices.serial_port import SerialLine, SerialPort
 
     def refuse(*_: object, **__: object) -> None:
         raise serial.SerialException(f"could not open port 'COM9': {windows!r}")
 
     monkeypatch.setattr("serial.Serial", refuse)
     with pytest.raises(DeviceError, match=said):
-        SerialPort("COM9", baud=9600, timeout_s=0.1)
+        SerialPort("COM9", SerialLine(), timeout_s=0.1)

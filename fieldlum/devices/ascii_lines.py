@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Literal
 
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
+from fieldlum.devices.serial_port import SerialLine
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.profiles import shipped
 from fieldlum.records import IrradianceSample
@@ -32,17 +33,13 @@ _LIMITS = {"temperature_c": (-60.0, 150.0)}
 
 
 @dataclass(frozen=True, slots=True)
-class AsciiLine:
+class AsciiLine(SerialLine):
     """Settings of the serial line.
 
     `silence_s` must be longer than the restart of an Arduino, because opening the line restarts
     most of them.
     """
 
-    baud: int = 9600
-    bits: int = 8
-    parity: Literal["N", "E", "O"] = "N"
-    stop: int = 1
     silence_s: float = 5.0  # the instrument counts as silent after this time without a line
 
 
@@ -100,9 +97,8 @@ def load_ascii_profile(name: str) -> AsciiProfile:
         )
     profile = build(AsciiProfile, read_toml(path), str(path))
     quantities = [e.quantity for e in profile.entry]
-    if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or len(set(quantities)) != len(
-        quantities
-    ):
+    is_repeated = len(set(quantities)) != len(quantities)
+    if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or is_repeated:
         raise InputError(
             path,
             f"entries for {', '.join(quantities) or 'nothing'}",
@@ -225,7 +221,7 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
             text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
         )
     except (ValueError, RecursionError):
-        raise DeviceError(f"line {text[:60]!r} is not a JSON object") from None
+        found = None
     if not isinstance(found, dict):
         raise DeviceError(f"line {text[:60]!r} is not a JSON object")
     return _having(profile, found, text)

@@ -10,12 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
+from functools import reduce
+from operator import xor
 from typing import TYPE_CHECKING, Literal
 
 from fieldlum.devices import IlluminanceReading, InstrumentInfo
-from fieldlum.devices.serial_port import SerialPort
+from fieldlum.devices.serial_port import SerialLine, SerialPort
 from fieldlum.devices.uri import DeviceUri, one_of
 from fieldlum.errors import DeviceError
 
@@ -51,10 +51,7 @@ class NotReady(DeviceError):
 
 def bcc(body: bytes) -> bytes:
     """Return the check digits of the bytes between STX and BCC; ETX is added here."""
-    total = 0
-    for byte in body + ETX:
-        total ^= byte
-    return b"%02X" % total
+    return b"%02X" % reduce(xor, body + ETX)
 
 
 def frame(body: bytes) -> bytes:
@@ -83,19 +80,8 @@ def _value(six: str) -> float:
     return (-1.0 if six[0] == "-" else 1.0) * float(digits) * 10.0 ** (int(six[5]) - 4)
 
 
-@dataclass(frozen=True, slots=True)
-class ChromaticityReading:
-    """The answer to command 02: illuminance and CIE 1931 chromaticity."""
-
-    illuminance_lx: float
-    x: float
-    y: float
-    low_battery: bool
-    too_dark: bool
-
-
-def parse_answer(reply: bytes) -> ChromaticityReading:
-    """Return illuminance and chromaticity of an answer to command 02.
+def parse_answer(reply: bytes) -> IlluminanceReading:
+    """Return the reading of an answer to command 02, which also has the chromaticity.
 
     Raises DeviceError for damage and for the meter's own errors, NotReady while it settles.
     """
@@ -113,13 +99,13 @@ def parse_answer(reply: bytes) -> ChromaticityReading:
         raise NotReady("CL-200A has not measured yet")
     if match[5] == "6":
         raise NotReady("CL-200A changes its range")
-    values = [_value(match[7][i : i + 6]) for i in (0, 6, 12)]
-    if not (0.0 <= values[0] <= 200_000.0 and 0.0 <= values[1] <= 1.0 and 0.0 <= values[2] <= 1.0):
+    illuminance_lx, x, y = (_value(match[7][i : i + 6]) for i in (0, 6, 12))
+    if not (0.0 <= illuminance_lx <= 200_000.0 and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
         raise DeviceError(
-            f"CL-200A: {values[0]:g} lx at x {values[1]:g}, y {values[2]:g} is out of its "
-            "range; read it again in less light"
+            f"CL-200A: {illuminance_lx:g} lx at x {x:g}, y {y:g} is out of its range; read it "
+            "again in less light"
         )
-    return ChromaticityReading(values[0], values[1], values[2], match[6] == "1", match[4] == "6")
+    return IlluminanceReading(illuminance_lx, match[6] == "1", reply.decode("ascii").strip())
 
 
 class Cl200a:
@@ -139,9 +125,8 @@ class Cl200a:
         self._sleep = sleep
         # "N" is for tests (a pty has neither seven bits nor parity) and for converters that remove
         # them.
-        self._port = SerialPort(
-            place, baud=9600, bits=7 if parity == "E" else 8, parity=parity, timeout_s=timeout_s
-        )
+        line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
+        self._port = SerialPort(place, line, timeout_s=timeout_s)
         try:
             self._answer(PC_MODE)
             sleep(_LONG_PAUSE_S)
@@ -175,11 +160,7 @@ class Cl200a:
         self._port.drain()
         self._port.write(frame(MEASURE))
         self._sleep(_LONG_PAUSE_S)
-        reply = self._answer(READ_EVXY)
-        answer = parse_answer(reply)
-        return IlluminanceReading(
-            answer.illuminance_lx, answer.low_battery, reply.decode("ascii").strip()
-        )
+        return parse_answer(self._answer(READ_EVXY))
 
     def _answer(self, command: bytes) -> bytes:
         self._port.drain()
@@ -202,4 +183,4 @@ def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a:
     options = uri.read(parity=one_of("E", "N"))
     if not uri.place:
         raise DeviceError(f"{uri.text}: no port; expected a URI like cl200a:/dev/ttyUSB0")
-    return Cl200a(uri.place, partial(clock.sleep), **options)
+    return Cl200a(uri.place, clock.sleep, **options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -57,11 +57,8 @@ def read_logger_file(
         left_out = table.broken
         if table.missing_records:
             left_out += (f"{table.missing_records} record numbers are missing",)
-        found = LoggerFile(
-            table.samples,
-            left_out,
-            f"TOA5 of {table.station}, {table.model} {table.serial}".strip(),
-        )
+        about = f"TOA5 of {table.station}, {table.model} {table.serial}".strip()
+        found = LoggerFile(table.samples, left_out, about)
     elif text.startswith(",".join(DAY_COLUMNS)):
         samples, broken = read_day(path)
         found = LoggerFile(
@@ -77,9 +74,7 @@ def read_logger_file(
             "rows of irradiance",
             "open the file and compare a row with docs/capture.md",
         )
-    return LoggerFile(
-        tuple(sorted(found.samples, key=lambda s: s.t_utc)), found.left_out, found.about
-    )
+    return replace(found, samples=tuple(sorted(found.samples, key=lambda s: s.t_utc)))
 
 
 def _no_zone(path: Path) -> InputError:

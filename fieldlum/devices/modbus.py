@@ -8,20 +8,19 @@ parity, stop, timeout. Only functions 3 and 4 are sent: no register is ever writ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.registers import (
     Decoded,
-    Line,
     RegisterBlock,
     RegisterProfile,
     decode,
     load_register_profile,
 )
-from fieldlum.devices.serial_port import SerialPort, device_errors
+from fieldlum.devices.serial_port import SerialLine, SerialPort, device_errors
 from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
@@ -45,21 +44,14 @@ class ModbusPyranometer:
         self,
         place: str,
         profile: RegisterProfile,
-        line: Line,
+        line: SerialLine,
         units: Sequence[Unit],
         clock: Clock,
         *,
         timeout_s: float,
     ) -> None:
         self._profile, self._units, self._clock = profile, tuple(units), clock
-        self._port = SerialPort(
-            place,
-            baud=line.baud,
-            bits=line.bits,
-            parity=line.parity,
-            stop=line.stop,
-            timeout_s=timeout_s,
-        )
+        self._port = SerialPort(place, line, timeout_s=timeout_s)
         try:
             self._about = [
                 self._ask(unit, profile.at_open + profile.poll)[0] for unit in self._units
@@ -77,20 +69,13 @@ class ModbusPyranometer:
             return " + ".join(text for text in parts if text)
 
         model = texts("model") or f"{self._profile.maker} {self._profile.models[0]}"
+        dates = [date for d in self._about if (date := d.texts.get("calibration_date"))]
         return InstrumentInfo(
             self._profile.kind,
             model,
             texts("serial"),
             texts("firmware"),
-            # The oldest date of several instruments counts.
-            min(
-                (
-                    d.texts["calibration_date"]
-                    for d in self._about
-                    if d.texts.get("calibration_date")
-                ),
-                default="",
-            ),
+            min(dates, default=""),  # the oldest of several instruments
             texts("sensitivity"),
             " ".join(d.status for d in self._about if d.status),
             self._port.name,
@@ -141,12 +126,8 @@ class ModbusPyranometer:
                     raise DeviceError(
                         f"{self._port.name}: {self._profile.kind} unit {unit.address}: {error}"
                     ) from None
-            registers.update(zip(range(block.start, block.start + block.count), words, strict=True))
-        raw = " ".join(
-            f"{registers[r]:04x}"
-            for b in self._profile.poll
-            for r in range(b.start, b.start + b.count)
-        )
+            registers.update(zip(block.numbers, words, strict=True))
+        raw = " ".join(f"{registers[r]:04x}" for b in self._profile.poll for r in b.numbers)
         return decode(self._profile, registers), raw
 
     def close(self) -> None:
@@ -194,13 +175,12 @@ def open_pyranometer(
     ]
     if len({u.address for u in units}) != len(units):
         raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
-    settings = Line(
-        options.get("baud", line.baud),
-        line.bits,
-        options.get("parity", line.parity),
-        options.get("stop", line.stop),
-        unit,
-    )
+    stated = {name: options[name] for name in ("baud", "parity", "stop") if name in options}
     return ModbusPyranometer(
-        uri.place, profile, settings, units, clock, timeout_s=options.get("timeout", 0.5)
+        uri.place,
+        profile,
+        replace(line, **stated),
+        units,
+        clock,
+        timeout_s=options.get("timeout", 0.5),
     )

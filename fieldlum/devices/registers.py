@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from fieldlum.devices.serial_port import SerialLine
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.profiles import shipped
 from fieldlum.strict_toml import build, read_toml
@@ -23,13 +24,11 @@ Registers = Mapping[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class Line(SerialLine):
     """Factory settings of the serial line; unit 0 means that the user must state it."""
 
     baud: int = 19200
-    bits: int = 8
     parity: Literal["N", "E", "O"] = "E"
-    stop: int = 1
     unit: int = 1
 
 
@@ -39,6 +38,11 @@ class RegisterBlock:
 
     start: int
     count: int
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of its registers."""
+        return range(self.start, self.start + self.count)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +123,10 @@ def load_register_profile(kind: str) -> RegisterProfile:
             limit = f"1 to {profile.largest_request} registers in a request"
             found = f"a block of {block.count} registers at {block.start}"
             raise InputError(path, found, limit, "split the [[poll]] block into two")
-    polled = {r for b in profile.poll for r in range(b.start, b.start + b.count)}
-    read = polled | {r for b in profile.at_open for r in range(b.start, b.start + b.count)}
+    polled = {r for block in profile.poll for r in block.numbers}
+    read = polled | {r for block in profile.at_open for r in block.numbers}
     for entry in profile.entry:
-        if not set(_span(entry)) <= (polled if entry.name == "irradiance_wm2" else read):
+        if not _needed_registers(entry) <= (polled if entry.name == "irradiance_wm2" else read):
             raise InputError(
                 path,
                 f"entry '{entry.name}' is outside the blocks",
@@ -139,11 +143,14 @@ def load_register_profile(kind: str) -> RegisterProfile:
     return profile
 
 
-def _span(entry: Entry) -> list[int]:
-    """Return the numbers of all registers that an entry needs."""
+def _own_registers(entry: Entry) -> range:
     count = entry.words if entry.type == "text" else WORDS[entry.type]
-    own = list(range(entry.register, entry.register + count))
-    return own if entry.power10_register is None else [*own, entry.power10_register]
+    return range(entry.register, entry.register + count)
+
+
+def _needed_registers(entry: Entry) -> set[int]:
+    scale = set() if entry.power10_register is None else {entry.power10_register}
+    return scale.union(_own_registers(entry))
 
 
 def raw_value(kind: str, words: Iterable[int]) -> float:
@@ -179,16 +186,13 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
     texts: dict[str, str] = {}
     complaints = []
     for entry in profile.entry:
-        if any(r not in registers for r in _span(entry)):
+        if not _needed_registers(entry) <= registers.keys():
             continue
+        words = [registers[r] for r in _own_registers(entry)]
         if entry.type == "text":
-            texts[entry.name] = _text(
-                registers[r] for r in range(entry.register, entry.register + entry.words)
-            )
+            texts[entry.name] = _text(words)
             continue
-        number = raw_value(
-            entry.type, [registers[entry.register + i] for i in range(WORDS[entry.type])]
-        )
+        number = raw_value(entry.type, words)
         if entry.type == "date":
             texts[entry.name] = date_text(number)
             continue

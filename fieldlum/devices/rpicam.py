@@ -58,11 +58,9 @@ class FrameMetadata:
 
     def exposure(self, asked: Exposure) -> Exposure:
         """Return the exposure that was taken; aperture and filter are those requested."""
-        iso = asked.iso if self._gain_is(asked) else ISO_OF_GAIN_1 * self.analogue_gain
-        return Exposure(self.shutter_s, asked.f_number, iso, asked.nd)
-
-    def _gain_is(self, asked: Exposure) -> bool:
-        return abs(self.analogue_gain * ISO_OF_GAIN_1 / asked.iso - 1.0) <= GAIN_TOLERANCE
+        iso = ISO_OF_GAIN_1 * self.analogue_gain
+        is_as_asked = abs(iso / asked.iso - 1.0) <= GAIN_TOLERANCE
+        return Exposure(self.shutter_s, asked.f_number, asked.iso if is_as_asked else iso, asked.nd)
 
 
 def parse_metadata(text: str) -> FrameMetadata:

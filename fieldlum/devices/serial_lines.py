@@ -47,17 +47,9 @@ class LineInstrument:
         line = profile.line
         self._profile, self._clock = profile, clock
         self._silence_s = line.silence_s if silence_s is None else silence_s
-        self._port = SerialPort(
-            place,
-            baud=line.baud,
-            bits=line.bits,
-            parity=line.parity,
-            stop=line.stop,
-            timeout_s=_POLL_S,
-        )
-        self._rest: bytes | None = (
-            None  # None: the first line may have begun before the port was opened
-        )
+        self._port = SerialPort(place, line, timeout_s=_POLL_S)
+        # None: the first line may have begun before the port was opened.
+        self._rest: bytes | None = None
         self._form = LineForm()
         self._refused: list[str] = []
         self._last_read_s = clock.boottime()

@@ -8,7 +8,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from fieldlum.errors import DeviceError
 
@@ -77,19 +78,20 @@ def resolve(place: str) -> str:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class SerialLine:
+    """Settings of a serial line."""
+
+    baud: int = 9600
+    bits: int = 8
+    parity: Literal["N", "E", "O"] = "N"
+    stop: int = 1
+
+
 class SerialPort:
     """One exclusive port with fixed settings."""
 
-    def __init__(
-        self,
-        place: str,
-        *,
-        baud: int,
-        bits: int = 8,
-        parity: str = "N",
-        stop: float = 1,
-        timeout_s: float,
-    ) -> None:
+    def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
         import serial
 
         self.name, self.timeout_s = resolve(place), timeout_s
@@ -97,10 +99,10 @@ class SerialPort:
             with device_errors(self.name):
                 self._port: Any = serial.Serial(
                     self.name,
-                    baud,
-                    bytesize=bits,
-                    parity=parity,
-                    stopbits=stop,
+                    line.baud,
+                    bytesize=line.bits,
+                    parity=line.parity,
+                    stopbits=line.stop,
                     timeout=timeout_s,
                     write_timeout=timeout_s,
                     exclusive=True,

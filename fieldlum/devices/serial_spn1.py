@@ -8,7 +8,7 @@ from contextlib import suppress
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.ask_twice import agreed_answer
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.serial_port import SerialPort
+from fieldlum.devices.serial_port import SerialLine, SerialPort
 from fieldlum.devices.spn1 import (
     AGREE_WM2,
     AWAKE,
@@ -44,7 +44,7 @@ class Spn1:
         close_too: Callable[[], None] | None = None,
     ) -> None:
         self._clock, self._close_too = clock, close_too
-        self._port = SerialPort(place, baud=baud, timeout_s=timeout_s)
+        self._port = SerialPort(place, SerialLine(baud), timeout_s=timeout_s)
         try:
             self._status = self._ask_status()
         except DeviceError:

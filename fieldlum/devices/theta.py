@@ -160,15 +160,14 @@ class ThetaCamera:
 
         Raises DeviceError if a value is more than 1/6 EV from every step.
         """
-        out = {
-            "shutterSpeed": nearest(
-                exposure.shutter_s, self._offers["shutter"], "theta shutter", "s"
-            ),
-            "iso": nearest(exposure.iso, self._offers["iso"], "theta ISO"),
+        offers = self._offers
+        chosen = {
+            "shutterSpeed": nearest(exposure.shutter_s, offers["shutter"], "theta shutter", "s"),
+            "iso": nearest(exposure.iso, offers["iso"], "theta ISO"),
         }
-        if self._offers["aperture"]:
-            out["aperture"] = nearest(exposure.f_number, self._offers["aperture"], "theta aperture")
-        return out
+        if offers["aperture"]:
+            chosen["aperture"] = nearest(exposure.f_number, offers["aperture"], "theta aperture")
+        return chosen
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError for a value that is over 1/6 EV from every step of the camera."""

@@ -246,9 +246,7 @@ def _sample(
     if not _TIME.fullmatch(stamp):
         raise ValueError(f"{stamp[:30]!r} is not a time")
     t_utc = datetime.fromisoformat(stamp).replace(tzinfo=UTC) - utc_offset
-    values: dict[str, float | None] = {}
-    for quantity, i in chosen.items():
-        values[quantity] = number_of(row[i], quantity)
+    values = {quantity: number_of(row[i], quantity) for quantity, i in chosen.items()}
     raw = ",".join(row[i] for i in sorted(chosen.values()))
     return sample_of(t_utc, values, raw)
 

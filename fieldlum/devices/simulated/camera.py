@@ -71,7 +71,7 @@ class SimulatedCamera:
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
-        true_s = self._true_s(dial_s)
+        true_s, _ = true_shutter_s(dial_s, self._profile)
         # Each frame has its own seed, independent of earlier frames, so that a resumed capture
         # gives the same frames as an undisturbed one.
         name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
@@ -94,7 +94,7 @@ class SimulatedCamera:
         if exposure.f_number not in apertures:
             raise DeviceError(
                 f"simulated camera: no f/{exposure.f_number:g}; expected "
-                f"{_list(apertures, 'f/')}; correct the plan"
+                f"{', '.join(f'f/{n:g}' for n in apertures)}; correct the plan"
             )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
             known = ", ".join(nd.name for nd in profile.nd) or "none"
@@ -102,9 +102,6 @@ class SimulatedCamera:
         if not 50 <= exposure.iso <= 6400:
             raise DeviceError(f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400")
         return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
-
-    def _true_s(self, dial_s: float) -> float:
-        return true_shutter_s(dial_s, self._profile)[0]
 
     def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
         """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
@@ -131,18 +128,14 @@ class SimulatedCamera:
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
             geometry = lens.geometry
-            distance = (
-                np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) / lens.radius_px
-            )
-            relative = (
-                optics.angle_of_radius(geometry, np.minimum(distance, 1.0))
-                / geometry.half_angle_rad
-            )
+            (x, y), radius = lens.centre_px, lens.radius_px
+            distance = np.hypot(columns - x, rows - y) / radius
+            angle = optics.angle_of_radius(geometry, np.minimum(distance, 1.0))
+            relative = angle / geometry.half_angle_rad
             curve, _ = vignetting_of(lens, f_number)
-            out = np.where(distance <= 1.0, vignetting_at(curve, relative), out)
-        return (
-            out.astype(np.float32)[..., None] if self._jpeg is not None else out.astype(np.float32)
-        )
+            inside = distance <= 1.0
+            out[inside] = vignetting_at(curve, relative)[inside]
+        return out if self._jpeg is None else out[..., None]
 
     def _write(
         self,
@@ -176,7 +169,3 @@ class SimulatedCamera:
             model=body.model,
         )
         return path
-
-
-def _list(values: list[float], unit: str) -> str:
-    return ", ".join(f"{unit}{v:g}" for v in values)
