@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.trace import EPSILON_M, blocked, may_block
 
 Array = NDArray[np.float64]
+_GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
+# Sums of weights below about one leave 1e-16 when all points are subtracted; a lit point has more.
+_ROUNDING = 1e-12
 _TILE = 64  # points in a tile, which is skipped by its bounding box; decides speed only; chosen
 
 
@@ -40,27 +44,41 @@ class SunPoints:
         total = np.zeros(self.targets)
         if toward[2] <= 0.0:
             return total.astype(np.float32)
-        lit, share = self._lit(toward)
-        if len(lit):
-            cosine = self.sign[lit] * toward.astype(np.float32)[self.axis[lit]]
-            total = np.bincount(self.target[lit], self.weight[lit] * cosine * share, self.targets)
+        cosines = np.concatenate((toward, -toward))  # by face, as in `_face`
+        for o in self.scene.openings:
+            if toward[o.axis] * o.outward > _GRAZING:
+                glass = float(glass_optics(o.transmittance, toward[o.axis])[0])
+                total += glass * self._sum(self._through(o, toward), cosines)
+        # Most points outside are lit: from the sum over all, those in shade are subtracted.
+        total += np.where(cosines > _GRAZING, cosines, 0.0) @ self._sums_outside
+        total -= self._sum(self._dark_outside(toward), cosines)
+        total[total < _ROUNDING] = 0.0
         return total.astype(np.float32)
 
-    def _lit(self, toward: Array) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-        """Return the indices of sunlit points, and the glass towards the sun, [k] each."""
-        parts: list[tuple[NDArray[np.intp], float]] = []
-        for o in self.scene.openings:
-            if toward[o.axis] * o.outward > 1e-6:
-                through = float(glass_optics(o.transmittance, toward[o.axis])[0])
-                parts.append((self._through(o, toward), through))
-        parts.append((self._outside(toward), 1.0))
-        lit = np.concatenate([part for part, _ in parts])
-        return lit, np.repeat(
-            np.array([t for _, t in parts], np.float32), [len(part) for part, _ in parts]
-        )
+    def _sum(self, rows: NDArray[np.intp], cosines: Array) -> Array:
+        """Return the sums of weight x cosine over some of the points, [targets]."""
+        terms = self._weight[rows] * cosines[self._face[rows]]
+        return np.bincount(self.target[rows], terms, self.targets).astype(float)
+
+    @cached_property
+    def _weight(self) -> Array:
+        return self.weight.astype(float)
+
+    @cached_property
+    def _face(self) -> NDArray[np.int8]:
+        """Direction that a point faces, [m]: 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z."""
+        return np.where(self.sign > 0, self.axis, self.axis + 3).astype(np.int8)
+
+    @cached_property
+    def _sums_outside(self) -> Array:
+        """Sums of the weights of points outside, by face and target, [6, targets]."""
+        rows = self._outside_rows
+        flat = self._face[rows].astype(np.intp) * self.targets + self.target[rows]
+        sums = np.bincount(flat, self._weight[rows], 6 * self.targets).astype(float)
+        return sums.reshape(6, self.targets)
 
     def _facing(self, rows: NDArray[np.intp], toward: Array) -> NDArray[np.intp]:
-        return rows[self.sign[rows] * toward[self.axis[rows]] > 1e-6]
+        return rows[self.sign[rows] * toward[self.axis[rows]] > _GRAZING]
 
     def _through(self, o: Opening, toward: Array) -> NDArray[np.intp]:
         """Return the inside points that see the sun through this opening.
@@ -101,31 +119,55 @@ class SunPoints:
             )
         return _rows_of(keep, len(self.position))
 
-    def _outside(self, toward: Array) -> NDArray[np.intp]:
-        """Return the points beyond the panes that the sun reaches past all boxes outside."""
-        rows = self._facing(np.flatnonzero(~self.inside), toward)
+    @cached_property
+    def _outside_rows(self) -> NDArray[np.intp]:
+        return np.flatnonzero(~self.inside)
+
+    @cached_property
+    def _in_shell(self) -> NDArray[np.bool_]:
+        """Mask of the points within the building's shell, [m]."""
+        low, high = np.array(self.scene.shell)
+        return ((self.position > low) & (self.position < high)).all(axis=1)
+
+    @cached_property
+    def _boxes_outside(self) -> tuple[Array, Array]:
+        """Low and high corners of the shell and of the boxes that are not within it, [b, 3]."""
+        (low, high), which = self.scene.shell, self.scene.of_kind("obstruction")
+        lows, highs = self.scene.low[which], self.scene.high[which]
+        beyond = ((lows < low) | (highs > high)).any(axis=1)
+        return np.vstack((low, lows[beyond])), np.vstack((high, highs[beyond]))
+
+    def _dark_outside(self, toward: Array) -> NDArray[np.intp]:
+        """Return the points beyond the panes that face the sun, but that a box hides from it."""
+        rows = self._facing(self._outside_rows, toward)
         if not len(rows):
             return rows
-        p = self.position[rows]
-        low, high = np.array(self.scene.shell)
         # Points of outer reveals and frames are inside the shell: the walls themselves shade them.
-        own = ((p > low) & (p < high)).all(axis=1)
-        dark = self._shaded(rows, toward, "obstruction")
-        dark[~own] |= blocked(low[None], high[None], p[~own], toward)
-        dark[own] |= self._shaded(rows[own], toward, "wall", "ceiling", "floor", "frame")
-        return rows[~dark]
+        own = self._in_shell[rows]
+        dark = np.zeros(len(rows), bool)
+        dark[~own] = self._hidden(rows[~own], *self._boxes_outside, toward)
+        kinds = ("obstruction", "wall", "ceiling", "floor", "frame")
+        dark[own] = self._shaded(rows[own], toward, *kinds)
+        return rows[dark]
 
     def _shaded(self, rows: NDArray[np.intp], toward: Array, *kinds: str) -> NDArray[np.bool_]:
-        """Return which points are hidden from the sun by a box of these kinds.
+        """Return which points are hidden from the sun by a box of these kinds."""
+        which = self.scene.of_kind(*kinds)
+        return self._hidden(rows, self.scene.low[which], self.scene.high[which], toward)
+
+    def _hidden(
+        self, rows: NDArray[np.intp], low: Array, high: Array, toward: Array
+    ) -> NDArray[np.bool_]:
+        """Return which points, in ascending order, are hidden from the sun by boxes [b, 3].
 
         Tiles that no box can hide are skipped.
         """
         out = np.zeros(len(rows), bool)
-        which = self.scene.of_kind(*kinds)
-        if not which or not len(rows):
+        if not len(low) or not len(rows):
             return out
-        low, high = self.scene.low[which], self.scene.high[which]
-        tiles, tile = np.unique(rows // _TILE, return_inverse=True)
+        tile = rows // _TILE
+        first = np.diff(tile, prepend=-1) > 0
+        tiles, tile = tile[first], np.cumsum(first) - 1
         possible = may_block(low, high, self.tile_low[tiles], self.tile_high[tiles], toward)
         for k in np.flatnonzero(possible.any(axis=0)):
             near = np.flatnonzero(possible[tile, k] & ~out)

@@ -132,7 +132,10 @@ def may_block(
     """
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
     near, far = np.where(d > 0, low, high) / d, np.where(d > 0, high, low) / d
-    ends = np.stack((tile_low / d, tile_high / d))
-    least, most = ends.min(axis=0)[:, None, :], ends.max(axis=0)[:, None, :]
-    enter, leave = (near - most).max(axis=2), (far - least).min(axis=2)
+    first, last = tile_low / d, tile_high / d
+    least, most = np.minimum(first, last), np.maximum(first, last)  # [t, 3]
+    enters = [near[:, k] - most[:, k, None] for k in range(3)]  # [t, b] each
+    leaves = [far[:, k] - least[:, k, None] for k in range(3)]
+    enter = np.maximum(np.maximum(enters[0], enters[1]), enters[2])
+    leave = np.minimum(np.minimum(leaves[0], leaves[1]), leaves[2])
     return (enter < leave) & (leave > 0)

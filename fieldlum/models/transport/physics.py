@@ -116,21 +116,21 @@ class Physics:
 
 def _at_pixels(maps: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Interpolate panoramas [n, 2 h^2] at the pixels `seen` [H, W] of a larger one, [n, P]."""
-    height = round(np.sqrt(maps.shape[1] / 2))
-    scale = height / seen.shape[0]
-    row, column = ((k + 0.5) * scale - 0.5 for k in np.nonzero(seen))  # [P]
-    row = np.clip(row, 0.0, height - 1.0)
-    top = np.minimum(np.floor(row).astype(int), height - 2)
-    left = np.floor(column).astype(int)
-    down, right = (row - top).astype(np.float32), (column - left).astype(np.float32)
-    corners = (
-        (top, left, (1 - down) * (1 - right)),
-        (top, left + 1, (1 - down) * right),
-        (top + 1, left, down * (1 - right)),
-        (top + 1, left + 1, down * right),
-    )
-    wide = 2 * height
-    return sum(maps[:, i * wide + j % wide] * share for i, j, share in corners)  # pyright: ignore
+    height, (rows, columns) = round(np.sqrt(maps.shape[1] / 2)), seen.shape
+    wide, scale = 2 * height, height / rows
+    row = np.clip((np.arange(rows) + 0.5) * scale - 0.5, 0.0, height - 1.0)
+    column = (np.arange(columns) + 0.5) * scale - 0.5
+    top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
+    down, right = (row - top).astype(np.float32)[:, None], (column - left).astype(np.float32)
+    index = np.flatnonzero(seen)
+    out = np.empty((len(maps), len(index)), np.float32)
+    for k, coarse in enumerate(maps.reshape(-1, height, wide)):  # arrays that stay in the cache
+        across = coarse[:, left % wide] * (1 - right) + coarse[:, (left + 1) % wide] * right
+        full = np.diff(across, axis=0)[top]  # [H, W]
+        full *= down
+        full += across[top]
+        np.take(full.ravel(), index, out=out[k])
+    return out
 
 
 def physics_of(setup: SiteFile, light: Light, heading_deg: float) -> Physics | None:
