@@ -6,13 +6,12 @@ stdout has the answer; stderr has notes and progress.
 from __future__ import annotations
 
 import errno
-import importlib
 import os
 import sys
-from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import LazyGroup
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.version import __version__
 
@@ -51,8 +50,8 @@ DISK_TROUBLE = {
     errno.EACCES: "change its permissions, or choose another place",
     errno.EPERM: "change its permissions, or choose another place",
     errno.EROFS: "the disk is read-only: choose another place",
-    errno.ENOSPC: ("free disk space, then start the command again: finished work is not repeated"),
-    errno.EDQUOT: ("free disk space, then start the command again: finished work is not repeated"),
+    errno.ENOSPC: "free disk space, then start the command again: finished work is not repeated",
+    errno.EDQUOT: "free disk space, then start the command again: finished work is not repeated",
     errno.EIO: "the disk or card does not answer: copy the readable files to another one",
     errno.ENOTDIR: "name a folder, not a file",
     errno.EISDIR: "name a file, not a folder",
@@ -61,22 +60,8 @@ DISK_TROUBLE = {
 }
 
 
-class _CommandGroup(click.Group):
-    """The group of all commands.
-
-    It loads a command's module only when the command runs, and prints the tool's own errors as one
-    line.
-    """
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the command names in the order of the work."""
-        return [name for name in COMMANDS if (Path(__file__).parent / f"{name}_.py").is_file()]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command, or None for an unknown name."""
-        if cmd_name not in self.list_commands(ctx):
-            return None
-        return importlib.import_module(f"fieldlum.cli.{cmd_name}_").command
+class _CommandGroup(LazyGroup):
+    """The group of all commands, which prints the tool's own errors as one line."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -144,6 +129,8 @@ def _hold_standard_files() -> None:
 
 @click.group(
     cls=_CommandGroup,
+    names=COMMANDS,
+    module="{}_",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
 @click.version_option(__version__, package_name="fieldlum")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-
 import click
+
+from fieldlum.cli.options import LazyGroup
 
 # In the order in which a profile is fitted. Each name is a module calibrate_NAME with a click
 # command `command`.
@@ -21,21 +21,7 @@ PARTS = (
 )
 
 
-class _PartGroup(click.Group):
-    """The group of `calibrate` commands; it loads the module of a part only when it is used."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the parts in the order of fitting."""
-        return list(PARTS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a part's command, or None for an unknown name."""
-        if cmd_name not in PARTS:
-            return None
-        return importlib.import_module(f"fieldlum.cli.calibrate_{cmd_name}").command
-
-
-@click.group("calibrate", cls=_PartGroup)
+@click.group("calibrate", cls=LazyGroup, names=PARTS, module="calibrate_{}")
 def command() -> None:
     """Fit a camera's profile from ordinary captures.
 

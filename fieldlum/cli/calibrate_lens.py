@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
+from fieldlum.cli.calibrate_shared import (
+    Refit,
+    calibration_options,
+    lens_index,
+    lens_option,
+    say_time,
+    with_lens,
+)
 from fieldlum.cli.options import EXISTING_PATH
 from fieldlum.records import JsonTable
 
@@ -21,13 +28,7 @@ if TYPE_CHECKING:
 @click.argument(
     "sources", metavar="TARGETS.csv|FRAME...", nargs=-1, required=True, type=EXISTING_PATH
 )
-@click.option(
-    "--lens",
-    "lens_number",
-    type=click.IntRange(min=1),
-    default=1,
-    help="Number of the lens in the profile.",
-)
+@lens_option
 @click.option(
     "--full-angle",
     "full_angle_deg",
@@ -73,22 +74,16 @@ def command(
         raise click.UsageError(
             "--circle, --chessboard and --against exclude each other: use one of them"
         )
-    if lens_number > len(profile.lens):
-        raise click.UsageError(
-            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
-            "counted from 1"
-        )
-    start = profile.lens[lens_number - 1]
+    index = lens_index(profile, lens_number)
+    start = profile.lens[index]
     if full_angle_deg is not None:
         start = replace(start, full_angle_deg=full_angle_deg)
     if circle or against is not None:
         new, line, figures = _edge(sources, start, against, refit)
     else:
         new, line, figures = _mapping(sources, start, chessboard, profile, refit)
-    lenses = list(profile.lens)
-    lenses[lens_number - 1] = new
     frames = [*sources, *([against] if against else [])]
-    refit.write(profile, frames, [line], figures, lens=tuple(lenses))
+    refit.write(profile, frames, [line], figures, lens=with_lens(profile, index, new))
 
 
 def _edge(

@@ -19,7 +19,7 @@ from fieldlum.records import JsonTable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fieldlum.profiles import CameraProfile
+    from fieldlum.profiles import CameraProfile, Lens
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +82,30 @@ def calibration_options(function: Callable[..., None]) -> Callable[..., None]:
     ):
         gathered = option(gathered)
     return gathered
+
+
+lens_option = click.option(
+    "--lens",
+    "lens_number",
+    type=click.IntRange(min=1),
+    default=1,
+    help="Number of the lens in the profile.",
+)
+
+
+def lens_index(profile: CameraProfile, lens_number: int) -> int:
+    """Return the index of the lens of --lens. Raises click.UsageError if there is no such lens."""
+    if lens_number > len(profile.lens):
+        raise click.UsageError(
+            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
+            "counted from 1"
+        )
+    return lens_number - 1
+
+
+def with_lens(profile: CameraProfile, index: int, lens: Lens) -> tuple[Lens, ...]:
+    """Return the lenses of a profile with one of them replaced."""
+    return (*profile.lens[:index], lens, *profile.lens[index + 1 :])
 
 
 def say_time(frames: Iterable[Path], profile: CameraProfile, *, boards: bool = False) -> None:

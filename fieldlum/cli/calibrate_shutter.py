@@ -32,7 +32,8 @@ def command(sessions: tuple[Path, ...], refit: Refit) -> None:
 
     profile, digest = refit.profile(), sha256(find_camera_profile(refit.camera))
     read = [shutter.from_session(open_session(path), digest) for path in sessions]
-    profile = shutter.with_law_of(profile, [file for _, sidecars in read for file in sidecars])
+    files = [file for _, sidecars in read for file in sidecars]
+    profile = shutter.with_law_of(profile, files)
     found = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
     refit.draw(lambda: pictures.of_shutter(found))
     for why in found.left_out:
@@ -54,11 +55,5 @@ def command(sessions: tuple[Path, ...], refit: Refit) -> None:
             f"profile, u {u:.2f} %, {row['brackets']} brackets"
         )
     figures: dict[str, Any] = {"times": rows} if refit.as_json else {"times": len(rows)}
-    files = [file for _, sidecars in read for file in sidecars]
-    refit.write(
-        profile,
-        files,
-        [found.line],
-        figures,
-        shutter=shutter.with_times(profile, found),
-    )
+    times = shutter.with_times(profile, found)
+    refit.write(profile, files, [found.line], figures, shutter=times)

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
+from fieldlum.cli.calibrate_shared import (
+    Refit,
+    calibration_options,
+    lens_index,
+    lens_option,
+    say_time,
+    with_lens,
+)
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -14,13 +21,7 @@ from fieldlum.cli.options import EXISTING_PATH
 @click.argument(
     "sources", metavar="READINGS.csv|FRAME...", nargs=-1, required=True, type=EXISTING_PATH
 )
-@click.option(
-    "--lens",
-    "lens_number",
-    type=click.IntRange(min=1),
-    default=1,
-    help="Number of the lens that the FRAMEs show, if the camera has several.",
-)
+@lens_option
 @calibration_options
 def command(
     sources: tuple[Path, ...],
@@ -39,27 +40,19 @@ def command(
     from fieldlum.calibrate import pictures, vignette
 
     profile = refit.profile()
-    if lens_number > len(profile.lens):
-        raise click.UsageError(
-            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
-            "counted from 1"
-        )
-    table = len(sources) == 1 and sources[0].suffix.lower() == ".csv"
-    if not table:
+    index = lens_index(profile, lens_number)
+    if len(sources) == 1 and sources[0].suffix.lower() == ".csv":
+        samples = vignette.from_table(sources[0], profile)
+    else:
         say_time(sources, profile)
-    samples = (
-        vignette.from_table(sources[0], profile)
-        if table
-        else vignette.from_uniform(sources, profile, lens_number - 1)
-    )
-    found = vignette.fit(samples)
-    half_deg = profile.lens[samples.lens].full_angle_deg / 2
-    refit.draw(lambda: pictures.of_vignette(samples, found, half_deg))
-    lenses = list(profile.lens)
-    lenses[samples.lens] = vignette.with_curve(lenses[samples.lens], samples.f_number, found)
+        samples = vignette.from_uniform(sources, profile, index)
+    found, lens = vignette.fit(samples), profile.lens[samples.lens]
+    refit.draw(lambda: pictures.of_vignette(samples, found, lens.full_angle_deg / 2))
+    new = vignette.with_curve(lens, samples.f_number, found)
     figures = {
         "f_number": samples.f_number,
         "coefficients": list(found.coefficients),
         "u_rel": found.u_rel,
     }
-    refit.write(profile, samples.frames, [found.choice.line], figures, lens=tuple(lenses))
+    lenses = with_lens(profile, samples.lens, new)
+    refit.write(profile, samples.frames, [found.choice.line], figures, lens=lenses)

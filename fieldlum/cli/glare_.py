@@ -137,16 +137,12 @@ def command(
 
 def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
     """Return one row for each view, with the names of `CSV_COLUMNS`."""
-    of_picture: dict[str, object] = {
-        key: answer.get(key) for key in ("file", "t_utc", "covered_share")
-    }
-    of_picture["calibration_factor"] = answer.get("calibration_factor")
-    of_picture["warnings"] = "; ".join(answer["warnings"])
+    of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
     rows = []
     for view in answer["views"]:
-        reference = view.get("reference") or {}
-        extra = {f"reference_{key}": reference.get(key) for key in ("dgp", "ev_lx")}
-        rows.append({key: {**view, **of_picture, **extra}.get(key) for key in CSV_COLUMNS})
+        reference = {f"reference_{key}": v for key, v in (view.get("reference") or {}).items()}
+        cells = {**view, **of_picture, **reference}
+        rows.append({key: cells.get(key) for key in CSV_COLUMNS})
     return rows
 
 

@@ -12,6 +12,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import PATH, session_argument
 
 if TYPE_CHECKING:
+    from fieldlum.capture.import_card import Report
     from fieldlum.capture.match_card import Offset
 
 _SHOWN = 20  # lines of each kind; fits a terminal; chosen
@@ -105,24 +106,20 @@ def command(
         )
     for line in _summary(report):
         terminal.say(line)
-    click.echo(
+    parts = [
         f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} "
-        f"rows of irradiance"
-        + (
-            f"; {report.withdrawn} rows of an earlier import of this file were removed"
-            if report.withdrawn
-            else ""
-        )
-        + (f"; {report.known} brackets were already imported" if report.known else "")
-    )
+        "rows of irradiance"
+    ]
+    if report.withdrawn:
+        parts.append(f"{report.withdrawn} rows of an earlier import of this file were removed")
+    if report.known:
+        parts.append(f"{report.known} brackets were already imported")
+    click.echo("; ".join(parts))
 
 
-def _summary(report: object) -> list[str]:
+def _summary(report: Report) -> list[str]:
     from statistics import median
 
-    from fieldlum.capture.import_card import Report
-
-    assert isinstance(report, Report)
     # one line for campaigns with the same clock
     clocks = [f"camera clock: UTC {_clock(offset)}, {offset.how}" for offset in report.offsets]
     lines = list(dict.fromkeys(clocks))

@@ -112,10 +112,8 @@ class _StatusFile:
         if self._path is None or (key == self._key and fresh):
             return
         self._key, self._at = key, live.t_utc
-        with (
-            suppress(OSError),
-            replacing(self._path, "w", encoding="utf-8") as file,
-        ):  # the disk is full, or a network share is away
+        # Errors: the disk is full, or a network share is away.
+        with suppress(OSError), replacing(self._path, "w", encoding="utf-8") as file:
             json.dump(as_json(live), file)
 
 

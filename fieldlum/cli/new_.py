@@ -177,9 +177,7 @@ def _ask(question: str, reader: Callable[[str], T], default: str | None = None) 
     def checked(text: str) -> T:
         try:
             return reader(text.strip())
-        except InputError as error:
-            raise click.UsageError(str(error)) from None
-        except (ValueError, IndexError) as error:
+        except (InputError, ValueError) as error:
             raise click.UsageError(str(error)) from None
 
     return click.prompt(question, default=default, value_proc=checked)

@@ -79,26 +79,19 @@ def command(
     """
     if next_ and replan:
         raise click.UsageError("--next and --replan exclude each other: use one of them")
-    if next_ or replan:
-        if set_ or out:
-            raise click.UsageError("--next and --replan work on a session: omit --set and --out")
-        answer, sentences = (
-            _coming(target, weather_file) if next_ else _replanned(target, ics, html, weather_file)
-        )
+    if (next_ or replan) and (set_ or out):
+        raise click.UsageError("--next and --replan work on a session: omit --set and --out")
+    if next_:
+        answer, sentences = _coming(target, weather_file)
+    elif replan:
+        answer, sentences = _replanned(target, ics, html, weather_file)
     elif set_ is None or out is None:
         raise click.UsageError(
             "name --set and --out, for example: fieldlum plan SITE.toml --set 9-day --out "
             "my-session"
         )
-    elif set_ == "best" and weather_file is None:
-        raise click.UsageError(
-            "the best hours depend on the climate: name a weather year with --weather FILE"
-        )
-    elif start and not 1950 <= start.year <= 2100:
-        raise click.UsageError(f"--start {start:%Y-%m-%d}: expected a year from 1950 to 2100")
-    elif message := _meaningless(set_, start, year, days, count):
-        raise click.UsageError(message)
     else:
+        _check(set_, start, year, days, count, weather_file)
         asked = (set_, start.date() if start else None, year, days, count)
         answer, sentences = _planned(target, asked, weather_file, out, ics, html)
     if as_json:
@@ -107,17 +100,29 @@ def command(
         click.echo("\n".join(sentences))
 
 
-def _meaningless(
-    set_: str, start: datetime | None, year: int | None, days: int | None, count: int | None
-) -> str:
-    """Return why an option would have no effect; "" if all have one."""
+def _check(
+    set_: str,
+    start: datetime | None,
+    year: int | None,
+    days: int | None,
+    count: int | None,
+    weather_file: Path | None,
+) -> None:
+    """Raise click.UsageError for an option that is missing, impossible or without effect."""
+    if set_ == "best" and weather_file is None:
+        raise click.UsageError(
+            "the best hours depend on the climate: name a weather year with --weather FILE"
+        )
+    if start and not 1950 <= start.year <= 2100:
+        raise click.UsageError(f"--start {start:%Y-%m-%d}: expected a year from 1950 to 2100")
     if start and year:
-        return "--start and --year exclude each other: use one of them"
+        raise click.UsageError("--start and --year exclude each other: use one of them")
     if count and set_ not in ("even", "best"):
-        return f"--count is for even and best; the hours of {set_} follow from its days"
+        raise click.UsageError(
+            f"--count is for even and best; the hours of {set_} follow from its days"
+        )
     if days and set_ in ("9-day", "12-day", "4-day"):
-        return f"--days is for month, even and best; {set_} has fixed days"
-    return ""
+        raise click.UsageError(f"--days is for month, even and best; {set_} has fixed days")
 
 
 def _planned(

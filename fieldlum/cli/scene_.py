@@ -66,16 +66,8 @@ def fit(
 def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints."""
     room = scene.room
-    windows = [
-        {
-            "wall": w.wall,
-            "left_m": w.left_m,
-            "width_m": w.width_m,
-            "sill_m": w.sill_m,
-            "height_m": w.height_m,
-        }
-        for w in room.window
-    ]
+    names = ("wall", "left_m", "width_m", "sill_m", "height_m")
+    windows = [{name: getattr(window, name) for name in names} for window in room.window]
     return {
         "north_deg": scene.north_deg,
         "clock_min": scene.clock_min,

@@ -90,9 +90,5 @@ def command(
     click.echo(f"the south wall faces {table['faces']}; misfit {found.misfit_px:.2f} px rms")
     for note in found.notes:
         terminal.say(f"note: {note}")
-    rest = (
-        "the session has this room now"
-        if taken
-        else ("the session still has its earlier room: use --replace to replace it")
-    )
-    terminal.say(f"written: {path}; {rest}")
+    earlier = "the session still has its earlier room: use --replace to replace it"
+    terminal.say(f"written: {path}; {'the session has this room now' if taken else earlier}")

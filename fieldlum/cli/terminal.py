@@ -70,14 +70,10 @@ def unattended() -> Iterator[None]:
     A closed terminal (SIGHUP) does not end the command, and SIGTERM ends it like Ctrl-C. Processes
     that it starts, such as a camera's, ignore the closed terminal too.
     """
-
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    wanted = {getattr(signal, "SIGHUP", None): signal.SIG_IGN, signal.SIGTERM: interrupt}
-    before = {
-        number: signal.signal(number, how) for number, how in wanted.items() if number is not None
-    }
+    wanted: dict[signal.Signals, Any] = {signal.SIGTERM: signal.default_int_handler}
+    if hasattr(signal, "SIGHUP"):  # not on Windows
+        wanted[signal.SIGHUP] = signal.SIG_IGN
+    before = {number: signal.signal(number, how) for number, how in wanted.items()}
     try:
         yield
     finally:
