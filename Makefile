@@ -1,5 +1,6 @@
 # Each target alone sets up .venv and does its job; only Python 3.11 or newer and a package index are needed.
 PYTHON ?= python3.11
+unexport PYTHONDONTWRITEBYTECODE  # pytest's rewritten test files are kept between runs
 
 .PHONY: demo check test matrix matrix-short golden docs clean
 

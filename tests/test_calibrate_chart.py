@@ -77,6 +77,7 @@ def found_inside(frame: LinearFrame, corners: np.ndarray) -> bool:
     return bool(np.linalg.norm(centres - true, axis=1).max() + radius_px < 0.55 * patch)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES)
 def test_a_chart_is_found_at_an_angle(seed: int, width_px: float, turn_deg: float) -> None:

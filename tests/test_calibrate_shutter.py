@@ -237,6 +237,7 @@ def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     assert shutter.readings_of(lame) == []
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_sidecars_that_are_none_are_passed_over(session: Session, tmp_path: Path) -> None:
     digest = sha256(session.root.parent / "small.toml")

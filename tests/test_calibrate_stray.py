@@ -111,6 +111,7 @@ def test_the_command_writes_the_kernel_and_a_picture(readings_csv: Path, tmp_pat
     assert again.kernel == written.stray
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_readings_that_cannot_be_are_refused(readings_csv: Path) -> None:
     readings = stray.from_table(readings_csv, PROFILE)

@@ -52,6 +52,7 @@ def test_the_smallest_of_equals_is_chosen() -> None:
     assert shuffled.index == 0
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None)
 @given(st.lists(st.integers(0, 60), min_size=2, max_size=80))

@@ -85,6 +85,7 @@ def test_only_pixels_that_are_mixed_across_an_edge_are_uncertain() -> None:
     assert interpolation_u(logs, HEADING, (PIXEL_DEG, 0.0, 0.0)).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_camera_that_stood_still_is_left_alone() -> None:
     found = camera_turns(pictures(np.zeros((9, 3))), SEEN, HEADING)

@@ -65,6 +65,7 @@ def test_plan_to_status_without_torch_and_pyradiance(tmp_path: Path) -> None:
     assert ", 0 to do" in _run(tmp_path, "status", "other").stdout
 
 
+@pytest.mark.slow
 def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
     site = ROOT / "capture_plans" / "seattle-office.toml"
     shown = _run(tmp_path, "simulate", str(site), "--out", "s", "--set", "4-day")

@@ -117,6 +117,7 @@ def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
     assert in_memory["file"] == ""
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_plan_captures_writes_a_session_or_nothing(tmp_path: Path) -> None:
     asked = {"year": 2027, "today": date(2027, 1, 1)}

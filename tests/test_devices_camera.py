@@ -75,6 +75,7 @@ def test_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
@@ -84,6 +85,7 @@ def test_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Path) -> No
     assert true_shutter_s(13.0, profile)[0] == pytest.approx(12.7, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_saturates_below_the_tag(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
@@ -142,6 +144,7 @@ def test_turning_the_head_turns_the_picture(tmp_path: Path) -> None:
     assert means[90.0] > 20 * means[270.0]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_colours_come_back_through_the_profile(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")

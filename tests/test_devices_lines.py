@@ -125,6 +125,7 @@ GOOD = nmea("$G=812.4 D=104.9 T=24.1")
 KEYS = load_ascii_profile("arduino-keys")
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(GOOD) - 1), st.binary(max_size=2), st.integers(0, 2))

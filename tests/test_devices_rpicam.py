@@ -175,6 +175,7 @@ FAULTS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", FAULTS)
 def test_a_fault_is_one_line_and_leaves_no_file(pi: Path, tmp_path: Path, mode: str) -> None:
     camera = _camera(pi)

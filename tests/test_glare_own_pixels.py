@@ -171,6 +171,7 @@ def _picture(path: Path, view: str = f"-vta {LEVEL} -vh 180 -vv 180", size: int 
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_bad_file_does_not_end_the_batch(tmp_path: Path) -> None:
     (tmp_path / "bad.hdr").write_text("no picture", encoding="ascii")

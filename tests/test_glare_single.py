@@ -207,6 +207,7 @@ def test_regions() -> None:
 # command
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command_speaks_json_lines_and_a_table(
     panorama: Path, tmp_path: Path, maps: np.ndarray

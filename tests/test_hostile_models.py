@@ -53,6 +53,7 @@ def test_weights_that_are_not_finite(copy: Path) -> None:
         load(copy)
 
 
+@pytest.mark.slow
 def test_a_zip_bomb_is_not_unpacked(copy: Path) -> None:
     path = copy / "weights.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

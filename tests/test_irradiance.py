@@ -249,6 +249,7 @@ def logged(site: Site, first: datetime, days: int, seed: int = 0) -> tuple[np.nd
     return t, through * sun.clearsky(times, site).ghi_wm2 - 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("site", [SEATTLE, SYDNEY], ids=lambda site: site.name)
 @pytest.mark.parametrize("month", [3, 6, 12])
@@ -428,6 +429,7 @@ def test_days_with_captures_are_drawn_first() -> None:
     assert set(shown) == {*range(1000, 1000 + MOST_DAYS - 1), 1098}
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_pair_draws_the_days_once(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s")

@@ -113,6 +113,7 @@ def test_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
     assert not found.trust.deviations.beyond_prior
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
     """Ten percent over the bracket: the ratio fit takes it up, so neighbours agree; "good"

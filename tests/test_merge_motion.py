@@ -115,6 +115,7 @@ def test_without_a_majority_nothing_is_left_out() -> (
     assert (dropped.flags.reshape(240, 240)[seen > 0.24] & Flag.MOTION).astype(bool).mean() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=5)
 @given(st.integers(0, 2**31), st.floats(0.1, 30.0))
@@ -214,6 +215,7 @@ def jpeg_motion(folder: Path, dimmed: float, u_rel: float) -> float:
     return float(((flags[44:76, 54:71] & Flag.MOTION) > 0).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_what_the_response_may_get_wrong_is_no_motion(tmp_path: Path) -> None:
     assert jpeg_motion(tmp_path, 0.75, 0.0) > 0.9
@@ -221,6 +223,7 @@ def test_what_the_response_may_get_wrong_is_no_motion(tmp_path: Path) -> None:
     assert jpeg_motion(tmp_path, 0.2, 0.1) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_option_on_files(tmp_path: Path) -> None:
     camera = CameraProfile(

@@ -170,6 +170,7 @@ def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     assert any((a[name] != c[name]).any() for name in a)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_strangers_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     class Evil:

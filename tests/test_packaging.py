@@ -32,6 +32,7 @@ def test_the_wheel_ships_every_profile_and_plan(wheel: list[str], kind: str) -> 
     }
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_every_module_and_the_report_page(wheel: list[str]) -> None:
     modules = {p.relative_to(ROOT).as_posix() for p in (ROOT / "fieldlum").rglob("*.py")}
     assert modules <= set(wheel)

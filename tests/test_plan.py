@@ -42,6 +42,7 @@ def test_the_papers_seattle_sets(profile: str, name: str, count: int, asked: dic
     assert len(_plan(SEATTLE, profile, name, **asked).slots) == count
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_nine_days_are_the_papers_dates(profile: str) -> None:
     """19-21 March, 20-22 June, 20-22 December (the paper's section on training data)."""
@@ -68,6 +69,7 @@ def test_slots_stand_at_half_past_standard_time_through_a_clock_change(profile: 
     assert [w for w in made.warnings if "clocks go forward by 1 h on 2027-03-14" in w]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_half_hour_zones_keep_to_their_own_standard_time(profile: str) -> None:
     made = _plan(Site("Delhi", 28.6, 77.2, "Asia/Kolkata"), profile, "4-day", year=2027)
@@ -82,12 +84,14 @@ def test_month_without_start_is_the_next_whole_one(profile: str) -> None:
     assert _plan(SEATTLE, profile, "month", start=date(2027, 5, 1)).days[0] == date(2027, 5, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_events_without_year_lie_ahead(profile: str) -> None:
     days = _plan(SEATTLE, profile, "9-day", today=date(2026, 12, 21)).days
     assert days[0] == date(2027, 3, 19) and days[-1] == date(2027, 12, 22)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_polar_night_warns_and_midnight_sun_is_listed(profile: str) -> None:
     tromso = Site("Tromso", 69.65, 18.96, "Europe/Oslo")
@@ -95,6 +99,7 @@ def test_polar_night_warns_and_midnight_sun_is_listed(profile: str) -> None:
     assert "polar night: no slot on 3 of 9 days" in said and "midnight sun" in said
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_dark_days_apart_are_named_apart(profile: str) -> None:
     said = _plan(Site("pole", 90.0, 0.0, "UTC"), profile, "9-day", year=2027).warnings
@@ -121,6 +126,7 @@ def test_nothing_but_polar_night_is_not_enough_data(profile: str) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_southern_hemisphere_has_its_long_day_in_december(profile: str) -> None:
     made = _plan(Site("Sydney", -33.9, 151.2, "Australia/Sydney"), profile, "9-day", year=2027)
@@ -227,6 +233,7 @@ def test_a_session_cannot_be_a_file(tmp_path: Path) -> None:
     assert found.exit_code == 3 and "File exists, name a folder" in found.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_place_without_time_zone_is_told(profile: str) -> None:
     made = _plan(Site("Seattle", 47.6, -122.3), profile, "4-day")

@@ -113,6 +113,7 @@ def test_coverage_grows_with_the_set(weather: Weather) -> None:
     assert coverage(_set("9-day"), SEATTLE).irradiance_percent is None
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize("latitude", [-90.0, -33.9, 0.0, 69.6, 90.0])
 def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
@@ -307,6 +308,7 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
         coming.trained_kernel(session)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_single_gain_is_the_drop_of_the_variance(weather: Weather, year: DaylightHours) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)

@@ -102,6 +102,7 @@ def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Pat
     assert np.datetime64(year.t_utc[3].replace(tzinfo=None)) == store.time[3].values
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_pictures_are_of_telling_hours(year: Annual) -> None:
     pictures = read_pictures(year.folder)
@@ -365,6 +366,7 @@ def test_default_occupancy_is_3650_hours() -> None:
     assert occupied_hours(default_occupancy(), YEAR[:24], SITE) == (10, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
     """A file that lacks noon must not make the room look darker than it is; the night

@@ -86,6 +86,7 @@ def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
             load_site(path)
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_every_place_of_the_time_zone_data_fits_its_zone() -> None:
     lines = (files("tzdata") / "zoneinfo" / "zone.tab").read_text("utf-8").splitlines()

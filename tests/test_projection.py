@@ -91,6 +91,7 @@ def test_a_polynomial_that_falls_beyond_the_circle_shows_nothing_there(height: i
     assert r.coverage[angle < flat.half_angle_rad - 0.2 - np.pi / height].min() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize("height", [8, 33, 64])
 @pytest.mark.parametrize("cfa", ["", "RGGB", "GBRG"])

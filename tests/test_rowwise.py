@@ -22,6 +22,7 @@ def test_products_are_the_matrix_products() -> None:
     assert turned(matrix, VECTORS[0]) == pytest.approx(matrix @ VECTORS[0], rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 def test_the_sky_of_an_hour_does_not_depend_on_the_other_hours() -> None:

@@ -107,6 +107,7 @@ def test_restarts_return_the_best_and_the_spread_of_results_alike() -> None:
     assert all(sd >= 0.0 for sd in search.valley.values())
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_room_that_explains_the_captures_best_is_chosen_with_its_own_light() -> None:
     """A room's light below the patches comes from its own patches, not from the room before."""

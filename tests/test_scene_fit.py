@@ -60,6 +60,7 @@ def test_turns_have_the_signs_of_their_names() -> None:
     assert (rotation(0.0, 0.0, 10.0, 180.0) @ west)[2] < 0.0  # west is right of south
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_discs_give_north_level_and_clock_to_a_twentieth_of_a_degree() -> None:
     rng = np.random.default_rng(1)
@@ -72,6 +73,7 @@ def test_discs_give_north_level_and_clock_to_a_twentieth_of_a_degree() -> None:
     assert pose.u["heading_deg"] < 0.05 and not pose.dropped
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_known_level_gives_the_clock() -> None:
     rng, prior = np.random.default_rng(1), (5.0, 1.0, 0.02, 10.0, 0.01)
@@ -82,6 +84,7 @@ def test_a_known_level_gives_the_clock() -> None:
     assert pose["clock_min"] == pytest.approx(TRUE["clock"] - 0.3 / 0.168, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_free_clock_and_free_level_are_reported_as_one() -> None:
     prior = (5.0, 1.0, 1.0, 5.0, 0.01)
@@ -101,6 +104,7 @@ def test_uncertainties_of_the_discs_cover_the_truth() -> None:
     assert np.mean(inside) >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_one_reflection_among_the_discs_is_left_out() -> None:
     altitude, azimuth, sigma, times = _measured(np.random.default_rng(2), 7, 0.03)

@@ -165,6 +165,7 @@ def test_a_bar_is_seen_in_the_picture_of_the_window() -> None:
     assert any(b.upright and abs(np.mean(b.span_m) - middle) < 0.05 for b in bars)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_light_below_hardly_knows_the_patches(data: Dataset, evidence: SceneEvidence) -> None:
     true = guess_of(ROOM)

@@ -106,7 +106,7 @@ def found_in(data: Dataset) -> Setting:
 def test_a_right_setting_raises_no_alarm() -> None:
     found = found_in(captured())
     assert found.wrong is None and found.slip_deg == 0.0
-    assert settle(FITTED, captured(), "absolute") == (FITTED, [])
+    assert settle(fitted(), captured(), "absolute") == (fitted(), [])
 
 
 @pytest.mark.slow
@@ -163,7 +163,10 @@ def test_nothing_to_scan() -> None:
 # ---------------------------------------------------------------------------------------------- the
 # doubt
 
-FITTED = cast(Fitted, fit(captured()))
+
+@cache
+def fitted() -> Fitted:
+    return cast(Fitted, fit(captured()))
 
 
 @pytest.mark.slow
@@ -180,7 +183,7 @@ def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     sunny = data.light.dni_wm2 > 0.0
     assert (wide.expected_mse[sunny] > plain.expected_mse[sunny]).mean() > 0.8
     assert np.allclose(wide.expected_mse[~sunny], plain.expected_mse[~sunny])
-    assert settle(FITTED, captured(), "none") == (FITTED, [])
+    assert settle(fitted(), captured(), "none") == (fitted(), [])
 
 
 @pytest.mark.slow

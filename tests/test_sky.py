@@ -58,6 +58,7 @@ def _gendaylit(when: datetime, dni: float, dhi: float) -> tuple[np.ndarray, floa
     return np.array(lines[-1].split()[1:], float), radiance[0] if radiance else 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_coefficients_authority_gendaylit() -> None:
     """gendaylit 2.5 over hours of the year, clear to overcast: it prints four digits, hence

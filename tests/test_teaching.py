@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from learning_room import dataset, write_pairs
-from test_transport import MODEL, TEST, TRAIN, log_mse
+from test_transport import TEST, TRAIN, log_mse, model_of_train
 
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.models.data import load_pairs
@@ -58,7 +58,7 @@ def test_a_person_and_clipped_pixels_change_no_prediction() -> None:
         maps[k][bright], counts[k][bright] = maps[k][bright].min(), 0.0
     damaged = fit(replace(TRAIN, luminance_cdm2=maps, counts=counts))
     blind = fit(replace(TRAIN, luminance_cdm2=maps))
-    clean = MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
+    clean = model_of_train().predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
     answer = damaged.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
     change = np.abs(np.log(np.maximum(answer, 1.0) / np.maximum(clean, 1.0)))
     assert np.quantile(change, 0.95) < 0.03

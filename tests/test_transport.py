@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from fieldlum import models
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, light_at
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit
+from fieldlum.models.transport import Transport, fit
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixels
@@ -79,7 +80,11 @@ def toy(days: list[int], seed: int = 0) -> Dataset:
 
 
 TRAIN, TEST = toy([20, 79, 80, 120, 172, 173, 300, 355]), toy([50, 200], seed=1)
-MODEL = fit(TRAIN)
+
+
+@cache
+def model_of_train() -> Transport:
+    return fit(TRAIN)
 
 
 def log_mse(maps: np.ndarray, data: Dataset) -> float:
@@ -156,24 +161,29 @@ def test_ridge_without_prior_is_least_squares() -> None:
 
 @pytest.mark.analytic
 def test_learns_an_exactly_linear_room() -> None:
-    assert log_mse(MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1e-3
-    assert log_mse(MODEL.predict(TRAIN.light, TRAIN.patch_cdm2).luminance_cdm2, TRAIN) < 2e-4
+    assert (
+        log_mse(model_of_train().predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1e-3
+    )
+    assert (
+        log_mse(model_of_train().predict(TRAIN.light, TRAIN.patch_cdm2).luminance_cdm2, TRAIN)
+        < 2e-4
+    )
 
 
 @pytest.mark.property
 def test_twice_the_light_is_twice_the_map() -> None:
     assert TEST.patch_cdm2 is not None
-    once = MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
-    twice = MODEL.predict(scaled(TEST.light, 2.0), 2.0 * TEST.patch_cdm2).luminance_cdm2
+    once = model_of_train().predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
+    twice = model_of_train().predict(scaled(TEST.light, 2.0), 2.0 * TEST.patch_cdm2).luminance_cdm2
     assert np.allclose(twice, 2.0 * once, rtol=1e-4)
 
 
 @pytest.mark.property
 def test_chunks_do_not_matter() -> None:
     assert TEST.patch_cdm2 is not None
-    whole = MODEL.predict(TEST.light, TEST.patch_cdm2)
+    whole = model_of_train().predict(TEST.light, TEST.patch_cdm2)
     parts = [
-        MODEL.predict(TEST.light[i : i + 3], TEST.patch_cdm2[i : i + 3])
+        model_of_train().predict(TEST.light[i : i + 3], TEST.patch_cdm2[i : i + 3])
         for i in range(0, len(TEST), 3)
     ]
     assert np.allclose(
@@ -203,7 +213,7 @@ def test_no_patch_is_learnt_and_needs_none() -> None:
     found = model.predict(TEST.light)
     assert model.response.basis.patches is None and log_mse(found.luminance_cdm2, TEST) < 0.05
     with pytest.raises(InputError, match="sun patches"):
-        MODEL.predict(TEST.light)
+        model_of_train().predict(TEST.light)
 
 
 @pytest.mark.property
@@ -231,7 +241,7 @@ def test_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
     wrong = replace(TRAIN, patch_cdm2=np.where(shaded, np.float32(0.0), TRAIN.patch_cdm2))
     model = fit(wrong)
     assert {row["below"] for row in model.table} == {False, True}
-    assert not any(row["below"] for row in MODEL.table)  # right ones are not
+    assert not any(row["below"] for row in model_of_train().table)  # right ones are not
     assert model.recipe.below and model.response.basis.captured.cells is None
     models.save(tmp_path / "m", model, wrong)
     again = models.load(tmp_path / "m").predict(TEST.light, TEST.patch_cdm2)
@@ -240,6 +250,7 @@ def test_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.parametrize("rows", [[0, 1, 2], [3, 3, 3, 3], list(range(5))])
 @pytest.mark.parametrize("patch", ["absolute", "gain", "none"])
@@ -282,6 +293,7 @@ def test_captures_under_changing_light_teach_less() -> None:
     assert known < 0.9 * unknown
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_noise_of_the_level_leaves_no_bias() -> None:
     """Levels off by 20 % (log-normal): the mean signed log error of what is fitted, less the mean
@@ -359,7 +371,7 @@ def test_one_season_is_not_trusted_in_another() -> None:
 def test_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None:
     with_room = replace(TRAIN, setup=replace(SETUP, room=ROOM))
     model = fit(with_room)
-    every = [sum(row["rank"] == RANK for row in m.table) for m in (model, MODEL)]
+    every = [sum(row["rank"] == RANK for row in m.table) for m in (model, model_of_train())]
     assert every[0] == 2 * every[1]
     physics = physics_of(with_room.setup, TRAIN.light, 180.0)
     assert physics is not None
@@ -461,7 +473,7 @@ class _Bomb:
 @pytest.mark.contract
 def test_a_strangers_file_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    models.save(tmp_path / "m", MODEL, TRAIN)
+    models.save(tmp_path / "m", model_of_train(), TRAIN)
     with np.load(tmp_path / "m" / "weights.npz") as stored:
         arrays = {name: stored[name] for name in stored.files}
     bomb = np.empty(1, object)

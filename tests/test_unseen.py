@@ -151,6 +151,7 @@ def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     assert not again.judged[5] and again.judged[0]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual) -> None:
     answer, why = annual_page.answer(year)

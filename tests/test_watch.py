@@ -340,6 +340,7 @@ def test_a_step_is_stopped_while_a_slot_is_near(tmp_path: Path) -> None:
     assert len(out.read_text().splitlines()) == 40
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Path) -> None:
     plain = make_session(tmp_path / "s")

@@ -116,6 +116,7 @@ def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
     assert noon is not None and abs((middle - noon).total_seconds()) < 180
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_typical_year_answers_for_any_year() -> None:
     year = _year()
@@ -127,6 +128,7 @@ def test_typical_year_answers_for_any_year() -> None:
     assert np.isfinite(year.at(ends).ghi_wm2).all()
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_steady_within_the_hour_or_drifting() -> None:
     year = _year()

@@ -166,6 +166,7 @@ def test_a_label_shift_mends_labels_that_are_known_to_be_wrong(tmp_path: Path) -
     assert "labels moved by -60 min" in found.repairs
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_word_synthetic_gives_a_marked_year() -> None:
     found = weather.read_weather(Path("synthetic"), SEATTLE)
