@@ -14,6 +14,7 @@ from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import FastClock
 from fieldlum.errors import DeviceError
 from fieldlum.records import Site, SiteFile, Slot
@@ -133,7 +134,7 @@ def test_a_meter_reads_before_and_after_and_may_fail(rig: Field) -> None:
     readings = iter([100.0, 110.0, DeviceError("no light"), 90.0, *[95.0] * 20])
 
     class Meter:
-        info = SimpleNamespace(kind="tiny")
+        info = InstrumentInfo("tiny", gives=())
 
         def read(self) -> Any:
             value = next(readings)

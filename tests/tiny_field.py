@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from places import SEATTLE
 
 from fieldlum.capture.runner import Live, Options, run
+from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import FastClock
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
@@ -21,6 +21,8 @@ from fieldlum.session import (
 )
 from fieldlum.session.ledger import fold
 
+TINY_CAMERA = CameraInfo("tiny", serial="7")
+TINY_PYRANOMETER = InstrumentInfo("tiny", gives=())
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(2.0**-i, 5.6) for i in range(3))
 FAST = Options(log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096, watchdog_s=5.0)
@@ -39,7 +41,7 @@ class TinyCamera:
     clock: FastClock
     fault: Callable[[int], None] = lambda count: None
     count: int = 0
-    info: Any = field(default_factory=lambda: SimpleNamespace(kind="tiny", serial="7"))
+    info: CameraInfo = TINY_CAMERA
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         self.count += 1
@@ -57,7 +59,7 @@ class TinyPyranometer:
     clock: FastClock
     fault: Callable[[int], None] = lambda count: None
     count: int = 0
-    info: Any = field(default_factory=lambda: SimpleNamespace(kind="tiny"))
+    info: InstrumentInfo = TINY_PYRANOMETER
 
     def read(self) -> IrradianceSample:
         self.count += 1

@@ -38,10 +38,6 @@ class DayCount:
     highest_ghi_wm2: float | None = None
 
 
-def _no_sheet() -> Path | None:
-    return None
-
-
 @dataclass(slots=True)
 class Alerts:
     """The faults already reported, and the counts of the current day, in one capture.
@@ -51,7 +47,7 @@ class Alerts:
 
     name: str
     timezone: str
-    contact_sheet: Callable[[], Path | None] = _no_sheet
+    contact_sheet: Callable[[], Path | None] = lambda: None
     _away_since: dict[str, datetime] = field(default_factory=dict)
     _reported_away: set[str] = field(default_factory=set)
     _misses: int = 0
@@ -124,13 +120,10 @@ class Alerts:
         return [self._message(f"{self._misses} slots in a row gave no bracket", body)]
 
     def _clock_step(self, t_utc: datetime, fields: EventFields) -> list[Message]:
-        followed = (
-            "The capture follows the new time."
-            if fields.get("followed")
-            else ("The capture does not follow the new time.")
-        )
+        follows = "follows" if fields.get("followed") else "does not follow"
         body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
-        return self._once("clock-step", t_utc, "the clock jumped", body + followed)
+        body += f"The capture {follows} the new time."
+        return self._once("clock-step", t_utc, "the clock jumped", body)
 
     def _disk(self, disk_days: float | None) -> list[Message]:
         if disk_days is None:

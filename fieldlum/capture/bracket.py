@@ -10,7 +10,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture.frame_requests import FrameRequest, shots, write_capture
-from fieldlum.capture.reconnect import FIRST_PAUSE_S, LONGEST_PAUSE_S, Keeper, plain_info
+from fieldlum.capture.reconnect import (
+    FIRST_PAUSE_S,
+    LONGEST_PAUSE_S,
+    Keeper,
+    error_text,
+    plain_info,
+)
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
@@ -88,7 +94,7 @@ class BracketCapture:
                 )
             # A driver's defect may cost one frame, but must not end a capture of a month.
             except Exception as error:
-                why = f"{type(error).__name__}: {error}"[:300]
+                why = error_text(error)
                 if disk_is_full(error):
                     self.recorder.make_room()
                     _sweep(folder)  # an incomplete frame takes up space
@@ -97,7 +103,7 @@ class BracketCapture:
                 else:
                     if not isinstance(error, _Away):
                         self.camera.lost(error)
-                    on = self._wait_for_camera(deadline)
+                    on = self._wait_for(lambda: self.camera.get() is not None, deadline)
                 if not on:
                     return self.abort(slot, state, why)
                 continue
@@ -189,11 +195,10 @@ class BracketCapture:
         self.recorder.claim(_FOLDER_BYTES)
         aside = folder / f"attempt-{state.attempt}"
         aside.mkdir(exist_ok=True)
-        for name in (
-            name for frame in state.frames for name in (frame.file, frame.instead_of) if name
-        ):
-            if (folder / name).exists():
-                (folder / name).replace(aside / name)
+        for frame in state.frames:
+            for name in (frame.file, frame.instead_of):
+                if name and (folder / name).exists():
+                    (folder / name).replace(aside / name)
         sync_folder(folder)
         return self._start(slot, state.attempt + 1)
 
@@ -212,11 +217,20 @@ class BracketCapture:
             lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg),
             shot.exposure.shutter_s,
         )
+        return self._stored(shot, written, begun, boot, instead_of)
+
+    def _stored(
+        self, shot: FrameRequest, written: Path, begun: datetime, boot: float, instead_of: str = ""
+    ) -> Frame:
+        """Check a new frame, give it its final name, and return it.
+
+        begun, boot: UTC and boot time [s] of the request.
+        """
         doubt, exposure = self._judged(written, shot.exposure)
-        final = folder / f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}"
+        final = written.with_name(f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}")
         _settle(written, final, flush=self.recorder.flush)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-        seconds, hashed = self.clock.boottime() - boot, sha256(final)
+        seconds = self.clock.boottime() - boot
         return Frame(
             shot.index,
             final.name,
@@ -224,7 +238,7 @@ class BracketCapture:
             shot.heading_deg,
             begun,
             seconds,
-            hashed,
+            sha256(final),
             doubt,
             instead_of,
         )
@@ -267,17 +281,11 @@ class BracketCapture:
             _sweep(folder)
             raise
         each_s = (self.clock.boottime() - boot) / len(wanted)
-        frames = []
-        for shot, written in zip(wanted, files, strict=True):
-            doubt, exposure = self._judged(written, shot.exposure)
-            final = folder / f"{shot.stem}{written.suffix}"
-            _settle(written, final, flush=self.recorder.flush)
-            self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-            at = begun + timedelta(seconds=each_s * shot.index)
-            frames.append(
-                Frame(shot.index, final.name, exposure, None, at, each_s, sha256(final), doubt)
-            )
-        return frames
+        frames = [
+            self._stored(shot, written, begun + timedelta(seconds=each_s * shot.index), boot)
+            for shot, written in zip(wanted, files, strict=True)
+        ]
+        return [replace(frame, seconds=each_s) for frame in frames]
 
     def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.
@@ -285,16 +293,16 @@ class BracketCapture:
         Wait at least `pause_s`, because free space does not show that a disk quota is exhausted.
         """
         earliest = self.clock.now() + timedelta(seconds=pause_s)
-        while (now := self.clock.now()) < deadline:
-            if now >= earliest and not self.recorder.missing_bytes(self.frame_bytes):
-                return True
-            self.clock.sleep(1.0)
-            self.between(None)
-        return False
 
-    def _wait_for_camera(self, deadline: datetime) -> bool:
+        def has_room() -> bool:
+            late_enough = self.clock.now() >= earliest
+            return late_enough and not self.recorder.missing_bytes(self.frame_bytes)
+
+        return self._wait_for(has_room, deadline)
+
+    def _wait_for(self, ready: Callable[[], bool], deadline: datetime) -> bool:
         while self.clock.now() < deadline:
-            if self.camera.get() is not None:
+            if ready():
                 return True
             self.clock.sleep(1.0)
             self.between(None)
@@ -303,11 +311,8 @@ class BracketCapture:
     def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
         state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
-        again = [
-            f"{frame.file} taken again"
-            for frame in state.frames
-            if frame.instead_of and not frame.doubt
-        ]
+        repeated = [frame for frame in state.frames if frame.instead_of and not frame.doubt]
+        again = [f"{frame.file} taken again" for frame in repeated]
         darkest = min(
             state.frames,
             key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2),

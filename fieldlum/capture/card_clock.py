@@ -22,6 +22,7 @@ from fieldlum.capture.match_card import (
     fitting_offsets,
     late_s,
     refine_offset,
+    split_at_gaps,
 )
 from fieldlum.errors import InputError
 from fieldlum.records import SiteFile, Slot
@@ -56,7 +57,7 @@ def clock_offset(
         raise InputError(
             "import",
             f"brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
-            (f"brackets near the plan's slots, the nearest slot at {near.t_utc:%Y-%m-%d %H:%M} UTC")
+            f"brackets near the plan's slots, the nearest slot at {near.t_utc:%Y-%m-%d %H:%M} UTC"
             if near
             else "a plan with slots",
             "check that this is the right card; correct a wrong date with exiftool -AllDates",
@@ -164,12 +165,7 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
     fewest parts that the brackets support: each change must bring three more brackets to slots.
     """
-    days: list[list[Group]] = []
-    for group in groups:
-        if days and (group.t_camera - days[-1][-1].t_camera).total_seconds() < _NIGHT_S:
-            days[-1].append(group)
-        else:
-            days.append([group])
+    days = split_at_gaps(groups, _NIGHT_S)
     hits = hits_by_hour(days, slots)
     path = _steadiest(hits)
     parts: list[list[Group]] = []

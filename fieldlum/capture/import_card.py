@@ -25,9 +25,9 @@ from fieldlum.capture.match_card import (
     Match,
     Offset,
     campaigns,
-    fits,
     group_frames,
     match_groups,
+    misfit,
     same_exposure,
     true_time,
 )
@@ -202,9 +202,7 @@ def _one_a_slot(
     """
     best: dict[str, tuple[Match, Offset]] = {}
     left_out_notes: list[str] = []
-    for match, offset in sorted(
-        matched, key=lambda one: (-fits(one[0].group, one[0].slot), abs(one[0].late_s))
-    ):
+    for match, offset in sorted(matched, key=lambda pair: misfit(pair[0])):
         if match.slot.id in best:
             left_out_notes.append(
                 f"{_range(match.group)}: not imported, because another bracket "

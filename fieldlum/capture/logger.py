@@ -6,9 +6,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from datetime import datetime
 
-from fieldlum.capture.reconnect import Keeper, plain_info
+from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
@@ -49,19 +48,13 @@ class Logger:
         device = self.keeper.get()
         if device is None:
             return None
-        asked: datetime = self._clock.now()
+        asked = self._clock.now()
         try:
             sample = self.keeper.call(lambda d: d.read())
         except Exception as error:  # a driver can raise anything; the log must continue
             self._failed, self.bad = self._failed + 1, self.bad + 1
-            if (
-                self.keeper.state != "lost"
-            ):  # after an instrument is lost, do not report each failed reading
-                self._recorder.tell(
-                    "bad-reading",
-                    device=self.keeper.name,
-                    why=f"{type(error).__name__}: {error}"[:300],
-                )
+            if self.keeper.state != "lost":  # each failed reading of a lost one is not reported
+                self._tell_bad(error_text(error))
             if self._failed >= _BAD_IN_A_ROW:
                 self._failed = 0
                 self.keeper.lost(error)
@@ -69,9 +62,8 @@ class Logger:
         finally:
             self._tell_refused(device)
         self._failed = 0
-        sample = replace(
-            sample, t_utc=asked
-        )  # steady time: neither the instrument's nor that of a clock that was stepped
+        # Steady time: neither the instrument's nor that of a clock that was stepped.
+        sample = replace(sample, t_utc=asked)
         self._recorder.sample(sample)
         self.last = sample
         return sample
@@ -82,16 +74,14 @@ class Logger:
         hour = int(self._clock.boottime() // 3600)
         if hour != self._hour:
             if self._refused > _TOLD_AN_HOUR:
-                untold = self._refused - _TOLD_AN_HOUR
-                self._recorder.tell(
-                    "bad-reading",
-                    device=self.keeper.name,
-                    why=f"and {untold} more lines in that hour",
-                )
+                self._tell_bad(f"and {self._refused - _TOLD_AN_HOUR} more lines in that hour")
             self._hour, self._refused = hour, 0
         for line in lines[: max(0, _TOLD_AN_HOUR - self._refused)]:
-            self._recorder.tell("bad-reading", device=self.keeper.name, why=line[:600])
+            self._tell_bad(line[:600])
         self._refused += len(lines)
+
+    def _tell_bad(self, why: str) -> None:
+        self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
 
     @property
     def due_in_s(self) -> float:
@@ -117,15 +107,13 @@ class Logger:
         while not self._stop.is_set():
             try:
                 self.poll_if_due()
-            except (
-                Exception
-                # after any error, the irradiance of the following days must still be logged
-            ) as error:
-                why = f"{type(error).__name__}: {error}"[:300]
+            # After any error, the irradiance of the following days must still be logged.
+            except Exception as error:
+                why = error_text(error)
                 # A repeated error is reported once, otherwise it would fill the disk.
                 if why != reported:
                     with suppress(Exception):
-                        self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
+                        self._tell_bad(why)
                 reported = why
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 

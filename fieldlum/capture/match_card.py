@@ -165,9 +165,14 @@ def group_frames(
 
 def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
     """Split groups at gaps of several days, where the camera's clock may have been set."""
+    return split_at_gaps(groups, _CAMPAIGN_S)
+
+
+def split_at_gaps(groups: Sequence[Group], gap_s: float) -> list[list[Group]]:
+    """Split groups, in order of time, where two begin at least `gap_s` apart."""
     parts: list[list[Group]] = []
     for group in groups:
-        if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < _CAMPAIGN_S:
+        if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < gap_s:
             parts[-1].append(group)
         else:
             parts.append([group])
@@ -240,6 +245,11 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     return replace(offset, seconds=offset.seconds + middle, how=how)
 
 
+def misfit(match: Match) -> tuple[int, float]:
+    """Return a sort key: most of the slot's exposures first, then nearest in time."""
+    return -fits(match.group, match.slot), abs(match.late_s)
+
+
 def match_groups(
     groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 ) -> tuple[list[Match], list[Unmatched]]:
@@ -256,23 +266,10 @@ def match_groups(
         if fits(group, slot) < min(need, len(slot.exposures)):
             unmatched.append(Unmatched(group, "its exposures are not in the plan"))
             continue
-        found, rival = (
-            Match(slot, group, (t_utc - slot.t_utc).total_seconds()),
-            matches.get(slot.id),
-        )
-        if rival is not None:
-            better = (fits(group, slot), -abs(found.late_s)) > (
-                fits(rival.group, slot),
-                -abs(rival.late_s),
-            )
-            unmatched.append(
-                Unmatched(
-                    rival.group if better else group, f"another bracket fits {slot.id} better"
-                )
-            )
-            if not better:
-                continue
-        matches[slot.id] = found
+        match = Match(slot, group, (t_utc - slot.t_utc).total_seconds())
+        best, *worse = sorted((m for m in (matches.get(slot.id), match) if m), key=misfit)
+        unmatched += [Unmatched(m.group, f"another bracket fits {slot.id} better") for m in worse]
+        matches[slot.id] = best
     return sorted(matches.values(), key=lambda m: m.slot.t_utc), unmatched
 
 

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from fieldlum.capture.alerts import MISSES_IN_A_ROW
 from fieldlum.capture.recorder import Recorder
 from fieldlum.session.ledger import SlotState
 
 _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
-MISSES_IN_A_ROW = 2  # one missed slot can be a slow bracket before it; chosen, not measured
 
 
 @dataclass(slots=True)

@@ -32,11 +32,8 @@ def withdraw(
         )
         for slot in there:
             if slot not in gone and _misplaced(ledger.slots[slot], slot, match, offset):
-                _set_aside(
-                    session,
-                    slot,
-                    # before the journal entry: the next import repairs an interrupted one
-                )
+                # Before the journal entry: the next import repairs an interrupted one.
+                _set_aside(session, slot)
                 journal.append(
                     "withdrawn", datetime.now(UTC), slot=slot, why="imported with another clock"
                 )
@@ -47,15 +44,13 @@ def withdraw(
 def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> bool:
     """Return whether a slot contains a bracket that belongs to another slot or time."""
     known = {frame.file: frame for frame in state.frames}
-    for card in match.group.frames:
-        frame = known.get(card.path.name)
-        if frame is None:
-            continue
-        apart_s = abs((true_time(card.t_camera, offset) - frame.t_utc).total_seconds())
-        return (slot != match.slot.id or apart_s > SAME_TIME_S) and frame.sha256 == sha256(
-            card.path
-        )
-    return False
+    card = next((f for f in match.group.frames if f.path.name in known), None)
+    if card is None:
+        return False
+    frame = known[card.path.name]
+    apart_s = abs((true_time(card.t_camera, offset) - frame.t_utc).total_seconds())
+    is_elsewhere = slot != match.slot.id or apart_s > SAME_TIME_S
+    return is_elsewhere and frame.sha256 == sha256(card.path)
 
 
 def _set_aside(session: Session, slot: str) -> None:

@@ -5,15 +5,21 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from typing import Any, Generic, Protocol, TypeVar
 
+from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.errors import DeviceError
 from fieldlum.session.tables import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+
+
+def error_text(error: BaseException) -> str:
+    """Return an error of any kind as one short text for the journal."""
+    return f"{type(error).__name__}: {error}"[:300]
 
 
 class Closable(Protocol):
@@ -52,15 +58,15 @@ class Keeper(Generic[D]):
     @property
     def state(self) -> str:
         """Return the device's state as text for the display."""
-        return (
-            "lost" if self._lost_at is not None else "ok" if self._device is not None else "closed"
-        )
+        if self._lost_at is not None:
+            return "lost"
+        return "closed" if self._device is None else "ok"
 
     def get(self) -> D | None:
         """Return the open device; None while it is away. Try to open it if a try is due."""
         if self._device is None and self._clock.boottime() >= self._next_try:
             try:
-                self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
+                self.insist()
             # termios.error, SerialException or a driver's defect must not end the capture
             except Exception as error:
                 self.lost(error)
@@ -92,33 +98,27 @@ class Keeper(Generic[D]):
 
     def lost(self, error: BaseException) -> None:
         """Drop the device, and plan tries after 1, 2, 4 ... 30 s."""
-        if self._device is not None:
-            device, self._device = self._device, None
-            with suppress(Exception):
-                guarded(device.close, min(self._watchdog_s, 5.0), f"{self.name}: closing")
+        self.close()
         now = self._clock.boottime()
         if self._lost_at is None:
             self._lost_at, self._pause_s = now, FIRST_PAUSE_S
-            self._tell(
-                "device-lost", device=self.name, why=f"{type(error).__name__}: {error}"[:300]
-            )
+            self._tell("device-lost", device=self.name, why=error_text(error))
         self._next_try = now + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
 
     def close(self) -> None:
         """Close the device, if it is open."""
-        if self._device is not None:
+        device, self._device = self._device, None
+        if device is not None:
             with suppress(Exception):
-                guarded(self._device.close, min(self._watchdog_s, 5.0), f"{self.name}: closing")
-            self._device = None
+                guarded(device.close, min(self._watchdog_s, 5.0), f"{self.name}: closing")
 
 
-def plain_info(info: Any) -> DeviceTable:
+def plain_info(info: CameraInfo | InstrumentInfo) -> DeviceTable:
     """Return a device's information as JSON and TOML can store it, without empty fields."""
-    table = asdict(info) if is_dataclass(info) and not isinstance(info, type) else dict(vars(info))
     return {
         k: v if isinstance(v, int | float | bool) else str(v)
-        for k, v in table.items()
+        for k, v in asdict(info).items()
         if v not in (None, "", ())
     }
 

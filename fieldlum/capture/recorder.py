@@ -83,9 +83,9 @@ class Recorder:
 
         Half of the reserve remains for the journal and the rows.
         """
-        return max(
-            0, round(size) + self._reserve_bytes // 2 - self._free_bytes() - self._reserved_bytes()
-        )
+        reserved = self._reserve.stat().st_size if self._reserve.is_file() else 0
+        usable = self._free_bytes() + reserved - self._reserve_bytes // 2
+        return max(0, round(size) - usable)
 
     def claim(self, size: float) -> None:
         """Make sure that a file of `size` bytes fits, if necessary by using the reserve.
@@ -102,9 +102,6 @@ class Recorder:
 
     def _free_bytes(self) -> int:
         return disk_usage(self._reserve.parent).free
-
-    def _reserved_bytes(self) -> int:
-        return self._reserve.stat().st_size if self._reserve.is_file() else 0
 
     def make_room(self) -> None:
         """Delete the reserve on a full disk, so that journal and rows can be written."""
@@ -196,10 +193,8 @@ def _allocate(path: Path, size: int) -> None:
     with path.open("wb") as file:
         try:
             os.posix_fallocate(file.fileno(), 0, size)
-        except (
-            AttributeError,
-            OSError,
-        ) as error:  # not available on macOS, on Windows, and for FAT on some systems
+        # Not available on macOS, on Windows, and for FAT on some systems.
+        except (AttributeError, OSError) as error:
             if disk_is_full(error):
                 raise
             file.write(b"\0" * size)

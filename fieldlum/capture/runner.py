@@ -21,7 +21,7 @@ from fieldlum.capture.preflight import (
     refuse_a_past_plan,
     refuse_what_is_not_offered,
 )
-from fieldlum.capture.reconnect import Keeper, plain_info
+from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.recorder import Listen, Recorder, unheard
 from fieldlum.capture.utc_clock import SteadyClock, synchronised
 from fieldlum.devices import (
@@ -114,7 +114,10 @@ class _Runner:
         self.slots = session.slots()
         before = read_ledger(session)
         self.states = before.slots
-        self._resume_time(before)
+        if before.last_utc is not None:
+            if before.opened is not None:
+                clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
+            refuse_a_clock_behind(clock.now(), before.last_utc)
         refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
         self.recorder = Recorder(
             session, clock.now, options.reserve_bytes, flush=options.flush, listen=listen
@@ -130,12 +133,6 @@ class _Runner:
             self._learn_sizes(begun[-1], self.states[begun[-1].id])
         self._watched = True
         self._state, self._next, self._paused_slot = "waiting", "", ""
-
-    def _resume_time(self, before: Ledger) -> None:
-        if before.last_utc is not None:
-            if before.opened is not None:
-                self.clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
-            refuse_a_clock_behind(self.clock.now(), before.last_utc)
 
     def open(
         self,
@@ -190,10 +187,8 @@ class _Runner:
         try:
             return plain_info(keeper.insist().info)
         except Exception as error:
-            if (
-                keeper.name not in known
-                or known.get("uris", {}).get(keeper.name) != uris[keeper.name]
-            ):
+            answered_before = keeper.name in known
+            if not answered_before or known.get("uris", {}).get(keeper.name) != uris[keeper.name]:
                 raise
             keeper.lost(error)
             return {}
@@ -280,7 +275,7 @@ class _Runner:
             known = state
             with suppress(OSError):
                 known = read_ledger(self.session).slots.get(slot.id, state)
-            return bracket.abort(slot, known, f"{type(error).__name__}: {error}"[:300])
+            return bracket.abort(slot, known, error_text(error))
 
     def _too_late(
         self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
@@ -354,7 +349,7 @@ class _Runner:
         except Exception as error:
             if self._watched:
                 self._watched = False
-                self.recorder.tell("display-lost", why=f"{type(error).__name__}: {error}"[:300])
+                self.recorder.tell("display-lost", why=error_text(error))
 
     def live(self) -> Live:
         outcomes = [state.outcome for state in self.states.values()]

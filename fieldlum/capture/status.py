@@ -63,10 +63,7 @@ def _of(ledger: Ledger, slot: Slot) -> SlotState:
 
 
 def _plan(session: Session, slots: list[Slot]) -> JsonTable:
-    plan = {
-        "set": session.table().get("plan", {}).get("set", ""),
-        "slots": len(slots),
-    }
+    plan = {"set": session.table().get("plan", {}).get("set", ""), "slots": len(slots)}
     if slots:
         plan["first_utc"], plan["last_utc"] = utc_text(slots[0].t_utc), utc_text(slots[-1].t_utc)
     return plan
@@ -94,10 +91,7 @@ def _irradiance(session: Session) -> JsonTable:
     files = day_files(session)
     rows = 0
     for path in files:
-        with path.open("rb") as file:
-            rows += (
-                sum(block.count(b"\n") for block in iter(lambda f=file: f.read(1 << 20), b"")) - 1
-            )
+        rows += path.read_bytes().count(b"\n") - 1
     return {
         "days": len(files),
         "rows": max(rows, 0),
