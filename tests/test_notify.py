@@ -16,6 +16,7 @@ from places import SEATTLE
 from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.preflight import wait_for_clock
 from fieldlum.capture.runner import Options, run
+from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import FastClock
 from fieldlum.errors import InputError
 from fieldlum.notify import Heartbeat, Message, Outbox, apprise_post, read_address, read_targets
@@ -274,8 +275,7 @@ def test_the_summary_carries_the_sheet_that_was_written_last(session: Session) -
 class DeadCamera:
     """Opens, and fails at each frame."""
 
-    class info:
-        kind = "dead"
+    info = CameraInfo("dead")
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         raise OSError("no answer")
@@ -284,8 +284,7 @@ class DeadCamera:
 
 
 class SteadyPyranometer:
-    class info:
-        kind = "steady"
+    info = InstrumentInfo("steady", gives=())
 
     def __init__(self, clock: FastClock) -> None:
         self.clock = clock
