@@ -128,4 +128,4 @@ def test_patches_are_linear_and_clipping_is_refused(tmp_path: Path) -> None:
         over.patch(100, 100, 30)
     with pytest.raises(InputError, match="inside"):
         frame.patch(1, 1, 30)
-    assert transmission(LENS, 5.6, *LENS.centre_px) == pytest.approx(1.0)
+    assert transmission(PROFILE, 5.6, *LENS.centre_px) == pytest.approx(1.0)

@@ -138,12 +138,7 @@ def fit(boards: Boards, lens: Lens) -> LensFit:
     missed = np.hypot(*left)
     rms = float(np.sqrt(np.mean(missed**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
-    new = replace(
-        found,
-        centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
-        radius_px=round(geometry.radius_px, 3),
-        coefficients=tuple(round(c, 7) for c in geometry.coefficients),
-    )
+    new = lenses.with_mapping(found, geometry)
     text = f"corners miss by {rms:.2f} px rms, the centre has u = {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {text}")
     per_px = lens.full_angle_deg / 2 / geometry.radius_px

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
-from fieldlum.calibrate.frames import LinearFrame, linear_frame, nearest_lens, transmission
+from fieldlum.calibrate.frames import LinearFrame, linear_frame, transmission
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -78,8 +78,7 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
         x, at = needed(row, "x_px", path), needed(row, "y_px", path)
         frame = frames.setdefault(file, linear_frame(file, profile))
         patch = frame.patch(x, at, row.get("radius_px") or 12.0)
-        lens = profile.lens[nearest_lens(profile, x, at)]
-        rgb.append(patch.rgb / transmission(lens, frame.exposure.f_number, x, at))
+        rgb.append(patch.rgb / transmission(profile, frame.exposure.f_number, x, at))
         y.append(needed(row, "luminance_cdm2", path))
         u.append(float(np.hypot(row.get("u_rel") or READING_U, patch.u_rel)))
         labels.append(f"{file.stem} {x:g},{at:g}")
@@ -101,10 +100,7 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     rgb, u = [], []
     for x, y in centres:
         patch = frame.patch(x, y, radius)
-        rgb.append(
-            patch.rgb
-            / transmission(profile.lens[nearest_lens(profile, x, y)], frame.exposure.f_number, x, y)
-        )
+        rgb.append(patch.rgb / transmission(profile, frame.exposure.f_number, x, y))
         u.append(float(np.hypot(CHART_U, patch.u_rel)))
     if not in_order(np.array(rgb) @ np.array(profile.colour.y_from_rgb)):
         raise InputError(
@@ -187,10 +183,10 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     scale = float(raw @ grey) / float(prior @ grey)
     a = raw / scale
     residual = every.rgb @ raw / every.y - 1.0
-    u = float(np.sqrt(candidates[choice.index].errors.mean()))
-    if u > MOST_U:
+    if choice.rms > MOST_U:
         found = (
-            f"held-out readings miss by {100 * u:.0f} %: readings and colours do not fit together"
+            f"held-out readings miss by {100 * choice.rms:.0f} %: readings and colours do not fit "
+            "together"
         )
         remedy = "check that each line has the place of its reading, and that the light was steady"
         raise InputError(
@@ -201,7 +197,7 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     return ColourFit(
         (round(float(a[0]), 6), round(float(a[1]), 6), round(float(a[2]), 6)),
         scale,
-        max(u, 0.001),
+        max(choice.rms, 0.001),
         residual,
         choice,
     )

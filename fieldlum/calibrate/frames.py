@@ -21,7 +21,7 @@ from fieldlum.linear_light import (
 from fieldlum.photometry import saturation_plateau, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import angle_of_radius
-from fieldlum.raw import JPEG_SUFFIXES, channel_positions, read_jpeg, read_mosaic
+from fieldlum.raw import channel_positions, is_jpeg, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 from fieldlum.statistics import standard_error
 
@@ -97,11 +97,7 @@ def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
     """Read a frame. Raises InputError if it cannot be read or is of another camera."""
-    return (
-        _from_jpeg(path, profile)
-        if path.suffix.lower() in JPEG_SUFFIXES
-        else _from_mosaic(path, profile)
-    )
+    return _from_jpeg(path, profile) if is_jpeg(path) else _from_mosaic(path, profile)
 
 
 def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
@@ -109,37 +105,28 @@ def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
     check_frame(path, frame.codes.shape, frame.model, profile)
     tables = response_tables(profile)  # [256, 3]
     z = np.stack([tables[frame.codes[..., c], c] for c in range(3)], axis=-1)
-    bad = (frame.codes.max(axis=-1) > r.high_code) | (frame.codes.max(axis=-1) < r.low_code)
-    return LinearFrame(
-        path,
-        (z / frame_z_per_cdm2(frame.exposure, profile)).astype(np.float32),
-        bad,
-        1,
-        frame.exposure,
-    )
+    brightest = frame.codes.max(axis=-1)
+    bad = (brightest > r.high_code) | (brightest < r.low_code)
+    rgb = z / frame_z_per_cdm2(frame.exposure, profile)
+    return LinearFrame(path, rgb.astype(np.float32), bad, 1, frame.exposure)
 
 
 def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     mosaic, sensor = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number), profile.sensor
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     black = black_dn(mosaic, profile)
-    at = channel_positions(mosaic.cfa)
     rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
-    cells = [mosaic.counts[r:rows:2, c:columns:2].astype(np.float32) for r, c in at]
-    plateaus = [
-        saturation_plateau(mosaic.counts[r:rows:2, c:columns:2], mosaic.white_dn) for r, c in at
-    ]
+    planes = [mosaic.counts[r:rows:2, c:columns:2] for r, c in channel_positions(mosaic.cfa)]
+    plateaus = [saturation_plateau(plane, mosaic.white_dn) for plane in planes]
+    cells = [plane.astype(np.float32) for plane in planes]
     full = full_dn(mosaic, profile, plateaus)
-    bad = np.logical_or.reduce(
-        [cell > FULL * limit for cell, limit in zip(cells, full, strict=True)]
-    )
-    z = [
+    bad = np.any([cell > FULL * limit for cell, limit in zip(cells, full, strict=True)], axis=0)
+    red, green_1, green_2, blue = (
         linear_counts(cell - b, b, profile) / (sensor.white_dn - b)
         for cell, b in zip(cells, black, strict=True)
-    ]
-    rgb = np.stack([z[0], (z[1] + z[2]) / 2, z[3]], axis=-1) / frame_z_per_cdm2(
-        mosaic.exposure, profile
     )
+    z = np.stack([red, (green_1 + green_2) / 2, blue], axis=-1)
+    rgb = z / frame_z_per_cdm2(mosaic.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 2, mosaic.exposure, mosaic.colour_matrix)
 
 
@@ -166,10 +153,11 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
     return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
 
 
-def transmission(lens: Lens, f_number: float, x_px: float, y_px: float) -> float:
-    """Return the profile's vignetting factor at a place on the sensor; 1 without a curve.
+def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
+    """Return the vignetting factor of the nearest lens at a place on the sensor; 1 without a curve.
 
     Raises InputError if the profile only has curves for other apertures.
     """
+    lens = profile.lens[nearest_lens(profile, x_px, y_px)]
     coefficients, _ = vignetting_of(lens, f_number)
     return float(vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))

@@ -19,9 +19,8 @@ from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays,
 Array = NDArray[Any]
 # least number of targets for the parameters of a lens with one free term, and its pose; chosen
 LEAST = 8
-# Powers of the polynomial mappings, from one to four terms. Chosen; held-out targets select one.
+# Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
 POWERS = {
-    "polynomial of one term": (1,),
     "two odd terms": (1, 3),
     "three odd terms": (1, 3, 5),
     "four terms": (1, 2, 3, 4),
@@ -49,6 +48,11 @@ class Targets:
     frames: tuple[Path, ...] = ()
     pose_known: bool = False  # True if the directions are relative to the optical axis
 
+    @property
+    def source(self) -> Path | str:
+        """What an error about the targets names."""
+        return self.frames[0] if self.frames else "targets"
+
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
@@ -75,12 +79,7 @@ def from_table(path: Path) -> Targets:
     """
     rows = read_table(path, ("x_px", "y_px", "azimuth_deg", "altitude_deg"))
     columns = {n: np.array([needed(row, n, path) for row in rows]) for n in rows[0]}
-    rays = np.stack(
-        [
-            direction(a, b)
-            for a, b in zip(columns["altitude_deg"], columns["azimuth_deg"], strict=True)
-        ]
-    )
+    rays = direction(columns["altitude_deg"], columns["azimuth_deg"])
     return Targets(columns["x_px"], columns["y_px"], rays, (path,))
 
 
@@ -144,12 +143,8 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     models: list[tuple[str, str, tuple[int, ...]]] = [
         ("equidistant", "equidistant", ()),
         ("equisolid", "equisolid", ()),
+        *((name, "polynomial", p) for name, p in POWERS.items() if n >= 3 * (len(p) + 5)),
     ]
-    models += [
-        (name, "polynomial", powers)
-        for name, powers in POWERS.items()
-        if n >= 3 * (len(powers) + 5)
-    ][1:]
     near = _near(targets, start, models)
     kept = replace(
         targets, x_px=targets.x_px[near], y_px=targets.y_px[near], rays=targets.rays[near]
@@ -164,14 +159,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     found = geometry_of_figures(start, figures, mapping, powers, not targets.pose_known)
     residual, angle = _misses(found, targets)
     _check(found, residual[near], angle[near], targets)
-    rms = float(np.sqrt(candidates[choice.index].errors.mean()))
-    new = replace(
-        lens,
-        centre_px=(round(found.centre_px[0], 3), round(found.centre_px[1], 3)),
-        radius_px=round(found.radius_px, 3),
-        mapping=found.mapping,
-        coefficients=tuple(round(c, 7) for c in found.coefficients),
-    )
+    new = with_mapping(lens, found)
     if not targets.pose_known:
         azimuth = round(float(signed_angle_deg(found.azimuth_deg)), 4)
         new = replace(
@@ -182,8 +170,18 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
         )
     per_px = lens.full_angle_deg / 2 / found.radius_px
     doubts = _doubts(targets, residual, near, new, lens)
-    return LensFit(
-        new, rms, rms * per_px, residual, float(np.degrees(angle[near].max())), choice, doubts
+    widest_deg = float(np.degrees(angle[near].max()))
+    return LensFit(new, choice.rms, choice.rms * per_px, residual, widest_deg, choice, doubts)
+
+
+def with_mapping(lens: Lens, found: LensGeometry) -> Lens:
+    """Return the lens with the fitted centre, radius and mapping, rounded for the profile."""
+    return replace(
+        lens,
+        centre_px=(round(found.centre_px[0], 3), round(found.centre_px[1], 3)),
+        radius_px=round(found.radius_px, 3),
+        mapping=found.mapping,
+        coefficients=tuple(round(c, 7) for c in found.coefficients),
     )
 
 
@@ -236,13 +234,12 @@ def _near(
 
 def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
     """Raise InputError for a lens that its own targets contradict."""
-    source = targets.frames[0] if targets.frames else "targets"
     wanted = (
         "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
     )
     if np.median(missed) > MISS_RADIUS * found.radius_px:
         raise InputError(
-            source,
+            targets.source,
             f"targets that fit no lens: half of them miss by over {np.median(missed):.0f} px",
             wanted,
             "check signs, units and the columns x_px and y_px",
@@ -250,7 +247,7 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
     if angle.max() > BEYOND * found.half_angle_rad:
         past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
         raise InputError(
-            source,
+            targets.source,
             f"{past} {np.degrees(found.half_angle_rad):.0f} deg",
             wanted,
             "correct the targets, or --full-angle",
@@ -272,10 +269,9 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
         _turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
     if mirrored < 0.5 * miss and miss > 0.1:
-        source = targets.frames[0] if targets.frames else "targets"
         remedy = "check for a wrong sign, or for x and y exchanged"
         wanted = "azimuth clockwise (to the right), altitude up, x right, y down"
-        raise InputError(source, "directions that fit only mirrored", wanted, remedy)
+        raise InputError(targets.source, "directions that fit only mirrored", wanted, remedy)
     right, forward = turn[:, 0], turn[:, 1]
     azimuth = np.degrees(np.arctan2(forward[0], forward[1]))
     tilt = np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))

@@ -138,12 +138,11 @@ def fit(levels: Levels) -> LinearityFit:
     candidates = [Candidate(f"order {order}", order, _held_out(levels, order)) for order in ORDERS]
     choice = choose("linearity", candidates, "% of light", negligible=_NEGLIGIBLE)
     solution, covariance = _solve(levels, np.ones(len(levels.seconds), bool), choice.index)
-    u = float(np.sqrt(candidates[choice.index].errors.mean()))
     coefficients = tuple(round(float(a), 7) for a in solution[1:])
     u_offset = float(np.sqrt(covariance[0, 0]))
     sure = abs(solution[0]) > _OFFSET_SIGMA * u_offset
     offset = float(f"{solution[0]:.4g}") if sure else 0.0
-    return LinearityFit(coefficients, offset, u_offset, max(round(u, 5), _REPEATS), choice)
+    return LinearityFit(coefficients, offset, u_offset, max(round(choice.rms, 5), _REPEATS), choice)
 
 
 def _residuals(
@@ -197,11 +196,10 @@ def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, 
 def _held_out(levels: Levels, order: int) -> Array:
     """Return the squared relative error of predicting each frame from the other exposure times.
 
-    The shortest and the longest time are not predicted. Blocks count by their weights, so that
-    noise in dark frames does not decide.
+    The shortest and the longest time are not predicted, because that would be extrapolation.
+    Blocks count by their weights, so that noise in dark frames does not decide.
     """
     out = np.full(len(levels.seconds), np.nan)
-    # the shortest and longest are not predicted: that would be extrapolation
     for seconds in np.unique(levels.seconds)[1:-1]:
         held = levels.seconds == seconds
         solution, _ = _solve(levels, ~held, order)

@@ -35,6 +35,7 @@ class OrderSelection:
     """The index of the chosen candidate, and a line for the profile with the reason."""
 
     index: int
+    rms: float  # held-out rms of the chosen candidate
     line: str  # lists the candidates and states why this one was chosen
 
 
@@ -65,9 +66,8 @@ def choose(
         if chosen == best
         else f"smaller than the best, {candidates[best].name}, and not significantly worse"
     )
-    return OrderSelection(
-        chosen, f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}"
-    )
+    line = f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}"
+    return OrderSelection(chosen, float(np.sqrt(means[chosen])), line)
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:

@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import (
-    JPEG_SUFFIXES,
-    Mosaic,
-    channel_positions,
-    possible_frames,
-    read_mosaic,
-)
+from fieldlum.raw import Mosaic, channel_positions, is_jpeg, possible_frames, read_mosaic
 
 # Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
 # real sensors.
@@ -107,15 +101,14 @@ def _decide(
 ) -> PixelDefects:
     from scipy.stats import binom
 
-    least = LEAST_DARK if dark else LEAST_VIEWS
+    least, kind, remedy = LEAST_DARK, "dark frames", "take more dark frames"
+    if not dark:
+        least, kind = LEAST_VIEWS, "views"
+        remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
     if len(views) < least:
-        what = "dark frames" if dark else "views"
-        remedy = "take more dark frames"
-        if not dark:
-            remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
         blank = f" and {plain} frames without detail" if plain else ""
         raise NotEnoughDataError(
-            f"bad pixels: {len(views)} different {what}{blank}; expected {least}; {remedy}"
+            f"bad pixels: {len(views)} different {kind}{blank}; expected {least}; {remedy}"
         )
     count = np.zeros(views[0].shape, np.uint16)
     for view in views:
@@ -139,7 +132,6 @@ def _decide(
             f"bad pixels: {len(rows)} found; expected at most {100 * MOST:g} % of the sensor; "
             f"check the profile's gain and read noise, and that the camera was turned"
         )
-    kind = "dark frames" if dark else "views"
     line = (
         f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; by chance "
         f"{by_chance[need]:.2g}"
@@ -168,7 +160,7 @@ def _frames_of(source: Path) -> list[Path]:
 
 
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
-    if path.suffix.lower() in JPEG_SUFFIXES:
+    if is_jpeg(path):
         expected = f"raw frames of {profile.camera.name}"
         raise InputError(path, "a JPEG frame", expected, "use the raw frames")
     mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)

@@ -26,22 +26,13 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     mark = _separator(lines)
     rows = csv.DictReader(lines, delimiter=mark)
     names = [name.strip() for name in rows.fieldnames or []]
-    for name in needed:
-        if name not in names:
-            raise InputError(
-                path,
-                f"no column {name}",
-                f"columns {', '.join([*needed, *also])}",
-                "name the columns in the first line",
-            )
-    for name in names:
-        if name not in (*needed, *also):
-            raise InputError(
-                path,
-                f"unknown column {name}",
-                f"columns {', '.join([*needed, *also])}",
-                "remove or rename it",
-            )
+    known = (*needed, *also)
+    expected = f"columns {', '.join(known)}"
+    if missing := [name for name in needed if name not in names]:
+        remedy = "name the columns in the first line"
+        raise InputError(path, f"no column {missing[0]}", expected, remedy)
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(path, f"unknown column {unknown[0]}", expected, "remove or rename it")
     rows.fieldnames = names
     readings = []
     for (number, _), row in zip(numbered[1:], rows, strict=False):

@@ -23,7 +23,7 @@ from fieldlum.photometry import (
     response_table,
 )
 from fieldlum.profiles import CameraProfile, Response
-from fieldlum.raw import JPEG_SUFFIXES, read_jpeg
+from fieldlum.raw import is_jpeg, read_jpeg
 from fieldlum.records import Exposure
 
 PLACES = 500  # places used from a bracket; more did not change the table; chosen
@@ -72,7 +72,7 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     single = [path for path in paths if path.is_file()]
     brackets = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
-        frames = sorted(p for p in folder.glob("*") if p.suffix.lower() in JPEG_SUFFIXES)
+        frames = sorted(p for p in folder.glob("*") if is_jpeg(p))
         if not frames:
             raise InputError(
                 folder,
@@ -296,18 +296,16 @@ def fit(places: Places) -> ResponseFit:
         float(np.sqrt(np.nanmean(residuals(t, places.codes[..., c], places.log_exposure, low))))
         for c, t in enumerate(tables)
     ]
-    u = float(np.sqrt(candidates[choice.index].errors.mean()))
+    u = choice.rms
     if u > DOUBTFUL:
         doubt = (
             f"CAUTION: the same places differ by {100 * u:.0f} % between frames: check that "
             "camera and light did not change, and take the bracket again"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
-    return ResponseFit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
-
-
-def _with_u(response: Response, u: float, low: int) -> Response:
-    return replace(response, low_code=low, high_code=HIGH, u_rel=round(max(u, 0.001), 5))
+    u_rel = round(max(u, 0.001), 5)
+    response = replace(response, low_code=low, high_code=HIGH, u_rel=u_rel)
+    return ResponseFit(response, (rms[0], rms[1], rms[2]), choice)
 
 
 def _pooled(

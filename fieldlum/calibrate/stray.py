@@ -205,7 +205,7 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
             "check that rows without luminance_cdm2 are black, and that the stated "
             "luminance_cdm2 of the others is right",
         )
-    u_rel = max(float(np.sqrt(candidates[choice.index].errors.mean())), LEAST_U_REL)
+    u_rel = max(choice.rms, LEAST_U_REL)
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
     return StrayFit(kernel, design @ values, share, choice)
 

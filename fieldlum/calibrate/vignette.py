@@ -241,8 +241,8 @@ def fit(samples: Samples) -> VignettingFit:
             "a loss towards the edge",
             "check that the readings fall from the axis to the edge",
         )
-    u_rel = float(np.sqrt(candidates[choice.index].errors.mean()))
-    return VignettingFit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
+    u_rel = max(choice.rms, 0.001)
+    return VignettingFit(tuple(coefficients), float(theta[0]), u_rel, residual, choice)
 
 
 def _slips(samples: Samples) -> NDArray[np.bool_]:

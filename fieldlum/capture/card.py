@@ -11,7 +11,7 @@ from pathlib import Path
 from fieldlum.capture.match_card import CardFrame
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
-from fieldlum.raw import JPEG_SUFFIXES, RAW_SUFFIXES, read_exif, same_model
+from fieldlum.raw import RAW_SUFFIXES, is_jpeg, read_exif, same_model
 from fieldlum.raw.exif import tags_of
 from fieldlum.records import Exposure, Progress, SiteFile, quiet
 from fieldlum.session import sha256
@@ -50,7 +50,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
             folder, "no such folder", "a card's folder, such as DCIM", "check the path of the card"
         )
     files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
-    frames = [p for p in files if p.suffix.lower() in (*RAW_SUFFIXES, *JPEG_SUFFIXES)]
+    frames = [p for p in files if p.suffix.lower() in RAW_SUFFIXES or is_jpeg(p)]
     other = Counter(p.suffix.lower() for p in files if p.suffix.lower() in _OTHER_PICTURES)
     notes = [
         f"{folder}: {count} {suffix} files, which cannot be merged"
@@ -168,7 +168,7 @@ def of_the_session(
         if who != ours
     ]
     mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
-    jpeg = [frame for frame in mine if frame.path.suffix.lower() in JPEG_SUFFIXES]
-    raw = [frame for frame in mine if frame.path.suffix.lower() not in JPEG_SUFFIXES]
+    jpeg = [frame for frame in mine if is_jpeg(frame.path)]
+    raw = [frame for frame in mine if not is_jpeg(frame.path)]
     first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)
     return first or second, notes

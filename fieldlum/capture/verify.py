@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.errors import InputError
-from fieldlum.raw import JPEG_SUFFIXES, FrameInfo, read_exif, read_jpeg, read_mosaic
+from fieldlum.raw import FrameInfo, is_jpeg, read_exif, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
 # EV; a camera that used another setting is at least 1/3 EV away; chosen as the half
@@ -64,7 +64,7 @@ def clipped_share(path: Path) -> float:
 
     Raises InputError if the frame cannot be read.
     """
-    if path.suffix.lower() in JPEG_SUFFIXES:
+    if is_jpeg(path):
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
     mosaic = read_mosaic(path, lens_f_number=1.0)  # only the counts are used
     plateau = min(float(mosaic.white_dn), float(mosaic.counts.max()))

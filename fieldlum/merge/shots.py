@@ -14,7 +14,7 @@ from fieldlum.errors import InputError
 from fieldlum.linear_light import true_shutter_s
 from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import JPEG_SUFFIXES, possible_frames, read_exif
+from fieldlum.raw import is_jpeg, possible_frames, read_exif
 from fieldlum.records import Exposure
 from fieldlum.session.files.capture_json import CaptureFile
 
@@ -150,11 +150,6 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
         return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (known[e.nd] if e.nd else 1.0)
 
     return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
-
-
-def is_jpeg(path: Path) -> bool:
-    """Return whether a file's suffix is that of a JPEG."""
-    return path.suffix.lower() in JPEG_SUFFIXES
 
 
 def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:

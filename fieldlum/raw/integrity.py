@@ -23,8 +23,13 @@ RAW_SUFFIXES = (
     ".srw",
     ".raw",
 )
-JPEG_SUFFIXES = (".jpg", ".jpeg")
+_JPEG_SUFFIXES = (".jpg", ".jpeg")
 _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
+
+
+def is_jpeg(path: Path) -> bool:
+    """Return whether a file's suffix is that of a JPEG."""
+    return path.suffix.lower() in _JPEG_SUFFIXES
 
 
 def possible_frames(folder: Path) -> list[Path]:
@@ -39,7 +44,7 @@ def unreadable(path: Path) -> str:
     Decodes the frame, which takes some seconds for a large raw file.
     """
     try:
-        if path.suffix.lower() in JPEG_SUFFIXES:
+        if is_jpeg(path):
             read_jpeg(path)
         else:  # a lens without electronics is no fault of the file
             read_mosaic(path, lens_f_number=1.0)
