@@ -272,7 +272,7 @@ def _adopt_all(
         ledger = read_ledger(session)
         for done, (match, offset) in enumerate(matched, start=1):
             progress(done, len(matched), match.slot.id)
-            if ledger.slots.get(match.slot.id, SlotState()).outcome != "done":
+            if ledger.state(match.slot.id).outcome != "done":
                 _adopt(session, setup, journal, match, offset)
                 new.append(match)
     finally:

@@ -13,10 +13,10 @@ from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.live import Live
 from fieldlum.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.session import Session
+from fieldlum.session.ledger import SETTLED
 from fieldlum.session.tables import EventFields
 
 OUTBOX = "outbox.jsonl"
-_SETTLED = ("done", "missed", "aborted")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Remote:
 
     def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
         """Send the messages that a journal event causes."""
-        if self.heartbeat is not None and event in _SETTLED:
+        if self.heartbeat is not None and event in SETTLED:
             self.heartbeat.beat()
         with self._lock:
             messages = self.alerts.event(event, t_utc, fields)

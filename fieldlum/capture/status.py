@@ -9,13 +9,13 @@ from fieldlum.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.ledger import Ledger, SlotState, read_ledger
+from fieldlum.session.ledger import Ledger, owed, read_ledger
 
 
 def status(session: Session) -> JsonTable:
     """Return for each stage what is done and what is still to do."""
     slots, ledger = session.slots(), read_ledger(session)
-    captured = {slot.id for slot in slots if _of(ledger, slot).frames}
+    captured = {slot.id for slot in slots if ledger.state(slot.id).frames}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     paired = {Path(row.panorama).stem for row in pairs.rows}
@@ -58,10 +58,6 @@ def next_step(answer: JsonTable) -> str:
     return f"open {root}/report/index.html"
 
 
-def _of(ledger: Ledger, slot: Slot) -> SlotState:
-    return ledger.slots.get(slot.id, SlotState())
-
-
 def _plan(session: Session, slots: list[Slot]) -> JsonTable:
     plan = {"set": session.table().get("plan", {}).get("set", ""), "slots": len(slots)}
     if slots:
@@ -70,17 +66,16 @@ def _plan(session: Session, slots: list[Slot]) -> JsonTable:
 
 
 def _capture(slots: list[Slot], ledger: Ledger) -> JsonTable:
-    outcomes = [_of(ledger, slot).outcome for slot in slots]
-    owed = [
-        slot for slot, outcome in zip(slots, outcomes, strict=True) if outcome in ("", "started")
-    ]
+    states = [ledger.state(slot.id) for slot in slots]
+    outcomes = [state.outcome for state in states]
+    to_do = owed(slots, ledger)
     return {
         "done": outcomes.count("done"),
         "missed": outcomes.count("missed"),
         "aborted": outcomes.count("aborted"),
-        "owed": len(owed),
-        "frames": sum(len(_of(ledger, slot).frames) for slot in slots),
-        "next": min((slot.id for slot in owed), default=None),
+        "owed": len(to_do),
+        "frames": sum(len(state.frames) for state in states),
+        "next": to_do[0].id if to_do else None,
         "device_lost": ledger.counts.get("device-lost", 0),
         "clock_steps": ledger.counts.get("clock-step", 0),
         "suspends": ledger.counts.get("suspend", 0),

@@ -40,4 +40,5 @@ from fieldlum.session.writing import (
     replacing_path,
     sha256,
     sync_folder,
+    write_table,
 )

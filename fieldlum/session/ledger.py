@@ -15,6 +15,7 @@ from fieldlum.session.marks import BY_PEOPLE
 from fieldlum.session.tables import JournalEvent
 
 Outcome = Literal["", "started", "done", "missed", "aborted"]
+SETTLED = ("done", "missed", "aborted")  # outcomes after which a slot needs no bracket
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,10 @@ class Ledger:
     opened: JournalEvent | None = None  # the last `open` event
     counts: dict[str, int] = field(default_factory=dict)
 
+    def state(self, slot: str) -> SlotState:
+        """Return the state of a slot; without an event it has no outcome and no frames."""
+        return self.slots.get(slot, SlotState())
+
 
 def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger:
     """Return the state after some events; with `ledger`, add them to that state.
@@ -54,7 +59,7 @@ def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger
             ledger.opened = event
         if "slot" in event:
             slot = event["slot"]
-            ledger.slots[slot] = _step(ledger.slots.get(slot, SlotState()), kind, event)
+            ledger.slots[slot] = _step(ledger.state(slot), kind, event)
     return ledger
 
 
@@ -80,13 +85,12 @@ def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
         return replace(state, frames=(*others, frame))
     if kind == "illuminance" and "illuminance_lx" in event:
         return replace(state, illuminance_lx=(*state.illuminance_lx, event["illuminance_lx"]))
-    if kind in ("done", "missed", "aborted"):
+    if kind in SETTLED:
         return replace(state, outcome=kind, why=event.get("why", ""))
     return SlotState() if kind == "withdrawn" else state
 
 
 def owed(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
     """Return planned slots without an outcome (done, missed or aborted), in order of time."""
-    settled = ("done", "missed", "aborted")
-    unsettled = (s for s in slots if ledger.slots.get(s.id, SlotState()).outcome not in settled)
+    unsettled = (slot for slot in slots if ledger.state(slot.id).outcome not in SETTLED)
     return sorted(unsettled, key=lambda slot: slot.t_utc)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable
-from datetime import datetime
 from pathlib import Path
+from typing import Any
 from zoneinfo import ZoneInfo
 
 from fieldlum.errors import InputError
 from fieldlum.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
-from fieldlum.session.writing import replacing
+from fieldlum.session.writing import write_table
 
 PLAN_COLUMNS = (
     "slot",
@@ -45,21 +45,19 @@ def parse_exposure(text: str) -> Exposure:
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
     """Write the slots; local times only serve readers of the file."""
     zone = ZoneInfo(timezone)
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(PLAN_COLUMNS)
-        for slot in slots:
-            writer.writerow(
-                (
-                    slot.id,
-                    utc_text(slot.t_utc),
-                    slot.t_utc.astimezone(zone).strftime("%Y-%m-%d %H:%M %Z"),
-                    f"{slot.sun_altitude_deg:.3f}",
-                    f"{slot.sun_azimuth_deg:.3f}",
-                    "; ".join(exposure_text(e) for e in slot.exposures),
-                    " ".join(slot.tags),
-                )
-            )
+    rows = (
+        (
+            slot.id,
+            utc_text(slot.t_utc),
+            slot.t_utc.astimezone(zone).strftime("%Y-%m-%d %H:%M %Z"),
+            f"{slot.sun_altitude_deg:.3f}",
+            f"{slot.sun_azimuth_deg:.3f}",
+            "; ".join(exposure_text(e) for e in slot.exposures),
+            " ".join(slot.tags),
+        )
+        for slot in slots
+    )
+    write_table(path, PLAN_COLUMNS, rows, end="\r\n")
 
 
 def read_plan(path: Path) -> list[Slot]:
@@ -71,30 +69,28 @@ def read_plan(path: Path) -> list[Slot]:
             "the plan of a session",
             "restore it, or plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER",
         )
+    expected, remedy = f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
     slots: list[Slot] = []
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
             found = ", ".join(reader.fieldnames or ())[:120] or "an empty file"
-            raise InputError(
-                path, found, f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
-            )
+            raise InputError(path, found, expected, remedy)
         for number, row in enumerate(reader, start=2):
             try:
-                # with commas instead of semicolons each bracket would have one frame
-                if None in row:
-                    raise ValueError(f"{len(PLAN_COLUMNS) + len(row.get(None) or ())} values")
-                t_utc: datetime = parse_utc(row["t_utc"])
-                if slot_id(t_utc) != row["slot"]:
-                    raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")
-                exposures = tuple(
-                    parse_exposure(text) for text in row["exposures"].split(";") if text.strip()
-                )
-                angles = float(row["sun_altitude_deg"]), float(row["sun_azimuth_deg"])
-                slots.append(Slot(t_utc, *angles, exposures, tuple(row["tags"].split())))
+                slots.append(_slot(row))
             except (KeyError, ValueError, TypeError, AttributeError) as error:
-                expected = f"columns {', '.join(PLAN_COLUMNS)}"
-                raise InputError(
-                    f"{path}:{number}", f"{error}", expected, "restore the plan from a copy"
-                ) from None
+                raise InputError(f"{path}:{number}", f"{error}", expected, remedy) from None
     return slots
+
+
+def _slot(row: dict[Any, Any]) -> Slot:
+    # With commas instead of semicolons each bracket would have one frame.
+    if None in row:
+        raise ValueError(f"{len(PLAN_COLUMNS) + len(row[None] or ())} values")
+    t_utc = parse_utc(row["t_utc"])
+    if slot_id(t_utc) != row["slot"]:
+        raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")
+    exposures = tuple(parse_exposure(text) for text in row["exposures"].split(";") if text.strip())
+    angles = float(row["sun_altitude_deg"]), float(row["sun_azimuth_deg"])
+    return Slot(t_utc, *angles, exposures, tuple(row["tags"].split()))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
 import os
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -23,6 +24,19 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file
+
+
+def write_table(
+    path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]], *, end: str = "\n"
+) -> None:
+    """Write a csv as `replacing` does: a line with the names of the columns, then the rows.
+
+    end: end of a line.
+    """
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator=end)
+        writer.writerow(columns)
+        writer.writerows(rows)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from fieldlum.session.writing import replacing
+from fieldlum.session.writing import write_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +60,8 @@ def _row(cells: dict[str, str]) -> AlignmentRow:
 
 def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
     """Write all rows. Raises OSError if the folder is not writable."""
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        for row in rows:
-            name, digest, *numbers, aligned = astuple(row)
-            writer.writerow((name, digest, *(f"{v:.4f}" for v in numbers), int(aligned)))
+    cells = []
+    for row in rows:
+        name, digest, *numbers, aligned = astuple(row)
+        cells.append((name, digest, *(f"{v:.4f}" for v in numbers), int(aligned)))
+    write_table(path, _COLUMNS, cells)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
-from fieldlum.session.writing import replacing
+from fieldlum.session.writing import write_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 PAIR_COLUMNS = (
@@ -103,10 +104,7 @@ class PairsFile:
 
     def write(self) -> None:
         """Write all rows; an unknown number is an empty cell."""
-        with replacing(self.path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(PAIR_COLUMNS)
-            writer.writerows(_cells(row) for row in self.rows)
+        write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
 
 
 def _reader(path: Path) -> csv.DictReader[str]:
@@ -161,10 +159,11 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
     def number(name: str, default: float = math.nan) -> float:
         return _number(path, line, name, cells.get(name) or "", default)
 
-    ok = _is_ok(path, line, cells.get("ok") or "")
     text = {name: (cells.get(name) or "").strip() for name in OPTIONAL}
-    if not ok:
-        moment = _time_or_none(cells["t_utc"]) or NO_TIME
+    if not _is_ok(path, line, text["ok"]):
+        moment = NO_TIME
+        with suppress(ValueError):
+            moment = parse_utc(cells["t_utc"])
         nan, panorama, why = math.nan, text["panorama"], text["why"]
         return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
     if not text["panorama"]:
@@ -187,13 +186,6 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         refraction=number("refraction", 1.0) != 0.0,
         line=line,
     )
-
-
-def _time_or_none(text: str) -> datetime | None:
-    try:
-        return parse_utc(text)
-    except ValueError:
-        return None
 
 
 def _time(path: Path, line: int, text: str) -> datetime:

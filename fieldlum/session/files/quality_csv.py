@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fieldlum.session.writing import replacing
+from fieldlum.session.writing import write_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +43,8 @@ QUALITY_COLUMNS = tuple(field.name for field in fields(QualityRow))
 
 def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
     """Write all rows."""
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(QUALITY_COLUMNS)
-        writer.writerows([_text(getattr(row, name)) for name in QUALITY_COLUMNS] for row in rows)
+    cells = ([_text(getattr(row, name)) for name in QUALITY_COLUMNS] for row in rows)
+    write_table(path, QUALITY_COLUMNS, cells, end="\r\n")
 
 
 def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:

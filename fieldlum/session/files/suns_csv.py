@@ -9,7 +9,7 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.records import SunSource
 from fieldlum.session.files.json_file import from_json
-from fieldlum.session.writing import replacing
+from fieldlum.session.writing import write_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
@@ -49,10 +49,7 @@ COLUMNS = tuple(field.name for field in fields(SunRow))
 
 def write_suns(path: Path, rows: list[SunRow]) -> None:
     """Write all rows."""
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(astuple(row) for row in rows)
+    write_table(path, COLUMNS, (astuple(row) for row in rows))
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
-from fieldlum.session.writing import replacing
+from fieldlum.session.writing import write_table
 
 TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 
@@ -29,16 +29,15 @@ class TruthIrradiance:
     @classmethod
     def read(cls, path: Path) -> TruthIrradiance:
         """Read the file. Raises InputError for other content, or rows that are not in order."""
-        expected, remedy = f"the columns {', '.join(TRUTH_COLUMNS)}", "fieldlum simulate"
+        expected = f"the columns {', '.join(TRUTH_COLUMNS)}"
+        remedy = "write the file again with: fieldlum simulate"
         try:
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.DictReader(file))
             times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
             light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
         except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(
-                path, str(error), expected, f"write the file again with: {remedy}"
-            ) from None
+            raise InputError(path, str(error), expected, remedy) from None
         if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
             found = f"{len(times)} rows"
             raise InputError(path, found, "two or more sorted rows of numbers", remedy)
@@ -46,10 +45,9 @@ class TruthIrradiance:
 
     def write(self, path: Path) -> None:
         """Write all rows."""
-        with replacing(path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(TRUTH_COLUMNS)
-            columns = self.t_unix_s, self.ghi_wm2, self.dhi_wm2, self.dni_wm2
-            for second, *figures in zip(*columns, strict=True):
-                moment = utc_text(datetime.fromtimestamp(float(second), UTC))
-                writer.writerow((moment, *(f"{np.nan_to_num(value):.3f}" for value in figures)))
+        columns = self.t_unix_s, self.ghi_wm2, self.dhi_wm2, self.dni_wm2
+        rows = []
+        for second, *figures in zip(*columns, strict=True):
+            moment = utc_text(datetime.fromtimestamp(float(second), UTC))
+            rows.append((moment, *(f"{np.nan_to_num(value):.3f}" for value in figures)))
+        write_table(path, TRUTH_COLUMNS, rows, end="\r\n")
