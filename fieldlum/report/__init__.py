@@ -60,32 +60,21 @@ def find(session: Session) -> SessionArtefacts:
 def _settings(session: Session, found: SessionArtefacts) -> Section:
     from fieldlum.report.page import Section, Table
 
-    table = session.table()
-    rows = [("fieldlum", __version__)]
-    rows += [
-        (f"{group}: {key}", _text(value))
-        for group, values in table.items()
-        for key, value in _flat(values)
-    ]
+    groups: list[tuple[str, Any]] = list(session.table().items())
     if found.annual is not None:
-        rows += [
-            (f"prediction: {key}", _text(value))
-            for key, value in _flat(found.annual.summary.inputs)
-        ]
-        rows += [
-            (f"weather: {key}", _text(value)) for key, value in _flat(found.annual.about["weather"])
-        ]
+        groups.append(("prediction", found.annual.summary.inputs))
+        groups.append(("weather", found.annual.about["weather"]))
     keep = ("model", "patch", "seed", "software", "training")
     config = found.config.state if found.config else {}
-    kept = {key: value for key, value in config.items() if key in keep}
-    rows += [(f"model: {key}", _text(value)) for key, value in _flat(kept)]
-    return Section(
-        "settings",
-        "Settings and versions",
-        "",
-        (),
-        (Table(("setting", "value"), tuple(rows), words=True),),
-    )
+    groups.append(("model", {key: value for key, value in config.items() if key in keep}))
+    settings = [
+        (f"{group}: {key}", _text(value))
+        for group, values in groups
+        for key, value in _flat(values)
+    ]
+    rows = (("fieldlum", __version__), *settings)
+    table = Table(("setting", "value"), rows, words=True)
+    return Section("settings", "Settings and versions", tables=(table,))
 
 
 def _text(value: Any) -> str:
@@ -132,18 +121,13 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
     if found.model is not None:
         held, names = HeldOutMaps.find(found.model), _slot_names(pairs)
         sections.append(evidence.section(held, found.scores, names))
-    dni, dhi = (
-        (year.hours["dni_wm2"], year.hours["dhi_wm2"]) if year else (np.empty(0), np.empty(0))
-    )
-    sections += [captured.section(session, setup.site, pairs, dni, dhi), _settings(session, found)]
-    answer, why = (
-        annual.answer(year)
-        if year
-        else (
-            "No year has been predicted yet.",
-            "Train a model and run fieldlum predict to get the answer here.",
-        )
-    )
+    hours = year.hours if year else {"dni_wm2": np.empty(0), "dhi_wm2": np.empty(0)}
+    captures = captured.section(session, setup.site, pairs, hours["dni_wm2"], hours["dhi_wm2"])
+    sections += [captures, _settings(session, found)]
+    answer = "No year has been predicted yet."
+    why = "Train a model and run fieldlum predict to get the answer here."
+    if year is not None:
+        answer, why = annual.answer(year)
     return Page(
         title=setup.site.name,
         answer=answer,
@@ -172,13 +156,11 @@ def _facts(
         facts.append(("model", found.config.model))
     if found.annual is not None:
         summary = found.annual.summary
+        trusted = 100 * (1 - summary.occupancy.untrusted_share)
         facts += [
             ("hours predicted", f"{summary.hours}"),
             ("weather", summary.weather.name),
-            (
-                "hours like captured ones",
-                f"{100 * (1 - summary.occupancy.untrusted_share):.0f} %",
-            ),
+            ("hours like captured ones", f"{trusted:.0f} %"),
         ]
     return tuple(facts)
 
@@ -187,12 +169,10 @@ def _warnings(year: Annual | None) -> tuple[str, ...]:
     if year is None:
         return ()
     weather = year.summary.weather
-    repairs = [f"Weather repaired: {text}." for text in weather.repairs]
-    synthetic = (
-        ["The weather is synthetic: do not judge this place by it."] if weather.synthetic else []
-    )
-    doubted = [_spoken(text) for text in year.summary.model_warnings]
-    return (*doubted, *synthetic, *repairs)
+    warnings = [_spoken(text) for text in year.summary.model_warnings]
+    if weather.synthetic:
+        warnings.append("The weather is synthetic: do not judge this place by it.")
+    return (*warnings, *(f"Weather repaired: {text}." for text in weather.repairs))
 
 
 def _spoken(warning: str) -> str:

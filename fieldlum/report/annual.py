@@ -134,29 +134,11 @@ def _direction_table(annual: Annual) -> Table:
         if row.seen == PARTLY_SEEN:
             chip["text"] += ", partly seen"
         over = {k: "–" if v is None else v for k, v in row.hours_over.items()}
-        rows.append(
-            (
-                named(row.azimuth_deg),
-                chip,
-                _settled(row),
-                "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}",
-                interval,
-                over["0.35"],
-                over["0.40"],
-                over["0.45"],
-            )
-        )
-    head = (
-        "view direction",
-        "class",
-        "settled",
-        "DGP in 5 %",
-        "95 % interval",
-        "h > .35",
-        "h > .40",
-        "h > .45",
-    )
-    return Table(head, tuple(rows))
+        exceeded = "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
+        hours = (over["0.35"], over["0.40"], over["0.45"])
+        rows.append((named(row.azimuth_deg), chip, _settled(row), exceeded, interval, *hours))
+    head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
+    return Table((*head, "h > .35", "h > .40", "h > .45"), tuple(rows))
 
 
 def directions_section(annual: Annual) -> Section:
@@ -169,22 +151,26 @@ def directions_section(annual: Annual) -> Section:
         tables.append(
             Table(head, rows, "Hours like these, when captured, would decide the open classes")
         )
-    ends = best_and_worst(annual.summary.protection)
-    curve = svg_figure(
-        exceedance_svg(
-            annual.views["dgp"][annual.occupied][:, annual.judged],
-            annual.summary.occupancy.hours,
-            annual.azimuths_deg[annual.judged],
-            (("worst", ends[1].azimuth_deg), ("best", ends[0].azimuth_deg)),
-        )
-        if ends
-        else "",
-        "Exceedance curves of DGP for each direction over the occupied hours.",
-        "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction.",
-    )
     text = f"Occupied hours: {annual.summary.occupancy.text}. {' '.join(annual.summary.notes[1:])}"
-    rows = (Row((curve,)),) if ends else ()
-    return Section("directions", "Where to sit", text, rows, tuple(tables))
+    return Section("directions", "Where to sit", text, _exceedance(annual), tuple(tables))
+
+
+def _exceedance(annual: Annual) -> tuple[Row, ...]:
+    ends = best_and_worst(annual.summary.protection)
+    if ends is None:
+        return ()
+    best, worst = ends
+    curve = exceedance_svg(
+        annual.views["dgp"][annual.occupied][:, annual.judged],
+        annual.summary.occupancy.hours,
+        annual.azimuths_deg[annual.judged],
+        (("worst", worst.azimuth_deg), ("best", best.azimuth_deg)),
+    )
+    alt = "Exceedance curves of DGP for each direction over the occupied hours."
+    caption = (
+        "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction."
+    )
+    return (Row((svg_figure(curve, alt, caption),)),)
 
 
 # ----------------------------------------------------------------------------------------------

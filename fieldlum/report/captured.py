@@ -83,27 +83,13 @@ def _sentence(session: Session, site: Site, pairs: PairsFile) -> str:
 
 
 def _tables(session: Session, pairs: PairsFile) -> tuple[Table, ...]:
-    tables = []
     refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
-    if refused:
-        tables.append(
-            Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
-        )
-    events = (
-        Counter(str(event.get("event", "?")) for event in read_journal(session))
-        if session.journal.exists()
-        else {}
+    events = sorted(Counter(event["event"] for event in read_journal(session)).items())
+    columns, quality = read_quality(session.quality)
+    title = f"Quality of each bracket ({len(quality)})"
+    tables = (
+        Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used"),
+        Table(("event", "times"), tuple(events), "Events of the journal", folded=True),
+        Table(columns, quality, title, folded=True),
     )
-    if events:
-        tables.append(
-            Table(
-                ("event", "times"),
-                tuple(sorted(events.items())),
-                "Events of the journal",
-                folded=True,
-            )
-        )
-    head, rows = read_quality(session.quality)
-    if rows:
-        tables.append(Table(head, rows, f"Quality of each bracket ({len(rows)})", folded=True))
-    return tuple(tables)
+    return tuple(table for table in tables if table.rows)

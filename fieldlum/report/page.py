@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ class Page:
     sections: tuple[Section, ...]
     footer: str
     polar: Figure | None = None
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,18 +140,8 @@ def heat_map(
     start: index of the quantity shown first. used: hours of the day, 0 to 24, at which lines are
     drawn.
     """
-    shown = tuple(
-        {
-            "name": q.name,
-            "unit": q.unit,
-            "step": q.step,
-            "edges": q.edges,
-            "colours": q.colours,
-            "dark": q.dark,
-            "digits": q.digits,
-        }
-        for q in quantities
-    )
+    names = ("name", "unit", "step", "edges", "colours", "dark", "digits")
+    shown = tuple({name: getattr(q, name) for name in names} for q in quantities)
     data = {
         "year": year,
         "days": int(quantities[0].values.shape[0]),
@@ -188,14 +178,5 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    facts = [{"name": name, "value": value} for name, value in page.facts]
-    return environment.get_template("page.html.j2").render(
-        title=page.title,
-        answer=page.answer,
-        why=page.why,
-        facts=facts,
-        sections=page.sections,
-        footer=page.footer,
-        polar=page.polar,
-        warnings=page.warnings,
-    )
+    content = {field.name: getattr(page, field.name) for field in fields(page)}
+    return environment.get_template("page.html.j2").render(content)
