@@ -25,6 +25,26 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(array - middle)))
 
 
+def nan_percentiles(values: NDArray[np.floating], percent: tuple[float, ...]) -> NDArray[Any]:
+    """Return percentiles [k, ...] along the first axis of values [n, ...], without NaN.
+
+    percent: [k]. Linear between neighbours, as numpy.nanpercentile, which takes a column at a time
+    and is 100 times slower. A column of NaN alone gives NaN.
+    """
+    ordered = np.sort(values, axis=0)  # NaN last
+    last = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)  # [...], index of the largest value
+    out = []
+    for q in percent:
+        position = last * (q / 100.0)
+        below = np.floor(position).astype(np.intp)
+        low, high = (
+            np.take_along_axis(ordered, index[None], axis=0)[0]
+            for index in (below, np.minimum(below + 1, last))
+        )
+        out.append(low + (high - low) * (position - below).astype(values.dtype))
+    return np.stack(out)
+
+
 def median_standard_error(sigma: float, count: int) -> float:
     """Return the standard error of the median of `count` values of standard deviation `sigma`."""
     return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))

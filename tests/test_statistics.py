@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fieldlum.projection import signed_angle_deg
-from fieldlum.statistics import is_no_worse, median_standard_error, robust_sigma, standard_error
+from fieldlum.statistics import (
+    is_no_worse,
+    median_standard_error,
+    nan_percentiles,
+    robust_sigma,
+    standard_error,
+)
 
 RNG = np.random.default_rng(3)
 
@@ -50,3 +56,11 @@ def test_a_signed_angle_is_the_same_direction(turn: float) -> None:
     signed = float(signed_angle_deg(turn))
     assert -180.0 <= signed < 180.0
     assert np.cos(np.radians(signed - turn)) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.authority
+def test_percentiles_without_nan_are_numpys() -> None:
+    values = np.where(RNG.random((31, 40)) < 0.3, np.nan, RNG.normal(size=(31, 40)))
+    expected = np.nanpercentile(values, (10, 50, 90), axis=0)
+    np.testing.assert_allclose(nan_percentiles(values, (10, 50, 90)), expected, atol=1e-14)
+    assert np.isnan(nan_percentiles(np.full((3, 2), np.nan), (50,))).all()

@@ -149,6 +149,7 @@ def fit_and_score(
                     seed=seed,
                     budget_s=limit,
                     keep_maps=True,
+                    least_passes=MIN_PASSES_TO_JUDGE,
                     clock=budget.clock,
                     progress=progress,
                 )

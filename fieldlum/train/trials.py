@@ -68,6 +68,7 @@ def evaluate_folds(
     budget_s: float | None = None,
     glare: bool = True,
     keep_maps: bool = False,
+    least_passes: float = 0.0,
     clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
     **more: Any,
@@ -76,7 +77,8 @@ def evaluate_folds(
 
     budget_s: for all folds together [s]. A slow model divides it among the folds. A quick model
     skips the remaining folds if the next one would exceed it, but always runs two, so that large
-    maps of a month do not delay the result.
+    maps of a month do not delay the result. least_passes: a network that saw its training data less
+    often is compared with one hour only, since nobody will read its scores.
     """
     parts: list[Scores] = []
     passes: list[float] = []
@@ -98,12 +100,14 @@ def evaluate_folds(
             progress=progress,
             **more,
         )
-        test = truth(data.take(fold.check), glare=glare)
+        seen = passes_over_data(fitted)
+        judged = seen is None or seen >= least_passes
+        test = truth(data.take(fold.check if judged else fold.check[:1]), glare=glare)
         scores = evaluate(fitted, test, keep_maps=keep_maps, progress=progress)
         if scores.maps is not None:
             scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
         parts.append(scores)
-        if (seen := passes_over_data(fitted)) is not None:
+        if seen is not None:
             passes.append(seen)
         wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
     n = len(parts)

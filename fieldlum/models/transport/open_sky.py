@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Light
+from fieldlum.statistics import nan_percentiles
 
 Array = NDArray[Any]
 
@@ -62,8 +63,8 @@ def open_sky_from_captures(
         ratio, plain = np.where(lit, np.nan, ratio), np.where(lit, np.nan, plain)
         dark = lit.all(axis=0)
         ratio[:, dark], plain[:, dark] = 0.0, 0.0
-    low, middle, high = np.nanpercentile(ratio, (10, 50, 90), axis=0)
-    spread = np.nanpercentile(plain, 90, axis=0) - np.nanpercentile(plain, 10, axis=0)
+    low, middle, high = nan_percentiles(ratio, (10, 50, 90))
+    spread = np.subtract(*nan_percentiles(plain, (90, 10)))
     share = np.exp(low)
     keep = (high - low < WINDOW_SCATTER * spread) & (share > WINDOW_SHARE) & (middle < np.log(1.2))
     return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
