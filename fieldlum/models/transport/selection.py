@@ -240,10 +240,12 @@ def choose_model(
     showed. The choices include the use of these skies, of the computed light of `drawn`, and a lamp
     that is on in all captures.
     """
-    drawn = _with_better_mean(drawn, kernel, bounced)
+    drawn, first = _with_better_mean(drawn, kernel, bounced)
     drawn, field = _with_seen_sky(drawn, kernel, sky)
     used = drawn.computed is not None
-    chosen = replace(_choose_recipe(drawn, kernel, bounced), sky_field=field, computed=used)
+    first = first if field is None else None
+    chosen = _choose_recipe(drawn, kernel, bounced, first)
+    chosen = replace(chosen, sky_field=field, computed=used)
     always = replace(drawn.states, always=True)
     lit = replace(drawn, features=always.add(drawn.features, drawn.light), states=always)
     trial = _choose_kernel(lit, kernel, [Recipe(s, PATCH_GAIN_VARIANCE) for s in LAMP_NOISES], None)
@@ -255,17 +257,23 @@ def choose_model(
 
 def _with_better_mean(
     drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
-) -> TrainingArrays:
-    """Return the arrays with computed light as the prior mean, if it lowers held-out errors."""
+) -> tuple[TrainingArrays, SelectedRecipe | None]:
+    """Return the arrays with computed light as the prior mean, if it lowers held-out errors.
+
+    The second value is the choice among the recipes of the fit, if these were compared: computed
+    light wants a larger noise than captures alone. Robust recipes alone would take too long.
+    """
     if drawn.computed is None:
-        return drawn
+        return drawn, None
+    in_full = drawn.patch is not None and not drawn.fitted_patches
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
-    plain = replace(drawn, computed=None)
-    errors = [
-        float(_choose_kernel(arrays, kernel, recipes, bounced).held.judged.mean())
-        for arrays in (drawn, plain)
+    recipes = recipes_for(True, one_season(drawn.days)) if in_full else recipes
+    tried = [
+        (arrays, _choose_kernel(arrays, kernel, recipes, bounced))
+        for arrays in (replace(drawn, computed=None), drawn)
     ]
-    return drawn if errors[0] < errors[1] else plain
+    best, chosen = min(tried, key=lambda pair: float(pair[1].held.judged.mean()))
+    return best, chosen if in_full else None
 
 
 def _with_seen_sky(
@@ -318,11 +326,15 @@ def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> 
 
 
 def _choose_recipe(
-    drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
+    drawn: TrainingArrays,
+    kernel: Kernel,
+    bounced: NDArray[np.float32] | None,
+    first: SelectedRecipe | None = None,
 ) -> SelectedRecipe:
+    """Return the complete choice; first: of `_choose_kernel` among all recipes, if known."""
     alike, with_patch = one_season(drawn.days), drawn.patch is not None
     recipes = recipes_for(with_patch, alike, fitted_patches=drawn.fitted_patches)
-    chosen = _choose_kernel(drawn, kernel, recipes, bounced)
+    chosen = first or _choose_kernel(drawn, kernel, recipes, bounced)
     if with_patch and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
     chosen = replace(chosen, states=drawn.states)
