@@ -4,6 +4,8 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from fieldlum import models
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, light_at
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport import Transport, fit
+from fieldlum.models.transport import Transport, fit, selection
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixels
@@ -421,6 +423,29 @@ def test_two_days_predict_the_year_of_a_room_as_computed(tmp_path: Path) -> None
 def test_captures_that_contradict_computed_light_switch_it_off() -> None:
     four = TRAIN.take(np.isin(TRAIN.days, np.unique(TRAIN.days)[::2]))
     assert not fit(computed(four, upside_down=True)).response.pixels.computed.any()
+
+
+@pytest.mark.contract
+def test_computed_light_is_judged_by_the_recipes_of_the_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Captures alone may be best at a noise that computed light does not want."""
+    arrays = training_arrays_of(TRAIN, with_patch=True)
+    light: Any = object()
+    asked: list[list[Recipe]] = []
+
+    def choose(arrays: Any, kernel: Any, recipes: list[Recipe], bounced: Any) -> Any:
+        asked.append(recipes)
+        error = 1.0 if arrays.computed is light else 2.0
+        if arrays.computed is None and any(r.noise == 3e-3 for r in recipes):
+            error = 0.5
+        return SimpleNamespace(held=SimpleNamespace(judged=np.array([error])))
+
+    monkeypatch.setattr(selection, "_choose_kernel", choose)
+    drawn = replace(arrays, computed=light)
+    best, first = selection._with_better_mean(drawn, Kernel(arrays.facades), None)
+    assert best.computed is None and first is not None and first.held.judged[0] == 0.5
+    assert asked == 2 * [recipes_for(True, False)]
 
 
 # ----------------------------------------------------------------------------------------------
