@@ -24,7 +24,8 @@ import numpy as np
 from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.models.transport import fit
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Obstruction, Room
+from fieldlum.records import Obstruction, Room, slot_id
+from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sun_disc import add_disc
 
 
@@ -66,7 +67,10 @@ def told(data: Dataset, what: str) -> Dataset:
 
 def run(folder: Path, sets: list[str], rooms: list[str], modes: list[str]) -> None:
     data = load_pairs(folder / "pairs.csv")
-    index = json.loads((folder / "sets.json").read_text(encoding="utf-8"))
+    rows = json.loads((folder / "sets.json").read_text(encoding="utf-8"))
+    slots = [slot_id(row.t_utc) for row in PairsFile.read(folder / "pairs.csv").rows]
+    place = {slot: k for k, slot in enumerate(data.slots)}  # without captures that were left out
+    index = {name: [place[slots[k]] for k in of if slots[k] in place] for name, of in rows.items()}
     test = data.take(index["test"])
     w = equirect_solid_angles(*data.shape)
     w = w / w.mean()
