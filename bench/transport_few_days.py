@@ -53,7 +53,7 @@ def judged(train: Dataset, test: Dataset, seen: NDArray[Any], *, computed: bool)
     """Return error, expected error and the share of pixels in the 90 % interval."""
 
     def off(drawn: Any, *_: Any) -> Any:
-        return replace(drawn, computed=None)
+        return replace(drawn, computed=None), None
 
     choice = selection._with_better_mean if computed else off
     with patch.object(selection, "_with_better_mean", choice):
