@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -100,7 +101,9 @@ def judged_scene(
     scene = scene_of(fit, cast("Chosen", verdict.chosen), verdict.reason)
     outside = len(fit.misfits.none)
     if outside < MIN_HOURS_OUTSIDE:
-        lacking = KEPT_OUT_EVERY * MIN_HOURS_OUTSIDE
+        # Blocks of sun directions are held out: their share of the hours can be below a third.
+        per_hour_outside = max(KEPT_OUT_EVERY, fit.hours / max(outside, 1))
+        lacking = ceil(MIN_HOURS_OUTSIDE * per_hour_outside)
         note = (
             f"{fit.hours} clear hours, {outside} of them held out of the search: too few to "
             f"confirm the choice; capture at least {lacking} clear hours"
