@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NotRequired, TypedDict
@@ -164,8 +163,3 @@ def picture_warnings(picture: Picture) -> list[str]:
 def plain(value: float) -> float | None:
     """Return the number, or None if it is not finite."""
     return float(value) if np.isfinite(value) else None
-
-
-def plain_values(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return all values by name, None for those that are not finite."""
-    return {name: plain(value) for name, value in values.items()}

@@ -85,11 +85,10 @@ def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float) -> NDArray[np.
     centre = np.array([0.5 + x * stretch / np.pi, 0.5 - y * stretch / np.pi]) * size
     omega = fisheye_solid_angles(size)
     disc = _disc_pixels(_disc_shares(centre, np.array([x, y, z]), size), omega)
-    if disc.any():
-        picture = picture + (disc * (sun.normal_illuminance_lx / omega[disc].sum())).astype(
-            np.float32
-        )
-    return picture
+    if not disc.any():
+        return picture
+    added = disc * (sun.normal_illuminance_lx / omega[disc].sum())
+    return picture + added.astype(np.float32)
 
 
 def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.glare.contrast import BAND_DEG, TASK_RADIUS_DEG, WINDOW_CDM2
 from fieldlum.glare.geometry import angles_from_view, position_index
 from fieldlum.glare.metrics import combine, sums_of_sources
 from fieldlum.glare.picture_grid import PictureGrid, centres, row_blocks
@@ -19,12 +20,11 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 # Rows of a panorama of directions on which bright pixels are grouped: 0.25 degrees, a twentieth of
 # the distance within which they form one source. Chosen.
 _DIRECTION_ROWS = 720
-_WINDOW_CDM2 = 2000.0  # brighter pixels are a window, as in `contrast.ViewRegions.ratios`
 # share of task cone and band that must be covered; with less the figure is NaN. Chosen, not
 # measured.
 _LEAST_COVERED_SHARE = 0.95
-BAND_SR = 2.0 * np.pi * float(np.sin(np.radians(20.0)))  # front half of the 40-degree band, sr
-TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(15.0)))  # 15-degree task cone, sr
+BAND_SR = 2.0 * np.pi * float(np.sin(np.radians(BAND_DEG)))  # front half of the band, sr
+TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(TASK_RADIUS_DEG)))  # task cone, sr
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,18 +197,18 @@ def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
         values = luminance_cdm2[rows].astype(float)
         omega = grid.solid_angle[rows].astype(float)
         task, band = omega * grid.task[rows], omega * grid.band[rows]
-        bright = omega * (values > _WINDOW_CDM2)
+        bright = omega * (values > WINDOW_CDM2)
         inverse = 1.0 / np.maximum(values, 0.1)
         sums = (task, task * values, band, band * values, band * inverse, bright, bright * values)
         totals += [part.sum() for part in sums]
     task_sr, task_power, band_sr, band_power, band_inverse, bright_sr, bright_power = totals
     task = task_power / task_sr if task_sr > _LEAST_COVERED_SHARE * TASK_SR else np.nan
     window = bright_power / bright_sr if bright_sr > 0 else np.nan
-    covered = band_sr > _LEAST_COVERED_SHARE * BAND_SR
+    uniformity = np.nan
+    if band_sr > _LEAST_COVERED_SHARE * BAND_SR and band_power > 0:
+        uniformity = band_sr**2 / (band_inverse * band_power)
     return {
         "task_cdm2": float(task),
         "window_to_task": float(window / max(task, 1e-6)) if task == task else np.nan,
-        "uniformity": float(band_sr**2 / (band_inverse * band_power))
-        if covered and band_power > 0
-        else np.nan,
+        "uniformity": float(uniformity),
     }

@@ -149,17 +149,13 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     options = _options(text, source)
     kind = options.get("vt", "")
     if kind not in VIEW_TYPES:
+        found, remedy = "a VIEW without a type", HOW
         if kind:
-            raise InputError(
-                source,
-                f"view type -vt{kind}",
-                "-vta, -vth, -vts or -vtv",
-                "render the picture with -vta",
-            )
-        raise InputError(source, "a VIEW without a type", "-vta, -vth, -vts or -vtv", HOW)
-    forward = (
-        _vector(options["vd"], "-vd", source) if "vd" in options else direction(0.0, heading_deg)
-    )
+            found, remedy = f"view type -vt{kind}", "render the picture with -vta"
+        raise InputError(source, found, "-vta, -vth, -vts or -vtv", remedy)
+    forward = direction(0.0, heading_deg)
+    if "vd" in options:
+        forward = _vector(options["vd"], "-vd", source)
     up = _vector(options.get("vu", "0 0 1"), "-vu", source)
     if abs(float(forward @ up)) > 0.9999:
         raise InputError(

@@ -13,12 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.errors import InputError
-from fieldlum.glare.picture_view import (
-    HOW,
-    PictureView,
-    check_proportion,
-    parse_view,
-)
+from fieldlum.glare.picture_view import HOW, PictureView, check_proportion, parse_view
 from fieldlum.images import (
     RadianceHeader,
     read_exr,

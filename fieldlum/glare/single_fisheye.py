@@ -14,7 +14,7 @@ from fieldlum.glare.answers import (
     GlareAnswer,
     ViewAnswer,
     answer_of,
-    plain_values,
+    plain,
     scaled_sun,
     seen_pixels,
     valid_pixels,
@@ -50,7 +50,7 @@ def single_picture_glare(
     figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
     figures |= region_ratios(pixels, grid)
     row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
-    row |= plain_values(figures)
+    row |= {name: plain(value) for name, value in figures.items()}
     row["melanopic_edi_lx"] = float(melanopic_edi_lx(np.asarray(figures["ev_lx"])))
     row["verdict"] = verdict(figures["dgp"])
     seen_share = min(1.0, float(grid.illuminance.sum(dtype=float)) / np.pi)
