@@ -72,18 +72,6 @@ class Pictures:
     heading_deg: float
 
 
-def write_hourly(annual: Annual, timezone: str) -> None:
-    """Write the year's figures to hourly.csv: a row an hour, local times in `timezone`."""
-    HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views).write(
-        annual.folder, timezone
-    )
-
-
-def write_summary(annual: Annual) -> None:
-    """Write predict.json; it is the last file, so that a folder with it is complete."""
-    annual.summary.write(annual.folder)
-
-
 def write_pictures(path: Path, pictures: Pictures) -> None:
     """Write pictures.npz."""
     with replacing(path) as file:

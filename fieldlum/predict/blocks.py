@@ -126,7 +126,9 @@ def blocks(
             raise FloatingPointError(
                 f"hours {rows.start} to {rows.stop}: predicted values that are not finite"
             )
-        disc = guessed_disc(maps, part, room) if known_disc_lx is None else known_disc_lx
+        disc = known_disc_lx
+        if disc is None:
+            disc = guessed_disc_lx(maps, part, room.heading_deg)
         progress(rows.stop, count, "hours predicted")
         yield HourBlock(rows, part, prediction, disc)
 
@@ -160,8 +162,3 @@ def _patches(
         )
         for part, rows in zip(found, starts, strict=True):
             yield part.luminance_cdm2, part.disc_lx, rows
-
-
-def guessed_disc(maps: NDArray[np.float32], light: Light, room: ModelRoom) -> NDArray[np.float64]:
-    """Return the disc's illuminance at the lens [k] lx, guessed from the maps."""
-    return guessed_disc_lx(maps, light, room.heading_deg)

@@ -25,15 +25,16 @@ if TYPE_CHECKING:
 
 def default_folder(model_folder: Path) -> Path:
     """Return SESSION/annual/NAME for SESSION/models/NAME, else `annual` in the model's folder."""
-    resolved = model_folder.resolve()
-    in_session = (
-        resolved.parent.name == "models" and (resolved.parents[1] / "session.toml").is_file()
-    )
-    return (
-        model_folder.parent.parent / "annual" / resolved.name
-        if in_session
-        else model_folder / "annual"
-    )
+    if _session_folder(model_folder) is None:
+        return model_folder / "annual"
+    return model_folder.parent.parent / "annual" / model_folder.resolve().name
+
+
+def _session_folder(model_folder: Path) -> Path | None:
+    """Return the session that a model folder is in; None if it is elsewhere."""
+    models = model_folder.resolve().parent
+    in_session = models.name == "models" and (models.parent / "session.toml").is_file()
+    return models.parent if in_session else None
 
 
 def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
@@ -42,9 +43,8 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     scene: the fitted scene in the model's config.json, if any; then the room as stated before the
     fit is compared.
     """
-    resolved = model_folder.resolve()
-    root = resolved.parents[1]
-    if resolved.parent.name != "models" or not (root / "session.toml").is_file():
+    root = _session_folder(model_folder)
+    if root is None:
         return
     session = open_session(root)
     setup = session.site_file()
@@ -136,12 +136,11 @@ def inputs_of(
         raise InputError(
             weather, "no such file", "a weather file, or the word synthetic", "check the path"
         )
+    weights = model / "weights.npz"
     return {
         "model": model.resolve().name,
         "model_sha256": sha256(model / "config.json"),
-        "weights_sha256": sha256(model / "weights.npz")
-        if (model / "weights.npz").is_file()
-        else "",
+        "weights_sha256": sha256(weights) if weights.is_file() else "",
         "weather": weather.name,
         "weather_sha256": "" if synthetic else sha256(weather),
         **({"label_shift_min": label_shift_min} if label_shift_min else {}),

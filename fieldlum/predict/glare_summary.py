@@ -182,7 +182,8 @@ def _disc_note(annual: Annual) -> list[str]:
     lit = annual.occupied & (annual.hours["dni_wm2"] > _SUNNY_WM2)
     if not lit.any() or not annual.judged.any():
         return []
-    open_share = float((np.nanmax(gap[lit][:, annual.judged], axis=1) > _WIDE_DGP).mean())
+    widest = np.nanmax(gap[lit][:, annual.judged], axis=1)
+    open_share = float((widest > _WIDE_DGP).mean())
     if open_share < NOISY_TRUST:
         return []
     return [

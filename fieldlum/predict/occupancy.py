@@ -43,13 +43,11 @@ class Occupancy:
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
         zone = ZoneInfo(timezone)
         local = [t.astimezone(zone) for t in times_utc]
-        return np.array(
-            [
-                any(d == t.weekday() and a <= t.time() < b for d, a, b in self.periods)
-                for t in local
-            ],
-            bool,
-        )
+        return np.array([self._is_in_period(t) for t in local], bool)
+
+    def _is_in_period(self, local: datetime) -> bool:
+        day, at = local.weekday(), local.time()
+        return any(d == day and start <= at < end for d, start, end in self.periods)
 
 
 def default_occupancy() -> Occupancy:
@@ -134,14 +132,11 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
         )
     hours = np.zeros(HOURS_OF_YEAR, bool)
     for k, row in enumerate(rows[1:]):
-        if len(row) <= column or row[column] not in ("0", "1"):
-            raise InputError(
-                path,
-                f"line {k + 2}: occupied is '{row[column] if len(row) > column else ''}'",
-                "0 or 1",
-                "correct the value",
-            )
-        hours[k] = row[column] == "1"
+        cell = row[column] if len(row) > column else ""
+        if cell not in ("0", "1"):
+            found = f"line {k + 2}: occupied is '{cell}'"
+            raise InputError(path, found, "0 or 1", "correct the value")
+        hours[k] = cell == "1"
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
 
 

@@ -12,15 +12,9 @@ from numpy.typing import NDArray
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.glare.standards import GlareDoubt, disturbed_share
-from fieldlum.glare.unseen import (
-    view_coverage,
-)
-from fieldlum.models.disc_in_view import (
-    DRAWN_ROOMS,
-    EDGE_SD_DEG,
-    drawn_discs_lx,
-)
-from fieldlum.predict.annual import Annual, write_hourly, write_pictures, write_summary
+from fieldlum.glare.unseen import view_coverage
+from fieldlum.models.disc_in_view import DRAWN_ROOMS, EDGE_SD_DEG, drawn_discs_lx
+from fieldlum.predict.annual import Annual, write_pictures
 from fieldlum.predict.blocks import ModelRoom, room_of
 from fieldlum.predict.checks import (
     already,
@@ -40,7 +34,7 @@ from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session.bucket import check_url
-from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS
+from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
@@ -127,10 +121,11 @@ def run(
     found = judge(annual, doubt, u_of_maps, hours_used, seed)
     summary = summary_of_year(room, config, weather, inputs, occupancy, annual, found, days)
     annual = replace(annual, summary=summary)
-    write_hourly(annual, zone)
+    rows = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
+    rows.write(folder, zone)
     pictures = telling_pictures(load(model_folder), room, light, annual)
     write_pictures(folder / "pictures.npz", pictures)
-    write_summary(annual)
+    summary.write(folder)  # the last file, so that a folder with it is complete
     return PredictedYear(annual, new=True)
 
 
