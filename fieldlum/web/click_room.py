@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from fieldlum.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.site_toml import site_table
 from fieldlum.web.pictures import scale_of
+from fieldlum.web.request_body import json_body
 from fieldlum.web.server import picture_routes, static_route
 
 _PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel; chosen
@@ -147,10 +147,8 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
 
 async def _answered(request: Request, make: Any) -> Response:
     """Answer a list of clicks; an InputError becomes a sentence in the answer."""
-    if int(request.headers.get("content-length") or 0) > _MAX_BODY:
-        raise HTTPException(413)
+    asked = await json_body(request, _MAX_BODY)
     try:
-        asked = json.loads(await request.body())
         clicks, height_m = clicks_from_rows(asked["clicks"]), float(asked["camera_height_m"])
         replace_room = asked.get("replace") is True
         return JSONResponse(await asyncio.to_thread(make, clicks, height_m, replace_room))

@@ -8,7 +8,6 @@ a content type that a form of another site cannot send.
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from fieldlum.errors import InputError
 from fieldlum.plan.extra import add_extra
 from fieldlum.records import JsonTable
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
+from fieldlum.web.request_body import json_body
 
 _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 
@@ -109,7 +109,7 @@ def control_routes(control: Control) -> list[Route]:
     """Return one POST route for each change; the answer has the key `text` or `error`."""
 
     async def change(request: Request) -> Response:
-        asked = await _body(request)
+        asked = await json_body(request, _MAX_BODY)
         try:
             text = await asyncio.to_thread(control.do, request.path_params["action"], asked)
         except (InputError, OSError) as error:
@@ -119,21 +119,3 @@ def control_routes(control: Control) -> list[Route]:
         return JSONResponse({"text": text})
 
     return [Route("/control/{action}", change, methods=["POST"])]
-
-
-async def _body(request: Request) -> Mapping[str, object]:
-    """Return the JSON object of a request; a long one is refused before it is read."""
-    if request.headers.get("content-type", "").partition(";")[0] != "application/json":
-        raise HTTPException(415)
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > _MAX_BODY:
-            raise HTTPException(413)
-    try:
-        asked = json.loads(data)
-    except (ValueError, RecursionError):
-        raise HTTPException(400) from None
-    if not isinstance(asked, dict):
-        raise HTTPException(400)
-    return asked

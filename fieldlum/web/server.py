@@ -71,7 +71,7 @@ def static_route(path: str, name: str) -> Route:
     return Route(path, lambda request: Response(body, media_type=kind))
 
 
-def _page(*scripts: str) -> Route:
+def _page(scripts: Sequence[str]) -> Route:
     """Return the route of the watch page, with more scripts at the end of its head."""
     tags = "".join(f'<script src="{name}" defer></script>\n' for name in scripts)
     text = (STATIC / "watch.html").read_text(encoding="utf-8")
@@ -133,10 +133,12 @@ def watch_routes(
             raise HTTPException(404) from None
         return table(lambda: snapshots.day(wanted))
 
+    changes = []
+    if control is not None:
+        changes = [static_route("/control.js", "control.js"), *control_routes(control)]
     return [
-        _page(*([] if control is None else ["/control.js"])),
-        *([] if control is None else [static_route("/control.js", "control.js")]),
-        *([] if control is None else control_routes(control)),
+        _page(["/control.js"] if changes else []),
+        *changes,
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
         Route("/state.json", lambda request: table(state)),

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
+from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 from fieldlum import doctor
@@ -19,6 +20,7 @@ from fieldlum.plan.makeup import made_up_for
 from fieldlum.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.ledger import SETTLED
 from fieldlum.web.answer import Moment
 from fieldlum.web.day_curve import day_curve
 from fieldlum.web.follow import IrradianceFollower, JournalFollower, JournalState
@@ -30,6 +32,19 @@ _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
 _EVENTS_SHOWN = 25  # not measured: about a screen
 # A journal this far ahead of the computer's clock comes from `capture --clock fast`. Chosen.
 _REHEARSAL = timedelta(hours=1)
+
+
+class _Present(NamedTuple):
+    """The journal and the plan as they are now, and the state of each slot.
+
+    rehearsal: whether `now` is the simulated time of a capture.
+    """
+
+    journal: JournalState
+    slots: list[Slot]
+    now: datetime
+    rehearsal: bool
+    states: dict[str, str]
 
 
 class Snapshots:
@@ -53,9 +68,7 @@ class Snapshots:
     def state(self) -> JsonTable:
         """Return what changes from minute to minute."""
         with self._lock:
-            journal, slots = self._journal.update(), self._slots()
-            now, rehearsal = self._now(journal)
-            states = self._states(slots, journal, now)
+            journal, slots, now, rehearsal, states = self._present()
             latest, merged = self._latest(), self._merged()
             ahead = [slot for slot in slots if states[slot.id] in ("owed", "running")]
             counts = list(states.values())
@@ -88,9 +101,7 @@ class Snapshots:
     def moment(self) -> Moment:
         """Return the time to the next slot, whether a capture is busy, and how many are done."""
         with self._lock:
-            journal, slots = self._journal.update(), self._slots()
-            now, rehearsal = self._now(journal)
-            states = self._states(slots, journal, now)
+            journal, slots, now, rehearsal, states = self._present()
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]
             running = is_running(journal) is not False
             captured = sum(state.outcome == "done" for state in journal.ledger.slots.values())
@@ -103,9 +114,8 @@ class Snapshots:
     def calendar(self) -> JsonTable:
         """Return the days of the plan with the state of each slot, and what the captures cover."""
         with self._lock:
-            journal, slots = self._journal.update(), self._slots()
-            now, _ = self._now(journal)
-            states, merged = self._states(slots, journal, now), self._merged()
+            _, slots, _, _, states = self._present()
+            merged = self._merged()
             days: dict[str, list[JsonTable]] = {}
             for slot in slots:
                 row = self._slot_row(slot, states)
@@ -119,15 +129,14 @@ class Snapshots:
     def day(self, day: date) -> JsonTable:
         """Return the slots of one local day with their verdicts, and its irradiance."""
         with self._lock:
-            journal, slots = self._journal.update(), self._slots()
-            now, _ = self._now(journal)
-            states, merged = self._states(slots, journal, now), self._merged()
+            journal, slots, _, _, states = self._present()
+            merged = self._merged()
             today = [slot for slot in slots if self._local_day(slot.t_utc) == day]
             rows: list[JsonTable] = []
             for slot in today:
                 row = self._slot_row(slot, states)
                 row["picture"] = slot.id in merged
-                row["verdict"] = self._verdict(slot.id, journal)
+                row["verdict"] = self._verdict(slot.id, journal.ledger.state(slot.id).why)
                 rows.append(row)
             paths = [self._session.panorama(slot.id) for slot in today if slot.id in merged]
             low, high = _readable_scale(paths)
@@ -140,6 +149,11 @@ class Snapshots:
 
     # ------------------------------------------------------------------------------------------
     # parts
+
+    def _present(self) -> _Present:
+        journal, slots = self._journal.update(), self._slots()
+        now, rehearsal = self._now(journal)
+        return _Present(journal, slots, now, rehearsal, self._states(slots, journal, now))
 
     def _slots(self) -> list[Slot]:
         """Return the plan, read again only when the file changed."""
@@ -158,11 +172,11 @@ class Snapshots:
 
     def _states(self, slots: list[Slot], journal: JournalState, now: datetime) -> dict[str, str]:
         """Return done, missed, aborted, "made up", running or owed for each slot."""
-        grace, folded = self._session.grace, journal.ledger.slots
+        grace = self._session.grace
         states: dict[str, str] = {}
         for slot in slots:
-            outcome = folded[slot.id].outcome if slot.id in folded else ""
-            if outcome in ("done", "missed", "aborted"):
+            outcome = journal.ledger.state(slot.id).outcome
+            if outcome in SETTLED:
                 states[slot.id] = outcome
             elif outcome == "started" and journal.opened is not None:
                 states[slot.id] = "running"
@@ -199,13 +213,8 @@ class Snapshots:
             "low": low,
             "high": high,
             "stamp": _stamp(files[-1:]),
-            "verdict": "",
+            "verdict": self._verdict(slot, "no sidecar"),
         }
-        try:
-            sidecar = Sidecar.find(self._session.sidecar(slot))
-            row["verdict"] = sidecar.verdict if sidecar else "no sidecar"
-        except InputError as error:
-            row["verdict"] = str(error)
         try:
             local = parse_utc(slot).astimezone(self._zone)
         except ValueError:
@@ -213,15 +222,12 @@ class Snapshots:
         row["local"], row["date"] = f"{local:%a %d %b %Y, %H:%M}", local.date().isoformat()
         return row
 
-    def _verdict(self, slot: str, journal: JournalState) -> str:
+    def _verdict(self, slot: str, without_sidecar: str) -> str:
         try:
             sidecar = Sidecar.find(self._session.sidecar(slot))
         except InputError as error:
             return str(error)
-        if sidecar is not None and sidecar.verdict:
-            return sidecar.verdict
-        state = journal.ledger.slots.get(slot)
-        return state.why if state else ""
+        return sidecar.verdict if sidecar is not None else without_sidecar
 
     def _paused(self, now: datetime) -> str | None:
         until = paused_until(self._session, now)

@@ -10,56 +10,55 @@ Level = Literal["info", "warn", "fail"]
 
 # Events that are no news on a page: the plan's calendar shows outcomes.
 _SILENT = frozenset({"imported", "withdrawn"})
+_WORDS: dict[str, tuple[Level, str]] = {
+    "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
+    "missed": ("fail", "Bracket {slot} was not taken: {reason}."),
+    "aborted": ("fail", "Bracket {slot} was ended before it was complete: {reason}."),
+    "device-lost": ("fail", "The {device} stopped answering ({why}). The capture tries it again."),
+    "device-back": ("info", "The {device} answers again after {away}."),
+    "bad-reading": ("warn", "The {device} gave a reading that cannot be used: {why}."),
+    "clock-step": (
+        "warn",
+        "The computer's clock jumped by {jump} s; the new time was {accepted}accepted.",
+    ),
+    "suspend": ("warn", "The computer slept for {slept}."),
+    "disk-full": ("fail", "The disk is full: {free_mb} MB are free."),
+    "late": ("info", "Bracket {slot} began {late_s} s late."),
+    "hook": ("info", "Two brackets in a row are missing: the command of --on-misses was run."),
+    "hook-failed": ("warn", "The command of --on-misses failed: {why}."),
+    "display-lost": ("info", "The terminal of the capture was closed; the capture continues."),
+    "open": ("info", "The capture was started."),
+    "close": ("info", "The capture was ended."),
+    "marked": ("info", "Bracket {slot} was marked: {state}."),
+    "paused": ("warn", "The capture was paused until {until_utc}."),
+    "resumed": ("info", "The pause was ended."),
+    "note": ("info", "Note: {text}"),
+}
 
 
 def event_words(event: JournalEvent) -> tuple[Level, str] | None:
     """Return the level and the sentence of an event; None for an event that needs no attention."""
-    kind, why, slot = event["event"], event.get("why", ""), event.get("slot", "")
+    kind, why = event["event"], event.get("why", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
         return None
-    device = event.get("device", "a device")
-    if kind == "done":
-        return "warn", f"Bracket {slot} is complete, with a warning: {why}."
-    if kind in ("missed", "aborted"):
-        word = "was not taken" if kind == "missed" else "was ended before it was complete"
-        return "fail", f"Bracket {slot} {word}: {why or 'no reason recorded'}."
-    if kind == "device-lost":
-        return "fail", f"The {device} stopped answering ({why}). The capture tries it again."
-    if kind == "device-back":
-        return "info", f"The {device} answers again after {_duration(event.get('after_s'))}."
-    if kind == "bad-reading":
-        return "warn", f"The {device} gave a reading that cannot be used: {why}."
-    if kind == "clock-step":
-        followed = "was accepted" if event.get("followed") else "was not accepted"
-        seconds = event.get("seconds", 0.0)
-        return "warn", (
-            f"The computer's clock jumped by {seconds:+.0f} s; the new time {followed}."
-        )
-    if kind == "suspend":
-        return "warn", f"The computer slept for {_duration(event.get('seconds'))}."
-    if kind == "disk-full":
-        free = event.get("bytes_free", 0) / 1e6
-        return "fail", f"The disk is full: {free:.0f} MB are free."
-    if kind == "late":
-        return "info", f"Bracket {slot} began {event.get('by_s', 0.0):.0f} s late."
-    if kind == "hook-failed":
-        return "warn", f"The command of --on-misses failed: {why}."
-    if kind == "display-lost":
-        return "info", "The terminal of the capture was closed; the capture continues."
-    fixed = {"open": "The capture was started.", "close": "The capture was ended."}
-    if kind in fixed:
-        return "info", fixed[kind]
-    if kind == "hook":
-        return "info", "Two brackets in a row are missing: the command of --on-misses was run."
-    if kind == "marked":
-        return "info", f"Bracket {slot} was marked: {event.get('state', '')}."
-    if kind == "paused":
-        return "warn", f"The capture was paused until {event.get('until_utc', '')}."
-    if kind == "resumed":
-        return "info", "The pause was ended."
-    if kind == "note":
-        return "info", f"Note: {event.get('text', '')}"
-    return "info", kind
+    if kind not in _WORDS:
+        return "info", kind
+    level, sentence = _WORDS[kind]
+    return level, sentence.format(
+        slot=event.get("slot", ""),
+        why=why,
+        reason=why or "no reason recorded",
+        device=event.get("device", "a device"),
+        away=_duration(event.get("after_s")),
+        slept=_duration(event.get("seconds")),
+        jump=f"{event.get('seconds', 0.0):+.0f}",
+        accepted="" if event.get("followed") else "not ",
+        free_mb=f"{event.get('bytes_free', 0) / 1e6:.0f}",
+        late_s=f"{event.get('by_s', 0.0):.0f}",
+        state=event.get("state", ""),
+        until_utc=event.get("until_utc", ""),
+        text=event.get("text", ""),
+    )
 
 
 def _duration(seconds: float | None) -> str:

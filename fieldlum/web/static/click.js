@@ -24,6 +24,7 @@ async function ask(path, body) {
   const answer = await fetch(path, {
     method: body ? "POST" : "GET",
     credentials: "same-origin",
+    headers: body ? { "Content-Type": "application/json" } : {},
     body: body ? JSON.stringify(body) : undefined,
   });
   if (!answer.ok)

@@ -1,0 +1,26 @@
+"""Read the JSON object that a page sends."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+
+
+async def json_body(request: Request, most_bytes: int) -> Mapping[str, Any]:
+    """Return the JSON object of a request; a long one is refused before it is read."""
+    if request.headers.get("content-type", "").partition(";")[0] != "application/json":
+        raise HTTPException(415)
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > most_bytes:
+            raise HTTPException(413)
+    try:
+        asked = json.loads(data)
+    except (ValueError, RecursionError):
+        raise HTTPException(400) from None
+    if not isinstance(asked, dict):
+        raise HTTPException(400)
+    return asked
