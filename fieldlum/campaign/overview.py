@@ -19,16 +19,7 @@ from fieldlum.campaign.drift import FEWEST, FEWEST_DAYS, LIMITS, UNITS, DriftSer
 from fieldlum.errors import FieldlumError
 from fieldlum.predict import best_and_worst
 from fieldlum.records import Progress, counted, quiet
-from fieldlum.report.page import (
-    Figure,
-    Page,
-    Row,
-    Section,
-    Table,
-    named,
-    render,
-    svg_figure,
-)
+from fieldlum.report.page import Figure, Page, Row, Section, Table, named, render, svg_figure
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyToCapture

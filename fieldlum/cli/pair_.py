@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import (
-    force_option,
-    scheduler_of,
-    scheduler_option,
-    session_argument,
-)
+from fieldlum.cli.options import force_option, scheduler_of, scheduler_option, session_argument
 
 if TYPE_CHECKING:
     from fieldlum.session import Session

@@ -9,12 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.linear_light import (
-    check_frame,
-    frame_z_per_cdm2,
-    nd_factors,
-    response_tables,
-)
+from fieldlum.linear_light import check_frame, frame_z_per_cdm2, nd_factors, response_tables
 from fieldlum.merge.estimator import Strip
 from fieldlum.merge.frames import Crop, evenly_spread
 from fieldlum.merge.shift import Small, reduced

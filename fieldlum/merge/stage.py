@@ -11,11 +11,7 @@ from typing import Any
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_shots
-from fieldlum.merge.disc import (
-    disc_px,
-    expected_sun_deg,
-    mosaic_u_rel,
-)
+from fieldlum.merge.disc import disc_px, expected_sun_deg, mosaic_u_rel
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.session_summary import summary_due, write_summary
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot

@@ -18,14 +18,7 @@ from fieldlum.light_clock import lit_at_night
 from fieldlum.pair.interval import Outside, outside
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.sun_strength import Seen, complete_sun
-from fieldlum.records import (
-    Progress,
-    Site,
-    SiteFile,
-    parse_utc,
-    quiet,
-    utc_text,
-)
+from fieldlum.records import Progress, Site, SiteFile, parse_utc, quiet, utc_text
 from fieldlum.scheduler import LOCAL, Scheduler
 from fieldlum.session import Session
 from fieldlum.session.files.capture_json import CaptureFile

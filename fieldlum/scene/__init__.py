@@ -11,10 +11,5 @@ from fieldlum.scene.drawn_rooms import (
     uncertainty_of_draws,
 )
 from fieldlum.scene.geometry import build
-from fieldlum.scene.patches import (
-    disc_visibility,
-    iter_sun_patches,
-    sun_patches,
-    window_fraction,
-)
+from fieldlum.scene.patches import disc_visibility, iter_sun_patches, sun_patches, window_fraction
 from fieldlum.scene.view import look

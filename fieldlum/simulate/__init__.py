@@ -31,13 +31,7 @@ from fieldlum.session.tables import PlanTable
 from fieldlum.simulate.slot_units import truth_units
 from fieldlum.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
 from fieldlum.simulate.truth import GroundTruth, ground_truth
-from fieldlum.weather import (
-    SHIPPED_SITE,
-    Weather,
-    read_weather,
-    shipped_seattle,
-    synthetic_weather,
-)
+from fieldlum.weather import SHIPPED_SITE, Weather, read_weather, shipped_seattle, synthetic_weather
 from fieldlum.weather.files import NEAR_KM, distance_km
 
 
