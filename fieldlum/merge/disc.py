@@ -53,11 +53,9 @@ def take_out_disc(
     with one of three origins: nd-frames (measured through a filter), merge (no frame clipped) or
     clipped (a lower bound). If the disc is not visible, return the panorama unchanged and None.
     """
-    flags = (
-        np.zeros(panorama.luminance_cdm2.shape, np.uint16)
-        if panorama.flags is None
-        else panorama.flags.astype(np.uint16)
-    )
+    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16)
+    if panorama.flags is not None:
+        flags |= panorama.flags.astype(np.uint16)
     disc = find_disc(
         panorama.luminance_cdm2,
         panorama.heading_deg,

@@ -10,6 +10,7 @@ included, because clipping them would bias dark pixels too. The sums are two flo
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, Protocol
 
 import numpy as np
@@ -195,11 +196,10 @@ def merge_signals(
     """
     if resident:
         return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)
-    done, total = [0], len(frames) * (passes + 1)
+    done, total = count(1), len(frames) * (passes + 1)
 
     def tick() -> None:
-        done[0] += 1
-        progress(done[0], total, "frames")
+        progress(next(done), total, "frames")
 
     value = _predict(frames, shape, tick)
     nd = any(load().through_nd for load in frames)
@@ -238,11 +238,8 @@ def _merge_by_strips(
     progress: Progress,
 ) -> Merged:
     signals, strips = [load() for load in frames], list(_strips(shape))
-    value, variance, flags = (
-        np.empty(shape, np.float32),
-        np.empty(shape, np.float32),
-        np.empty(shape, np.uint8),
-    )
+    value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    flags = np.empty(shape, np.uint8)
     for number, (a, b) in enumerate(strips, start=1):
         rows: list[Any] = [_Rows(signal, a, b) for signal in signals]
         part = merge_signals(
@@ -282,14 +279,12 @@ def _settle(
     if sums.chi2 is not None:
         shift = np.where(seen, mean - np.where(np.isfinite(value[at]), value[at], 0.0), 0.0)
         chi2 = sums.chi2[at] - information * shift * shift
-        allowed = (frames - 1) + (u_ratio * np.where(seen, mean, 0.0)) ** 2 * information * (
-            frames - 1
-        )
-        moved = seen & (chi2 > motion_sigma**2 + allowed)
+        freedom = frames - 1
+        tolerated = (u_ratio * np.where(seen, mean, 0.0)) ** 2 * information * freedom
+        moved = seen & (chi2 > motion_sigma**2 + (freedom + tolerated))
         flags[at][moved] |= np.uint8(Flag.MOTION)
-        variance[at][moved] *= chi2[moved] / (
-            frames - 1
-        )  # frames that disagree make the mean at least this uncertain
+        # Frames that disagree make the mean at least this uncertain.
+        variance[at][moved] *= chi2[moved] / freedom
     if sums.unfiltered is not None:
         flags[at][seen & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
     value[at] = mean

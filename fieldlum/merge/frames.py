@@ -58,10 +58,8 @@ def lens_crop(profile: CameraProfile) -> Crop:
         top, bottom = min(top, int(y - r)), max(bottom, int(np.ceil(y + r)))
         left, right = min(left, int(x - r)), max(right, int(np.ceil(x + r)))
     top, left = max(top, 0) // 2 * 2, max(left, 0) // 2 * 2
-    bottom, right = (
-        min(bottom + bottom % 2, body.height_px // 2 * 2),
-        min(right + right % 2, body.width_px // 2 * 2),
-    )
+    bottom = min(bottom + bottom % 2, body.height_px // 2 * 2)
+    right = min(right + right % 2, body.width_px // 2 * 2)
     if bottom - top < 2 or right - left < 2:
         raise InputError(
             body.name,
@@ -179,14 +177,12 @@ class RawSignal:
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
         """Return about rows x columns pixels of the mosaic, as in `Signal.sampled`."""
         at = evenly_spread(len(self.counts), rows)
-        step = (
-            max(1, self.counts.shape[-1] // columns) | 1
-        )  # an odd step samples both columns of the mosaic
+        # An odd step samples both columns of the mosaic.
+        step = max(1, self.counts.shape[-1] // columns) | 1
         full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
-        constants = (
+        black, saturation, per = (
             c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2)
         )
-        black, saturation, per = constants
         counts = self.counts[at][:, :, ::step]
         part = replace(self, counts=counts, black=black, saturation=saturation, per_cdm2=per)
         return part, full

@@ -77,15 +77,12 @@ def with_seen_noise(
     ratio = _neighbourhood(total, count, (_REACH_CELLS / stride, _REACH_CELLS)).astype(np.float32)
     column = np.minimum(np.arange(width) // edge, ratio.shape[1] - 1)
     variance = merged.variance.copy()
-    for band, scale in enumerate(
-        ratio[:, column, None]
-    ):  # band by band, because factors for all pixels at once need too much memory
-        at = slice(
-            band * edge * stride, height if band == len(ratio) - 1 else (band + 1) * edge * stride
-        )
-        np.multiply(
-            variance[at], scale, out=variance[at], where=(merged.flags[at] & Flag.MOTION) == 0
-        )
+    # Band by band, because factors for all pixels at once need too much memory.
+    for band, scale in enumerate(ratio[:, column, None]):
+        last = height if band == len(ratio) - 1 else (band + 1) * edge * stride
+        at = slice(band * edge * stride, last)
+        still = (merged.flags[at] & Flag.MOTION) == 0
+        np.multiply(variance[at], scale, out=variance[at], where=still)
     return replace(merged, variance=variance)
 
 
@@ -130,9 +127,8 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
         _cell_sums(v * both[..., None])[enough]
         for v in (long.light, short.light, long.variance, short.variance)
     )
-    a, b, u2_a, u2_b = (
-        np.maximum(v, 1e-12) for v in sums
-    )  # a pixel that is black in one colour has no light there: avoid a division by zero
+    # A pixel that is black in one colour has no light there: avoid a division by zero.
+    a, b, u2_a, u2_b = (np.maximum(v, 1e-12) for v in sums)
     apart = np.log(b / a)
     apart -= np.stack([_by_level(np.log(a[:, c]), apart[:, c]) for c in range(3)], axis=1)
     share = y_from_rgb * a
@@ -146,9 +142,8 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
 def _cell_sums(values: NDArray[Any]) -> NDArray[np.float64]:
     """Return sums over cells: [bands, edge, columns, ...] becomes [bands, columns / edge, ...]."""
     bands, edge, columns = values.shape[:3]
-    down = values.sum(
-        axis=1, dtype=np.float64
-    )  # sum the rows first, because numpy sums two axes at once slowly
+    # Sum the rows first, because numpy sums two axes at once slowly.
+    down = values.sum(axis=1, dtype=np.float64)
     return down.reshape(bands, columns // edge, edge, *values.shape[3:]).sum(axis=2)
 
 
@@ -173,9 +168,8 @@ def _neighbourhood(
     import cv2
 
     down, across = sigma_cells
-    area = np.prod(
-        np.maximum(2 * np.sqrt(np.pi) * np.array(sigma_cells), 1.0)
-    )  # effective number of equally weighted cells
+    # Effective number of equally weighted cells.
+    area = np.prod(np.maximum(2 * np.sqrt(np.pi) * np.array(sigma_cells), 1.0))
     near, seen = (
         area * cv2.GaussianBlur(v, (0, 0), sigmaX=across, sigmaY=down) for v in (total, count)
     )

@@ -107,9 +107,8 @@ class JpegSignal:
         a, b = max(first - 2, 0), min(last + 2, len(self.codes))
         if self.codes[a:b].max(initial=0) <= _TOP_CODE:
             return linear, None
-        below = cv2.inRange(
-            self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3
-        )  # 255 where no colour is saturated
+        # 255 where no colour is saturated.
+        below = cv2.inRange(self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3)
         wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
@@ -144,18 +143,15 @@ class JpegSignal:
         """Return about rows x columns pixels of all colours, as in `Signal.sampled`."""
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
-        full = np.stack(
-            [_or_none(self.strip(int(i), int(i) + 1)[1], self.codes.shape[1:]) for i in at]
-        )
+        full = np.zeros((len(at), *self.codes.shape[1:]), bool)
+        for row, i in enumerate(at.tolist()):
+            _, mask = self.strip(i, i + 1)
+            if mask is not None:
+                full[row] = mask[0]
         per = self._rows(self.per_cdm2)[::step]
         codes = self.codes[at][:, ::step]
-        return replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False), full[
-            :, ::step
-        ]
-
-
-def _or_none(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    return np.zeros(shape, bool) if mask is None else mask[0]
+        part = replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False)
+        return part, full[:, ::step]
 
 
 def load_jpeg(
@@ -172,15 +168,11 @@ def load_jpeg(
     frame = read_jpeg(shot.path)
     check_frame(shot.path, frame.codes.shape, frame.model, profile)
     per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
+    part = frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     return JpegSignal(
-        np.ascontiguousarray(
-            frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
-        ),
+        np.ascontiguousarray(part),
         response_tables(profile).astype(np.float32),
-        np.tile(
-            np.asarray([per / f for f in factors], np.float32),
-            (crop.width, 1),
-        ),
+        np.tile(np.asarray([per / f for f in factors], np.float32), (crop.width, 1)),
         profile.response.low_code,
         profile.response.high_code,
         *ends,

@@ -80,11 +80,8 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     enough = _SATURATED * ballot.largest_cdm2
     n, m = value.shape
     spread = variance + (u_ratio * value) ** 2
-    best, most, finest = (
-        np.zeros(m, np.float32),
-        np.full(m, -1.0, np.float32),
-        np.zeros(m, np.float32),
-    )
+    best, finest = np.zeros(m, np.float32), np.zeros(m, np.float32)
+    most = np.full(m, -1.0, np.float32)
     for start in range(n):
         centre = value[start]
         agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * (spread + spread[start]))
@@ -99,11 +96,8 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
         votes = agree.sum(axis=0) + (ballot.saturated & (centre >= enough)).sum(axis=0)
         precision = np.where(agree, 1 / spread, 0.0).sum(axis=0)
         better = usable[start] & ((votes > most) | ((votes == most) & (precision > finest)))
-        best[better], most[better], finest[better] = (
-            centre[better],
-            votes[better],
-            precision[better],
-        )
+        for kept, new in ((best, centre), (most, votes), (finest, precision)):
+            kept[better] = new[better]
     off = value - best
     agree = usable & (off**2 <= _VOTE_SIGMA**2 * spread)
     dissent = usable & ~agree
@@ -212,9 +206,8 @@ def _left_out(
         counts, usable, full = _own(signal, first, first + len(near))
         expected = value * signal.per_cdm2
         spread = signal.readable(np.maximum(counts, expected))[1] + (u_ratio * expected) ** 2
-        used = usable | (
-            ~full & (signal.weight(value) > 0)
-        )  # the merge weights by the expected value, and so must the vote
+        # The merge weights by the expected value, and so must the vote.
+        used = usable | (~full & (signal.weight(value) > 0))
         far[i] = near & used & ((counts - expected) ** 2 > _LEAVE_SIGMA**2 * spread)
         beyond += far[i] & ~usable
     sure = np.zeros(near.shape, np.int16)
@@ -260,10 +253,9 @@ def leave_out_moved(
             continue
         again = merge_signals(_parts(frames, a, out), (b - a, *shape[1:]), u_ratio=u_ratio)
         inner = slice(first - a, last - a)
-        lost_any = np.any(out, axis=0)[inner]
-        changed = lost_any & (
-            (again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0
-        )  # if all frames were excluded, none would remain
+        # If all frames were excluded, none would remain.
+        measured = (again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0
+        changed = np.any(out, axis=0)[inner] & measured
         for old, new in ((value, again.value_cdm2), (variance, again.variance)):
             old[first:last][changed] = new[inner][changed]
         flags[first:last][changed] = again.flags[inner][changed] | np.uint8(Flag.MOTION)

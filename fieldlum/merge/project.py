@@ -79,9 +79,7 @@ def _project(
             share = np.maximum(matrix @ valid, 1e-6)
             rgb.append(matrix @ (values * valid) / share)
             var.append(square @ (variance * valid) / share**2)
-    flags = np.zeros(
-        len(r.coverage), np.uint8
-    )  # flags of bad pixels may count too, which is harmless
+    flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
     if valid is not None:  # a pixel without a good sensor pixel of some colour has no value
         left = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
         flags[(left < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
@@ -228,9 +226,8 @@ def finish(
     )
     solid = target.solid_angles().ravel() * seen
     floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
-    edges = u_of_edges(
-        light.reshape(target.shape), seen.reshape(target.shape), target, profile
-    ).ravel()
+    shape = target.shape
+    edges = u_of_edges(light.reshape(shape), seen.reshape(shape), target, profile).ravel()
     u = np.sqrt(view.variance + light**2 * relative + floor**2 + view.u_stray**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
@@ -238,7 +235,6 @@ def finish(
     flags[seen & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
-    shape = target.shape
     return Panorama(
         light.reshape(shape).astype(np.float32),
         heading_deg,
@@ -294,6 +290,5 @@ def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> ND
     y = own @ np.asarray(RADIANCE_Y)
     scale = np.divide(light, y, out=np.zeros_like(y), where=y > 1e-12)
     grey = np.repeat(light[:, None], 3, axis=1)
-    return (np.where((y > 1e-12)[:, None], own * scale[:, None], grey) / RADIANCE_LM_PER_W).astype(
-        np.float32
-    )
+    rgb = np.where((y > 1e-12)[:, None], own * scale[:, None], grey) / RADIANCE_LM_PER_W
+    return rgb.astype(np.float32)

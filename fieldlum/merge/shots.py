@@ -181,18 +181,14 @@ def exposure_covariance(
     an error too, and so do frames of one ISO other than the profile's. Each frame also has its own
     error.
     """
-    times, filters, isos = (
-        [e.shutter_s for e in exposures],
-        [e.nd for e in exposures],
-        [e.iso for e in exposures],
+    u_time = [true_shutter_s(e.shutter_s, profile)[1] for e in exposures]
+    u_of_nd = {nd.name: nd.u_rel for nd in profile.nd}
+    u_nd = [u_of_nd.get(e.nd, 0.0) for e in exposures]
+    u_iso = [0.0 if abs(e.iso / profile.bracket.iso - 1) < 0.01 else U_ISO for e in exposures]
+    kinds = (
+        ([e.shutter_s for e in exposures], u_time),
+        ([e.nd for e in exposures], u_nd),
+        ([e.iso for e in exposures], u_iso),
     )
-    u_time = np.array([true_shutter_s(e.shutter_s, profile)[1] for e in exposures])
-    u_nd = np.array(
-        [next((nd.u_rel for nd in profile.nd if nd.name == e.nd), 0.0) for e in exposures]
-    )
-    u_iso = np.array(
-        [0.0 if abs(e.iso / profile.bracket.iso - 1) < 0.01 else U_ISO for e in exposures]
-    )
-    kinds = (times, u_time), (filters, u_nd), (isos, u_iso)
     shared = [np.equal.outer(np.array(k), np.array(k)) * np.outer(u, u) for k, u in kinds]
     return np.sum(shared, axis=0) + np.diag(np.full(len(exposures), U_REPEAT**2))
