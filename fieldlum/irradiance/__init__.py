@@ -101,24 +101,17 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
     starts, ends = np.r_[0, changes], np.r_[changes, len(ghi)]
     sine = np.sin(np.radians(np.maximum(altitude, 0.1)))
     highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
-    digit = steps[steps > 0.0].min(
-        initial=np.inf
-    )  # the smallest step in the log; if there is no step, all rows are stuck
+    smallest_step = steps[steps > 0.0].min(initial=np.inf)  # infinite if all rows are stuck
     with np.errstate(invalid="ignore"):
-        due = (
-            (ghi[starts] <= 0.0)
-            | (ghi[starts] * (1.0 - lowest / highest) > digit)
-            | np.isinf(digit)
-        )
-    long_run = (t_unix_s[ends - 1] - t_unix_s[starts] > STUCK_S) & (ends - starts > 2) & due
-    out = np.repeat(long_run, ends - starts)
-    return out & (altitude > 2.0) & np.isfinite(ghi)
+        sun_moved = ghi[starts] * (1.0 - lowest / highest) > smallest_step
+    change_due = (ghi[starts] <= 0.0) | sun_moved | np.isinf(smallest_step)
+    rows, seconds = ends - starts, t_unix_s[ends - 1] - t_unix_s[starts]
+    stuck = np.repeat((seconds > STUCK_S) & (rows > 2) & change_due, rows)
+    return stuck & (altitude > 2.0) & np.isfinite(ghi)
 
 
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
-    """Return a mask [n] of rows that deviate from both neighbours far more than usual.
-
-    They deviate to the same side.
+    """Return a mask [n] of rows that deviate from both neighbours, to one side, far beyond usual.
 
     The usual step is the ninth largest of the other steps within 120 rows on each side. Where the
     light changes often, as under broken clouds, no row is a spike (bench/damaged_series.py). Rows
@@ -157,9 +150,7 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
 
 
 def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
-    """Return means by UTC minute: centres [m] (unix s), means [m], each row's minute [n].
-
-    The row's minute is an index.
+    """Return means by UTC minute: centres [m] (unix s), means [m], each row's index of these [n].
 
     In a gap of more than half an hour one minute without a value is inserted, so that adjacent
     minutes of the result are also adjacent in time.
@@ -183,7 +174,7 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
 def derive(series: Series, altitude: Array, site: Site) -> Series:
     """Return DNI and DHI derived from global irradiance by DIRINT on minute means.
 
-    The rows of a minute share its result in proportion. altitude : of the sun, [n] deg.
+    The rows of a minute share its result in proportion. altitude: of the sun, [n] deg.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():

@@ -92,9 +92,7 @@ def lasting(t_unix_s: Array, marked: Rows, window_s: float) -> Rows:
 
 
 def closure_fails(t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array) -> Rows:
-    """Return a mask [n] of the rows that contradict global = diffuse + direct.
-
-    This is QCRad's closure test.
+    """Return a mask [n] of the rows that contradict global = diffuse + direct, by QCRad's test.
 
     The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
     degrees, and by 15 % if it is lower. A row is only in the mask if at least half of the testable
@@ -272,10 +270,8 @@ def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
 
 def _contrast(value: Array, spread: Array, k: int) -> float:
     """Return the difference of the levels before index k and from k on, in unit standard errors."""
-    (before, u_before), (after, u_after) = (
-        _level(value[:k], spread[:k]),
-        _level(value[k:], spread[k:]),
-    )
+    before, u_before = _level(value[:k], spread[:k])
+    after, u_after = _level(value[k:], spread[k:])
     return abs(after - before) / float(np.hypot(u_before, u_after))
 
 
@@ -283,14 +279,13 @@ def _smallest(
     value: Array, spread: Array, parts: list[tuple[int, int]], levels: list[float]
 ) -> float | None:
     """Return the smallest relative step in the middle of the record that would be detected."""
-    n = len(value)
-    if n < 2 * _STEP_DAYS:
+    if len(value) < 2 * _STEP_DAYS:
         return None
+    middle = len(value) // 2
+    _, u_before = _level(value[:middle], spread[:middle])
+    _, u_after = _level(value[middle:], spread[middle:])
     rest = np.concatenate([value[a:b] - m for (a, b), m in zip(parts, levels, strict=True)])
-    u_rel = np.hypot(
-        _level(value[: n // 2], spread[: n // 2])[1], _level(value[n // 2 :], spread[n // 2 :])[1]
-    )
-    return float(_STEP_SIGMA * _scatter(rest, spread) * u_rel)
+    return float(_STEP_SIGMA * _scatter(rest, spread) * np.hypot(u_before, u_after))
 
 
 def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[np.int64]:
@@ -302,9 +297,8 @@ def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[n
     marks = np.zeros(len(t), np.int64)
     complete = (series.marks & Mark.DERIVED) == 0
     ghi = np.where(complete, series.ghi_wm2, np.nan)
-    marks[k_index_fails(t, ghi, series.dhi_wm2, dni, altitude, top, site.altitude_m)] |= (
-        Mark.K_INDEX
-    )
+    impossible = k_index_fails(t, ghi, series.dhi_wm2, dni, altitude, top, site.altitude_m)
+    marks[impossible] |= Mark.K_INDEX
     if not np.isfinite(dni[complete]).any():
         return marks
     azimuth, clear = _clear_sky(t, site)

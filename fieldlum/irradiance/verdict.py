@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fieldlum import sun
-from fieldlum.irradiance.consistency import sensitivity_steps
+from fieldlum.irradiance.consistency import SensitivitySteps, sensitivity_steps
 from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll_period_s
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 from fieldlum.records import Site
@@ -57,34 +57,68 @@ def health(
     ratio = sun.closure_ratio(raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
     testable = np.isfinite(ratio) & (altitude > 0)
     passed = float(np.mean((clean.marks[testable] & Mark.CLOSURE) == 0)) if testable.any() else None
-    period = poll_period_s(clean.t_unix_s)
-    steps = np.diff(clean.t_unix_s)
-    gaps = steps[steps > 2.5 * local_period_s(clean.t_unix_s)[1:]]
-    counts = {
-        mark.name.lower(): int(np.sum((clean.marks & mark) != 0)) for mark in Mark if mark.name
-    }
-    warnings: list[str] = []
-    if offset is not None and offset > NIGHT_LIGHT_WM2:
-        warnings.append(
-            f"{offset:.0f} W/m2 in the middle of the night: check for a lamp, and check the "
-            "logger's clock, its --utc-offset, and longitude_deg"
-        )
-    elif offset is not None and abs(offset) >= NIGHT_OFFSET_WARN_WM2:
-        warnings.append(
-            f"night offset {offset:+.1f} W/m2: level, clean and ventilate the instrument"
-        )
-    warnings += _by_day(clean, altitude, top)
-    if passed is not None and passed < 0.8:
-        warnings.append(
-            f"global = diffuse + direct is true in only {100 * passed:.0f} % of the rows: "
-            "check the clock and the tilt of the instruments"
-        )
+    seconds = np.diff(clean.t_unix_s)
+    gaps = seconds[seconds > 2.5 * local_period_s(clean.t_unix_s)[1:]]
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
-    if clock_off is not None and abs(clock_off) > CLOCK_WARN_S:
+    sensitivity = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
+    counts = {mark: int(np.sum((clean.marks & mark) != 0)) for mark in Mark}
+    return Health(
+        rows=len(clean),
+        broken_lines=broken,
+        usable=int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum()),
+        every_s=poll_period_s(clean.t_unix_s),
+        gaps=len(gaps),
+        longest_gap_s=float(gaps.max(initial=0.0)),
+        night_offset_wm2=offset,
+        closure_pass=passed,
+        clock_off_s=clock_off,
+        marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
+        warnings=(
+            *_of_night(offset),
+            *_by_day(clean, altitude, top),
+            *_of_closure(passed),
+            *_of_clock(raw, clock_off, site),
+            *_of_sensitivity(sensitivity),
+            *_of_lines(broken),
+        ),
+        sensitivity_steps=tuple(
+            (f"{day:%Y-%m-%d}", round(change, 4)) for day, change in sensitivity.steps
+        ),
+        smallest_step=None if sensitivity.smallest is None else round(sensitivity.smallest, 4),
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# warnings, each with what the user can do
+
+
+def _of_night(offset_wm2: float | None) -> list[str]:
+    if offset_wm2 is None or -NIGHT_OFFSET_WARN_WM2 < offset_wm2 < NIGHT_OFFSET_WARN_WM2:
+        return []
+    if offset_wm2 > NIGHT_LIGHT_WM2:
+        return [
+            f"{offset_wm2:.0f} W/m2 in the middle of the night: check for a lamp, and check the "
+            "logger's clock, its --utc-offset, and longitude_deg"
+        ]
+    return [f"night offset {offset_wm2:+.1f} W/m2: level, clean and ventilate the instrument"]
+
+
+def _of_closure(passed: float | None) -> list[str]:
+    if passed is None or passed >= 0.8:
+        return []
+    return [
+        f"global = diffuse + direct is true in only {100 * passed:.0f} % of the rows: "
+        "check the clock and the tilt of the instruments"
+    ]
+
+
+def _of_clock(raw: Series, off_s: float | None, site: Site) -> list[str]:
+    warnings = []
+    if off_s is not None and abs(off_s) > CLOCK_WARN_S:
         warnings.append(
-            f"the days' light is centred {clock_off / 60:+.0f} min from solar noon: check the "
-            f"logger's clock, its "
-            "--utc-offset (daylight saving?) and longitude_deg, and import the file again"
+            f"the days' light is centred {off_s / 60:+.0f} min from solar noon: check the "
+            "logger's clock, its --utc-offset (daylight saving?) and longitude_deg, and import the "
+            "file again"
         )
     if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
         day, step_s = was_set
@@ -93,35 +127,25 @@ def health(
             "of the days before: the logger's clock was probably set (daylight saving?); split the "
             "file there, and import each part with its own --utc-offset"
         )
-    steps = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
-    warnings += [
+    return warnings
+
+
+def _of_sensitivity(found: SensitivitySteps) -> list[str]:
+    return [
         f"from {day:%Y-%m-%d} on, the ratio of global to diffuse + direct differs by "
         f"{100 * change:+.1f} % from that of the days before: an instrument or its sensitivity "
-        f"changed; check the logger's sensitivities and calibration dates"
-        for day, change in steps.steps
+        "changed; check the logger's sensitivities and calibration dates"
+        for day, change in found.steps
     ]
-    if broken:
-        warnings.append(
-            f"{broken} damaged lines in the day files were skipped: check the "
-            "disk, and do not edit day files"
-        )
-    usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
-    longest = float(gaps.max()) if len(gaps) else 0.0
-    return Health(
-        len(clean),
-        broken,
-        usable,
-        period,
-        len(gaps),
-        longest,
-        offset,
-        passed,
-        clock_off,
-        {name: count for name, count in counts.items() if count},
-        tuple(warnings),
-        tuple((f"{day:%Y-%m-%d}", round(change, 4)) for day, change in steps.steps),
-        None if steps.smallest is None else round(steps.smallest, 4),
-    )
+
+
+def _of_lines(broken: int) -> list[str]:
+    if not broken:
+        return []
+    return [
+        f"{broken} damaged lines in the day files were skipped: check the "
+        "disk, and do not edit day files"
+    ]
 
 
 _FAULTS = {
