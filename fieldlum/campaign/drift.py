@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
 from fieldlum.light import light_at
 from fieldlum.projection import equirect_rays, equirect_solid_angles, signed_angle_deg
+from fieldlum.records import SiteFile
 from fieldlum.session import Session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import Sidecar, readable_sidecars
 from fieldlum.statistics import robust_sigma
 
 # A change over the campaign is reported if it exceeds these limits and is significant. k [%]:
@@ -127,25 +126,18 @@ def drifts_of(session: Session) -> dict[str, DriftSeries]:
 
     A series for which the session has no data is empty.
     """
-    sidecars = [note for path in session.sidecar_files() if (note := _sidecar(path)) is not None]
+    sidecars = readable_sidecars(session.sidecar_files())
     dated = [(note.t_utc, note) for note in sidecars if note.t_utc is not None]
-    residuals = [(t, _number(note.report.residual_percent)) for t, note in dated]
+    residuals = [
+        (t, note.report.residual_percent)
+        for t, note in dated
+        if note.report.residual_percent is not None
+    ]
     return {
         "k": series("k", *_columns(sky_ratios(session))),
         "heading": series("heading", *_columns(_headings(session, dated))),
         "residual": series("residual", *_columns(residuals)),
     }
-
-
-def _sidecar(path: Path) -> Sidecar | None:
-    try:
-        return Sidecar.read(path)
-    except InputError:
-        return None
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def _columns(rows: Sequence[tuple[datetime, float]]) -> tuple[list[datetime], list[float]]:
@@ -185,20 +177,20 @@ def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
     ratios: list[tuple[datetime, float]] = []
     share: NDArray[np.float32] | None = None
     for row in rows:
-        picture = read_panorama(session.root / row.panorama)
-        height = picture.luminance_cdm2.shape[0]
+        luminance_cdm2 = read_panorama(session.root / row.panorama).luminance_cdm2
+        height = luminance_cdm2.shape[0]
         if share is None or share.shape[0] != height:
             share = window_fraction(setup.room, setup, height)
         if (share > WINDOW_SHARE).any():
-            ratios.append((row.t_utc, _sky_ratio(row, picture.luminance_cdm2, share, session)))
+            ratios.append((row.t_utc, _sky_ratio(row, luminance_cdm2, share, setup)))
     middle = np.nanmedian([value for _, value in ratios]) if ratios else np.nan
     return [(t, 100.0 * (value / middle - 1.0)) for t, value in ratios]
 
 
 def _sky_ratio(
-    row: PairRow, luminance_cdm2: NDArray[np.floating], share: NDArray[np.float32], session: Session
+    row: PairRow, luminance_cdm2: NDArray[np.floating], share: NDArray[np.float32], setup: SiteFile
 ) -> float:
-    setup = session.site_file()
+    """Return the measured over the expected luminance of the window's sky at one capture."""
     height, width = share.shape
     window = share > WINDOW_SHARE
     rays = equirect_rays(height, width, setup.camera.heading_deg)

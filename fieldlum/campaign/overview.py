@@ -243,19 +243,21 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
     return Section("glare", "Which room has glare", text, (), (Table(head, tuple(body)),))
 
 
+def _drift_chip(room: RoomOverview) -> dict[str, str]:
+    if room.drifting:
+        return {"kind": "none", "text": "drifts"}
+    if any(np.isfinite(series.change) for series in room.drifts.values()):
+        return {"kind": "high", "text": "steady"}
+    return {"kind": "open", "text": "too few"}
+
+
 def _drift(rooms: Sequence[RoomOverview]) -> Section:
-    body: list[tuple[Any, ...]] = []
-    figures: list[Figure] = []
-    for room in rooms:
-        if room.broken:
-            continue
-        moving = {series.kind for series in room.drifting}
-        chip = {"kind": "none", "text": "drifts"} if moving else {"kind": "high", "text": "steady"}
-        known = [s for s in room.drifts.values() if np.isfinite(s.change)]
-        chip = chip if known else {"kind": "open", "text": "too few"}
-        texts = [room.drifts[kind].text if kind in room.drifts else "–" for kind in LIMITS]
-        body.append((room.session, chip, *texts))
-        figures += [_curve(room.session, s) for s in room.drifting]
+    readable = [room for room in rooms if not room.broken]
+    body = [
+        (room.session, _drift_chip(room), *(room.drifts[kind].text for kind in LIMITS))
+        for room in readable
+    ]
+    figures = [_curve(room.session, s) for room in readable for s in room.drifting]
     head = (
         "room",
         "camera",
@@ -307,8 +309,6 @@ def _curve(name: str, series: DriftSeries) -> Figure:
 def _failures(rooms: Sequence[RoomOverview]) -> Section:
     body = []
     for room in rooms:
-        if not room.failed:
-            continue
         reasons: dict[str, list[str]] = {}
         for slot, why in room.failed:
             reasons.setdefault(why, []).append(slot)

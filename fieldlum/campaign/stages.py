@@ -29,8 +29,8 @@ class RoomResult:
 
 
 @dataclass(frozen=True, slots=True)
-class _Stage:
-    """A campaign, and the options with which a stage runs."""
+class _Run:
+    """A campaign, and the options with which its stages run."""
 
     campaign: CampaignFile
     scheduler: Scheduler
@@ -64,9 +64,9 @@ def run_stage(
         yield from _train(campaign, scheduler, progress)
         return
     work = {"plan": _plan, "status": _status, "merge": _merge, "predict": _predict}[stage]
-    how = _Stage(campaign, scheduler, force, progress)
+    run = _Run(campaign, scheduler, force, progress)
     for room in campaign.rooms:
-        yield guarded(room.session, partial(work, how, room))
+        yield guarded(room.session, partial(work, run, room))
 
 
 def guarded(name: str, work: Callable[[], str]) -> RoomResult:
@@ -87,11 +87,11 @@ def _line(text: str) -> str:
 # stages
 
 
-def _plan(stage: _Stage, room: CampaignRoom) -> str:
+def _plan(run: _Run, room: CampaignRoom) -> str:
     from fieldlum import plan
     from fieldlum.site_toml import load_site
 
-    folder = stage.campaign.session_folder(room)
+    folder = run.campaign.session_folder(room)
     if (folder / "session.toml").is_file():
         return f"{len(open_session(folder).slots())} slots, already planned"
     if not room.site:
@@ -101,16 +101,16 @@ def _plan(stage: _Stage, room: CampaignRoom) -> str:
             "site = SITE.toml",
             "add site = SITE.toml to the room in CAMPAIGN.toml",
         )
-    setup = load_site(stage.campaign.file(room.site))
+    setup = load_site(run.campaign.file(room.site))
     today = plan.today_at(setup.site, datetime.now(UTC))
     session, _ = plan.run(setup, plan.Request(room.set, today), folder)
     return f"{len(session.slots())} slots planned ({room.set})"
 
 
-def _status(stage: _Stage, room: CampaignRoom) -> str:
+def _status(run: _Run, room: CampaignRoom) -> str:
     from fieldlum.capture.status import status
 
-    found = status(stage.session(room))
+    found = status(run.session(room))
     capture, merge, pair = found["capture"], found["merge"], found["pair"]
     models = ", ".join(entry["name"] for entry in found["train"]["models"]) or "no model"
     return (
@@ -120,12 +120,12 @@ def _status(stage: _Stage, room: CampaignRoom) -> str:
     )
 
 
-def _merge(stage: _Stage, room: CampaignRoom) -> str:
+def _merge(run: _Run, room: CampaignRoom) -> str:
     """Merge, then clean the irradiance and pair."""
     from fieldlum import irradiance, merge, pair
 
-    session = stage.session(room)
-    scheduler, force, progress = stage.scheduler, stage.force, stage.progress
+    session = run.session(room)
+    scheduler, force, progress = run.scheduler, run.force, run.progress
     options = merge.MergeOptions(height=int(room.size.lower().partition("x")[2]))
     verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=progress)
     irradiance.run(session, force=force, progress=progress)
@@ -142,15 +142,22 @@ def _train(
     units = []
     for room in campaign.rooms:
         folder = campaign.session_folder(room)
-        if not (folder / "pairs.csv").is_file():
-            text = f"{folder}: no pairs.csv; run fieldlum campaign merge first"
-            yield RoomResult(room.session, "failed", text)
+        if (failed := without_pairs(room, folder)) is not None:
+            yield failed
             continue
         job = _TrainJob(room.model, room.seed, room.budget_min)
         files = ("session.toml", "pairs.csv")
         units.append(WorkUnit(room.session, train_room, folder, job, files=files))
     for outcome in run_units(units, scheduler, progress=progress):
         yield guarded(outcome.unit.name, outcome.result)
+
+
+def without_pairs(room: CampaignRoom, folder: Path) -> RoomResult | None:
+    """Return the failed result of a room without pairs; None for a room with pairs."""
+    if (folder / "pairs.csv").is_file():
+        return None
+    text = f"{folder}: no pairs.csv; run fieldlum campaign merge first"
+    return RoomResult(room.session, "failed", text)
 
 
 def train_room(folder: Path, job: _TrainJob) -> str:
@@ -169,16 +176,16 @@ def train_room(folder: Path, job: _TrainJob) -> str:
     return f"{answer['chosen']} from {len(data)} captures{figure}{warnings}"
 
 
-def _predict(stage: _Stage, room: CampaignRoom) -> str:
+def _predict(run: _Run, room: CampaignRoom) -> str:
     from fieldlum import predict
 
     weather = Path(room.weather)
     annual, new = predict.run(
-        stage.session(room).models / room.model,
-        weather if room.weather == "synthetic" else stage.campaign.file(room.weather),
+        run.session(room).models / room.model,
+        weather if room.weather == "synthetic" else run.campaign.file(room.weather),
         views=room.views,
-        scheduler=stage.scheduler,
-        force=stage.force,
-        progress=stage.progress,
+        scheduler=run.scheduler,
+        force=run.force,
+        progress=run.progress,
     )
     return f"{len(annual)} hours" + ("" if new else ", already predicted")

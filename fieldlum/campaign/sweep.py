@@ -10,7 +10,7 @@ from fieldlum.bench import TABLE, markdown, patient, write_csv
 from fieldlum.bench.pieces import bench_files, score_pieces, unit_of
 from fieldlum.bench.rows import BenchRow, over_seeds, parse_specs
 from fieldlum.campaign.campaign_file import CampaignFile
-from fieldlum.campaign.stages import RoomResult, guarded
+from fieldlum.campaign.stages import RoomResult, guarded, without_pairs
 from fieldlum.errors import InputError
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
@@ -64,9 +64,8 @@ def _units(
     units, failed = [], []
     for room in campaign.rooms:
         folder = campaign.session_folder(room)
-        if not (folder / "pairs.csv").is_file():
-            text = f"{folder}: no pairs.csv; run fieldlum campaign merge first"
-            failed.append(RoomResult(room.session, "failed", text))
+        if (missing := without_pairs(room, folder)) is not None:
+            failed.append(missing)
             continue
         files = bench_files(folder, models)
         for piece in score_pieces(models, seeds, 60.0 * budget_min):

@@ -11,18 +11,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from datetime import datetime
 
 import numpy as np
 
-from fieldlum.errors import InputError
 from fieldlum.merge.contact_sheet import write_contact_sheets
 from fieldlum.merge.quality import RESIDUAL_WARN_PERCENT
 from fieldlum.records import utc_text
 from fieldlum.session import Session, exposure_text, read_day
 from fieldlum.session.files.quality_csv import QUALITY_COLUMNS, QualityRow, write_quality
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import Sidecar, readable_sidecars
 
 # A median over fewer brackets is not used for shutter times. Chosen, not measured.
 MIN_BRACKETS = 5
@@ -101,13 +99,7 @@ def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> 
 
 def read_sidecars(session: Session) -> list[Sidecar]:
     """Return the readable sidecars of all panoramas, in order of time."""
-    sidecars = []
-    for path in session.sidecar_files():
-        with suppress(InputError):
-            sidecar = Sidecar.read(path)
-            if sidecar.report.frames:
-                sidecars.append(sidecar)
-    return sidecars
+    return [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
 
 
 def write_summary(session: Session) -> None:

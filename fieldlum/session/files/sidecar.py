@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -135,11 +137,13 @@ class Sidecar:
         )
 
 
+def readable_sidecars(paths: Iterable[Path]) -> Iterator[Sidecar]:
+    """Yield the sidecars that can be read. Others are damaged, or were not written by a merge."""
+    for path in paths:
+        with suppress(InputError):
+            yield Sidecar.read(path)
+
+
 def newest_sidecar(session: Session) -> Sidecar | None:
     """Return the sidecar of the latest panorama with a readable sidecar; None if there is none."""
-    for path in reversed(session.sidecar_files()):
-        try:
-            return Sidecar.read(path)
-        except InputError:
-            continue
-    return None
+    return next(readable_sidecars(reversed(session.sidecar_files())), None)
