@@ -1,6 +1,7 @@
 """Models against the annual glare truth of raytraverse's validation set, next to its own errors.
 
-    python bench/annual_truth.py FOLDER OUT [--scenes 01_glz] [--models mean,nearest,transport]
+    python bench/annual_truth.py FOLDER OUT [--scenes 01_glz] [--models mean,nearest,transport] \
+        [--sets 9-day,even] [--views 1,2,3]
 
 FOLDER and OUT as for bench/annual_truth_render.py, which must have run. Each model is fitted to the
 panoramas of the 9-day or the even set and predicts the 2 022 reference hours; the disc is the one
@@ -26,7 +27,7 @@ from fieldlum.glare.metrics import glare_directions
 from fieldlum.models.data import Dataset
 from fieldlum.records import CameraSetup, Site, SiteFile
 from fieldlum.sun_disc import add_disc
-from fieldlum.train.trials import fit_timed
+from fieldlum.train.trials import fit_timed, passes_over_data
 
 # raytraverse 1.4.4, validations/base1compdv, its own check.py: mean absolute errors.
 OF_RAYTRAVERSE = {"01_glz": (4.2, 0.0109), "03_shd": (3.1, 0.0038), "05_ngl": (6.5, 0.0070)}
@@ -101,7 +102,13 @@ def dataset(stored: dict[str, NDArray[np.float32]], hours: Hours, heading: float
 
 
 def score_view(
-    folder: Path, out: Path, scene: str, view: int, models: list[str], budget_s: float
+    folder: Path,
+    out: Path,
+    scene: str,
+    view: int,
+    models: list[str],
+    sets: list[str],
+    budget_s: float,
 ) -> None:
     reference, hours = read_reference(folder, scene, view), read_hours(folder)
     with np.load(out / f"{scene}_v{view}.npz") as file:
@@ -115,6 +122,8 @@ def score_view(
     name, count = reference.name, f"{len(reference.dgp)}"
     print(f"| {name} | own rendering | - | {count} | {errors(reference, ev, dgp)} |", flush=True)
     for which, chosen in chosen_hours(hours).items():
+        if which not in sets:
+            continue
         rows = np.flatnonzero(np.isin(stored["rows"], chosen))
         unseen = np.flatnonzero(~np.isin(np.arange(n), chosen))
         for model in models:
@@ -130,7 +139,9 @@ def score_view(
             ev, dgp = glare(maps, reference.heading_deg, suns, test.disc_lx)
             asked = replace(reference, ev_lx=reference.ev_lx[unseen], dgp=reference.dgp[unseen])
             cells = errors(asked, ev[unseen], dgp[unseen])
-            print(f"| {name} | {model} | {which} | {len(rows)} | {cells} |", flush=True)
+            seen = passes_over_data(fitted)
+            label = model if seen is None else f"{model}, {seen:.1f} epochs"
+            print(f"| {name} | {label} | {which} | {len(rows)} | {cells} |", flush=True)
 
 
 def main() -> None:
@@ -141,6 +152,8 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--scenes", default="01_glz,03_shd,05_ngl")
     parser.add_argument("--models", default="mean,nearest,transport,dense")
+    parser.add_argument("--views", default="1,2,3")
+    parser.add_argument("--sets", default="9-day,even")
     parser.add_argument("--budget-s", type=float, default=90.0)
     options = parser.parse_args()
     print(
@@ -153,7 +166,7 @@ def main() -> None:
         print(
             f"| {scene}, all | raytraverse 1.4.4 | 3D model | 2022 | {ev} | {dgp} | - | - | - | - |"
         )
-        for view in (1, 2, 3):
+        for view in map(int, options.views.split(",")):
             if (options.out / f"{scene}_v{view}.npz").is_file():
                 score_view(
                     options.folder,
@@ -161,6 +174,7 @@ def main() -> None:
                     scene,
                     view,
                     [m for m in options.models.split(",") if m],
+                    options.sets.split(","),
                     options.budget_s,
                 )
 
