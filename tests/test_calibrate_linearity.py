@@ -117,5 +117,5 @@ def test_counts_stay_where_there_is_no_curve_and_impossible_curves_are_refused()
     changed = linear_counts(above, BLACK, curved)
     assert changed[0] == -3.0 and changed[1] == 0.0 and changed[3] != 3000.0
     folded = replace(PROFILE, sensor=replace(PROFILE.sensor, linearity=(-0.9,)))
-    with pytest.raises(InputError, match="rises with the counts"):
+    with pytest.raises(InputError, match="rise with the raw counts"):
         check_camera(folded, "mine.toml")

@@ -70,7 +70,8 @@ def test_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
         assert k == pytest.approx(1.49 * PROFILE.scale.k, rel=0.01) and not notes
     other = replace(PROFILE, colour=Colour((0.3, 0.6, 0.1)))
     with pytest.raises(
-        InputError, match=r"p.exr: merged with sim of another calibration.*merge it again"
+        InputError,
+        match=r"p.exr: the picture was merged with another calibration .sim.*merge it again",
     ):
         scale.from_table(table, other)
     write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))

@@ -20,7 +20,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
 from fieldlum.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
-from fieldlum.session import DayFiles, Session, create_session
+from fieldlum.session import DayFiles, Session, create_session, open_session
 from fieldlum.session.files import clean_csv
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
@@ -397,6 +397,13 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     log.append(at(900, 805.0, 150.0))
     log.close()
     assert irradiance.run(session).rows == 101
+    table, before = session.root / "session.toml", clean.stat().st_mtime_ns
+    text = table.read_text()
+    longitude = f"longitude_deg = {SEATTLE.longitude_deg}"
+    assert longitude in text
+    table.write_text(text.replace(longitude, "longitude_deg = -121.0"))
+    irradiance.run(open_session(session.root))
+    assert clean.stat().st_mtime_ns != before  # the checks use the site
 
 
 @pytest.mark.analytic

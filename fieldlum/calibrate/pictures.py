@@ -96,7 +96,7 @@ def of_vignette(
 ) -> Figure:
     """Draw the vignetting of readings and fit, and the residuals."""
     figure, left, right = _two(
-        f"vignetting at f/{samples.f_number:g}; held-out rms {100 * found.u_rel:.2g} %"
+        f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * found.u_rel:.2g} %"
     )
     r = np.linspace(0, 1, 200)
     left.plot(
@@ -193,7 +193,7 @@ def of_circle(picture: NDArray[np.uint8], found: lens_circle.Circle) -> Figure:
 
 
 def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
-    """Draw the fitted luminance over the readings, and the residuals."""
+    """Draw the fitted luminance (y) against the readings (x), and the residuals."""
     figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
     new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)

@@ -133,7 +133,7 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
     """
     known, own = picture.attributes, calibration_mark(profile)
     if known.get("calibration", own["calibration"]) != own["calibration"]:
-        found = f"merged with {known.get('camera', 'a profile')} of another calibration"
+        found = f"the picture was merged with another calibration ({known.get('camera', '?')})"
         raise InputError(
             file,
             found,
@@ -213,7 +213,7 @@ def spot_cdm2(
         )
         raise InputError(
             file,
-            f"the picture shows no light {place}",
+            f"the picture is black {place}",
             "a direction within the lens's field, with light",
             remedy,
         )
@@ -286,9 +286,10 @@ def _slip(ratio: float) -> str:
 
 
 def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
-    """Return a warning about k, or "" if k is plausible.
+    """Return a warning if the calibrated factor k is not plausible for a camera, else "".
 
-    Raises InputError for a k that is impossible with such a profile.
+    path: the csv of readings, for the error. Raises InputError if k also differs from the profile's
+    k by more than a factor of ten.
     """
     level = profile.scale.k * found.factor * sum(profile.colour.y_from_rgb)
     low, high = SENSIBLE_K

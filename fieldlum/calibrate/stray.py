@@ -134,9 +134,9 @@ def reading(
     if (flags[inside] & (Flag.CLIPPED_HIGH | Flag.OUTSIDE_LENS)).any():
         raise InputError(
             file,
-            f"{label} is clipped, or outside the lens's field",
-            "a dark place that the picture shows",
-            "check azimuth_deg and altitude_deg of its line in the csv",
+            f"the dark place {label} is clipped, or outside the lens's field",
+            "an unclipped place inside the field",
+            "check azimuth_deg and altitude_deg in its row of the csv",
         )
     seen = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
     use = seen & ~inside & (light > 0)
@@ -200,10 +200,10 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     if share > MOST_SHARE:
         raise InputError(
             source,
-            f"stray light of {100 * share:.0f} % of the light",
+            f"the fitted stray light is {100 * share:.0f} % of the light in the lens",
             f"at most {100 * MOST_SHARE:.0f} %",
-            "check that rows without luminance_cdm2 are black, and that the stated "
-            "luminance_cdm2 of the others is right",
+            "check that places in rows without luminance_cdm2 are really black, and that "
+            "luminance_cdm2 in the other rows is right",
         )
     u_rel = max(choice.rms, LEAST_U_REL)
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))

@@ -49,7 +49,7 @@ class CampaignFile:
         return self.path.parent / room.session
 
     def file(self, name: str) -> Path:
-        """Return a path in the campaign file, relative to the current folder."""
+        """Return a path that is written in the campaign file, relative to that file's folder."""
         return self.path.parent / name
 
 

@@ -147,7 +147,10 @@ def _columns(rows: Sequence[tuple[datetime, float]]) -> tuple[list[datetime], li
 def _headings(
     session: Session, dated: Sequence[tuple[datetime, Sidecar]]
 ) -> list[tuple[datetime, float]]:
-    """Return the azimuth of the sun's disc in the pictures minus its true azimuth [deg]."""
+    """Return (time, azimuth of the sun's disc in the picture minus the computed one [deg]).
+
+    One for each picture with a measured disc.
+    """
     from fieldlum import sun
 
     site = session.site_file().site

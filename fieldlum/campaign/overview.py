@@ -111,7 +111,7 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
 
 
 def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
-    """Return slots that were missed, aborted, not merged, or rejected by pair, with the reason."""
+    """Return (slot, reason) of slots missed, aborted, not merged or rejected by `fieldlum pair`."""
     from fieldlum.session.ledger import read_ledger
 
     ledger = read_ledger(session)

@@ -41,9 +41,10 @@ _EVIDENCE = 3
 def clock_offset(
     groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, stated_s: float | None
 ) -> Offset:
-    """Return the camera's clock minus UTC: as stated, from EXIF, or fitted to the plan.
+    """Return the camera's clock minus UTC: as stated, else from EXIF, else fitted to the plan.
 
-    Raises InputError if no offset fits, or if several fit equally well.
+    A common delay of brackets that a timer started is added. Raises InputError if the fit finds no
+    offset, or several of which none is UTC or the place's civil time.
     """
     if stated_s is not None:
         start = Offset(stated_s, "--utc-offset")

@@ -42,7 +42,11 @@ def withdraw(
 
 
 def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> bool:
-    """Return whether a slot contains a bracket that belongs to another slot or time."""
+    """Return whether a slot's imported bracket must be removed.
+
+    It must if the match gives its frames to another slot, or the corrected clock gives them another
+    time.
+    """
     known = {frame.file: frame for frame in state.frames}
     card = next((f for f in match.group.frames if f.path.name in known), None)
     if card is None:

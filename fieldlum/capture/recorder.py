@@ -37,8 +37,8 @@ _KEPT_ROWS = 100_000  # rows that wait in memory, almost six days at 5 s; chosen
 class Recorder:
     """The journal and the day files of one running capture.
 
-    Once open, it raises no error for faults of the disk: it reports the fault, stores in memory
-    what could not be written, and tries again at the next event or row.
+    Writing an event or a row raises no error for faults of the disk: the recorder reports the
+    fault, stores in memory what could not be written, and tries again at the next event or row.
     """
 
     def __init__(

@@ -14,9 +14,10 @@ from fieldlum.cli.terminal import progress, say
 @session_argument
 @out_option("Folder of the page", default="SESSION/report")
 def command(session_folder: Path, out: Path | None) -> None:
-    """Write the page that answers where to sit.
+    """Write a page that shows in which direction to sit, and why.
 
-    Writes report/index.html, one file without external links, and report.json next to it.
+    Writes index.html, one file that loads nothing from elsewhere, and report.json, into
+    SESSION/report.
 
     \b
     Example:

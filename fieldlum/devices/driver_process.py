@@ -113,7 +113,7 @@ class Child:
         return code
 
     def close(self, timeout_s: float = 3.0) -> None:
-        """Wait for the child to end by itself, and kill it after `timeout_s`."""
+        """Tell the child to end, and kill it if it still runs after `timeout_s`."""
         with self._lock:
             if self._pipe is not None and self.alive:
                 with suppress(OSError, EOFError):

@@ -89,8 +89,8 @@ class ReplayCamera:
                 return written
         shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
         raise DeviceError(
-            f"replay: no frame of {shown} is left, only {len(self._left)} of other "
-            "exposures; plan the exposures that the folder has"
+            f"replay: no unused frame of {shown} is left, only {len(self._left)} of other "
+            "exposures; plan exposures that the folder has, and no more brackets than it has"
         )
 
     def close(self) -> None:

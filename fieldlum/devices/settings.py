@@ -19,8 +19,8 @@ def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -
     choices = [value for value in offered if value > 0]
     if not (asked > 0 and choices):
         raise DeviceError(
-            f"{what}: {asked:g} {unit} planned, but the camera reports no choices for this "
-            "setting; set its dial to M".replace("  ", " ")
+            f"{what}: {asked:g} {unit} planned, but the camera offers no values to set; turn "
+            "its mode dial to M".replace("  ", " ")
         )
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
     if abs(math.log2(best / asked)) > LARGEST_STEP_EV:

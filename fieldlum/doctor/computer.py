@@ -64,11 +64,14 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     ahead = owed_slots(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
-    text = (
-        f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB needed for {len(ahead)} slots "
-        f"(with {100 * (DISK_MARGIN - 1):.0f} % in reserve)"
+    need = (
+        f"{wanted / 1e9:.1f} GB for {len(ahead)} slots, with {100 * (DISK_MARGIN - 1):.0f} % in "
+        "reserve"
     )
-    return Finding("disk", "ok" if free_bytes >= wanted else "fail", text)
+    if free_bytes < wanted:
+        remedy = "delete files or use a larger disk"
+        return Finding("disk", "fail", f"{free_bytes / 1e9:.1f} GB free; needed: {need}; {remedy}")
+    return Finding("disk", "ok", f"{free_bytes / 1e9:.1f} GB free, enough: {need}")
 
 
 def _largest_bracket_bytes(session: Session) -> int:

@@ -226,13 +226,16 @@ def clean_of(series: Series) -> CleanIrradiance:
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
-    """Write irradiance/clean.csv and irradiance/health.json, unless both are up to date.
+    """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
 
-    Raises NotEnoughDataError if no irradiance was logged.
+    With the same site and day files of the same sizes, the existing results are used, unless
+    `force`. Raises NotEnoughDataError if no irradiance was logged.
     """
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
-    inputs = {"recipe": _RECIPE, "files": {path.name: path.stat().st_size for path in files}}
+    site = session.site_file().site
+    sizes = {path.name: path.stat().st_size for path in files}
+    inputs = {"recipe": _RECIPE, "files": sizes, "site": asdict(site)}
     table = None if force else made_from(note, inputs, [clean])
     if table is not None:
         return from_json(Health, table)
@@ -242,7 +245,6 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
             f"{session.irradiance}: no irradiance was logged; run fieldlum log, or fieldlum "
             "import with a logger's file"
         )
-    site = session.site_file().site
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)
     checked.marks[:] |= doubts(checked, altitude, top, site)

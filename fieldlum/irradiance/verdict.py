@@ -97,7 +97,7 @@ def _of_night(offset_wm2: float | None) -> list[str]:
         return []
     if offset_wm2 > NIGHT_LIGHT_WM2:
         return [
-            f"{offset_wm2:.0f} W/m2 in the middle of the night: check for a lamp, and check the "
+            f"{offset_wm2:.0f} W/m2 at night (median): check for a lamp, and check the "
             "logger's clock, its --utc-offset, and longitude_deg"
         ]
     return [f"night offset {offset_wm2:+.1f} W/m2: level, clean and ventilate the instrument"]

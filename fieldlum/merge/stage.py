@@ -333,8 +333,8 @@ def run(
     if all(v.state == "failed" for v in verdicts):
         raise InputError(
             session.raw,
-            f"no bracket could be merged; {verdicts[0].text}",
-            remedy="read the verdict of each bracket (fieldlum merge --json), correct the "
-            "first and merge again",
+            f"none of {len(verdicts)} brackets could be merged; {verdicts[0].slot}: "
+            f"{verdicts[0].text}",
+            remedy="correct the cause and merge again",
         )
     return verdicts

@@ -301,8 +301,8 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
         raise InputError(
             path,
             found,
-            "the same refraction in all rows",
-            "write captures and renderings into separate csv files",
+            "1 in all rows (camera pictures) or 0 in all rows (renderings with the true sun)",
+            "write camera pictures and renderings into separate csv files",
         )
     return rows[0].refraction
 

@@ -33,10 +33,11 @@ _WARM_SHARE = 0.03  # share of the short schedule in which the rate rises; not m
 
 @dataclass(frozen=True, slots=True)
 class TrainingPlan:
-    """The schedule of a training.
+    """The length and the learning rate of a training.
 
-    With "paper", the training has epochs over all pixels, at most `epochs`. With "short", it has
-    `steps` of `batch_pixels`, with a rate that falls to 0.
+    schedule "paper": at most `epochs` passes over all training pixels; fewer if its three stages
+    end earlier. "short": `steps` steps of `batch_pixels` pixels each; after a warm-up the learning
+    rate falls to 0. A time budget can end both earlier.
     """
 
     schedule: Literal["paper", "short"] = "paper"

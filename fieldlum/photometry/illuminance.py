@@ -53,10 +53,11 @@ def illuminance_lx(
     normal_azimuth_deg: float,
     sun: SunSource | None = None,
 ) -> float:
-    """Return the illuminance of a plane from a panorama [H, W] and the separate sun, in lx.
+    """Return the illuminance [lx] of a plane whose normal has the stated altitude and azimuth.
 
-    The plane faces (normal_altitude_deg, normal_azimuth_deg). E = sum L cos(angle) solid angle over
-    the hemisphere in front of it, plus the sun's. Non-finite pixels count as 0.
+    luminance_cdm2: panorama [H, W] with its centre column at azimuth heading_deg; pixels that are
+    not finite count as 0. sun: a sun that is not in the panorama; None adds nothing. E = sum L
+    cos(angle) solid angle over the hemisphere in front of the plane.
     """
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape

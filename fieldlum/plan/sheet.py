@@ -151,7 +151,7 @@ def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
-    """Return an SVG line through the points that are not NaN."""
+    """Return an SVG line through the points, with a gap at each NaN; "" without points."""
     known = np.isfinite(altitude_deg)
     begins = known & ~np.concatenate(([False], known[:-1]))
     words = (

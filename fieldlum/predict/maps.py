@@ -20,10 +20,10 @@ MAPS = "luminance_cdm2"
 
 
 class MapStore(Protocol):
-    """A Zarr store with luminance_cdm2 (time, y, x), disc_lx and trusted (time).
+    """A Zarr store of predicted maps: luminance_cdm2 (time, y, x), and disc_lx and trusted (time).
 
-    Units write into `target`, a path or a URL; the store can be opened after all units have
-    finished.
+    disc_lx: illuminance of the visible sun disc; trusted: whether similar light was captured.
+    Parallel jobs write into `target`, a path or a URL. The store is complete after `finish`.
     """
 
     @property

@@ -85,7 +85,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         raise InputError(
             where,
             found,
-            "a correction that rises with the counts",
+            "corrected counts that rise with the raw counts",
             "calibrate it again: fieldlum calibrate linearity",
         )
     if abs(p.sensor.exposure_offset_s) >= 0.01:

@@ -31,7 +31,11 @@ class Hits:
 
 
 def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
-    """Return the nearest box of each ray [n, 3]; a ray ignores the box in which it starts."""
+    """Return the nearest box that each of n rays hits, and the distance.
+
+    origins, directions: [n, 3]. A box that contains the ray's origin is ignored. A ray without a
+    box has box -1 and an infinite distance.
+    """
     n = len(directions)
     distance, box = np.full(n, np.inf), np.full(n, -1, np.int32)
     axis, sign = np.zeros(n, np.int8), np.zeros(n, np.int8)

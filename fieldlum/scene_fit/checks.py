@@ -69,8 +69,8 @@ def check_captures(data: Dataset, room: Room) -> None:
             f"pictures of two views: {first} captures of one, {second} of the other "
             f"(correlation {correlation:.2f})",
             "one room from one position of the camera",
-            "pair and fit each view separately, and mark blinds with fieldlum status "
-            f"--mark; {_REMEDY}",
+            "if the camera was moved, pair and fit each position separately; if blinds were "
+            f"moved, mark these captures (fieldlum status --mark); {_REMEDY}",
         )
     turn_deg = _windows_turned_deg(data, room)
     if turn_deg is not None:

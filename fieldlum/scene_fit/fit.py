@@ -152,7 +152,7 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:
         notes.append(
             f"north (+-{u['north_deg']:.1f} degrees) and clock (+-{u['clock_min']:.1f} min) "
-            "cannot be separated well: capture another season, or the sun's disc"
+            "cannot be separated well: capture another season, or pictures with the sun's disc"
         )
     if u["wall_azimuth_deg"] > OPEN_WALL_DEG:
         notes.append(

@@ -32,10 +32,10 @@ _SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Ends of camera rays.
+    """Where r camera rays end.
 
-    position_m: [r, 3]; axis, sign: of the face's normal [r]; surface: `FLOOR` ..., `SHELL` + number
-    of a solid, or `OUTSIDE` [r].
+    position_m [r, 3]; axis and sign [r] of the normal of the surface that is hit; surface [r]: one
+    of `FLOOR` ..., `SHELL` + k for solid k, or `OUTSIDE` for a ray through a window.
     """
 
     position_m: Float32

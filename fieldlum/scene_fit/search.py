@@ -69,7 +69,7 @@ class Objective:
         return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.without_patches(guess)
 
     def without_patches(self, guess: Guess) -> float:
-        """Return what does not depend on the hours: the windows' picture and the prior."""
+        """Return the cost that all hours share: misfit of the windows' picture plus the prior."""
         return self.evidence.view.misfit(guess) + self.prior(guess)
 
     def misfits(self, guess: Guess) -> Array:

@@ -144,9 +144,9 @@ def _tls(path: Path, table: Any) -> TlsFiles | None:
     if not isinstance(table, dict) or set(table) != set(names):
         raise InputError(
             path,
-            f"tls {table!r}",
-            'a table "tls" with ca, certificate and key',
-            "add the three files to the table",
+            f'the table "tls" is {table!r}',
+            "the keys ca, certificate and key, each with the path of a file",
+            "correct the table",
         )
     files = [path.parent / str(table[name]) for name in names]
     for file in files:

@@ -93,10 +93,11 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer of a worker.
+    """What a worker returns for a unit.
 
-    kind: "stale" if the input `text` has the content `seen`; "worker" for a fault of the worker's
-    computer, described in `text`.
+    kind "value": the result is `value`. "stale": the input file `text` does not have the expected
+    content; `seen` is the hash that the worker found. "worker": the worker's computer has a fault,
+    which `text` describes.
     """
 
     value: Any = None

@@ -153,9 +153,10 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 def _forget_other(
     session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather, troubles: str
 ) -> None:
-    """Delete pictures of another room, size, quality or weather.
+    """Delete the slots' rendered pictures of another room, size, quality, weather or troubles.
 
-    Otherwise an interrupted run could mix them with new ones.
+    Otherwise an interrupted run could leave a mixture. troubles: key of the simulated troubles, ""
+    for none.
     """
     path = session.truth / "made.json"
     light = hashlib.sha256(

@@ -81,9 +81,9 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     rows = np.flatnonzero(objects.any(axis=(1, 2)))
     if len(rows):
         notes.append(
-            f"WARNING: in {len(rows)} of {len(data)} captures a part of the picture is "
-            "too dark: a person, an object or clipped values. These pixels are "
-            f"ignored in these captures; look at them: {_slots(data, rows)}"
+            f"WARNING: in {len(rows)} of {len(data)} captures a part of the picture is darker "
+            "than the other days predict: a person, an object or clipped highlights. Training "
+            f"ignores these pixels in these captures; look at them: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts
         data = replace(data, counts=np.where(objects, np.float16(0.0), counts))

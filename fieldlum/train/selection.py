@@ -94,7 +94,7 @@ def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSele
             f"error of it (paired days)",
         )
     said = (
-        f"{chosen.name} ({means[chosen.name]:.2e}) is the smallest within one standard error "
-        f"of {best} ({spread})"
+        f"{chosen.name} (log10 MSE {means[chosen.name]:.2e}) is the smallest model within one "
+        f"standard error of {best} ({spread})"
     )
     return chosen, ModelSelection(chosen.name, said)

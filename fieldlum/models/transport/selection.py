@@ -96,9 +96,10 @@ def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _First:
-    """The first stage's prediction of each hour without its day, and the captured light.
+    """The first stage's prediction of each hour without captures of its day, and what was captured.
 
-    found, target: [n, P] in units of the scale.
+    found, target [n, P]: luminance over the total light and over `scale`. scale [P]: each pixel's
+    mean luminance per lx of total light.
     """
 
     found: Array
