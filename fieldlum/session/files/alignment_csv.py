@@ -35,7 +35,7 @@ _COLUMNS = tuple(field.name for field in fields(AlignmentRow))
 
 
 def alignment_path(pairs: Path) -> Path:
-    """Return the path of the table of camera turns (NAME.alignment.csv) beside a csv of pairs."""
+    """Return the path of the table of camera turns (NAME.alignment.csv) of a csv of pairs."""
     return pairs.with_name(f"{pairs.stem}.alignment.csv")
 
 
