@@ -236,18 +236,17 @@ def _chosen_layer(names: list[str]) -> dict[str, str]:
 
     Plain channels are preferred; otherwise the only layer with Y or R, G, B is used.
     """
-    kept = ("Y", "R", "G", "B", "u", "flags")
-    if {"Y"} <= set(names) or set("RGB") <= set(names):
-        return {name: name for name in names if name in kept}
-    layers = {name.rpartition(".")[0] for name in names}
-    complete = [
-        layer
-        for layer in sorted(layers)
-        if {f"{layer}.Y"} <= set(names) or {f"{layer}.{c}" for c in "RGB"} <= set(names)
-    ]
-    if len(complete) != 1:
+
+    def complete(prefix: str) -> bool:
+        return f"{prefix}Y" in names or all(f"{prefix}{c}" in names for c in "RGB")
+
+    if complete(""):
+        return {name: name for name in names if name in ("Y", "R", "G", "B", "u", "flags")}
+    prefixes = {f"{name.rpartition('.')[0]}." for name in names}
+    layers = [prefix for prefix in prefixes if complete(prefix)]
+    if len(layers) != 1:
         return {name: name for name in names}
-    return {f"{complete[0]}.{c}": c for c in ("Y", *"RGB") if f"{complete[0]}.{c}" in names}
+    return {f"{layers[0]}{c}": c for c in "YRGB" if f"{layers[0]}{c}" in names}
 
 
 def _luminance(

@@ -115,8 +115,17 @@ def run(
     shining = true_light(light, wrong, setup.site) if wrong.names else light
     _forget_other(session, slots, truth, weather, wrong.key)
     owed = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
-    asked = (height, quality, wrong)
-    units = truth_units(session, cache or session.truth, slots, owed, light, shining, asked)
+    units = truth_units(
+        session,
+        cache or session.truth,
+        slots,
+        owed,
+        light,
+        shining,
+        height=height,
+        quality=quality,
+        troubles=wrong,
+    )
     run_each(units, scheduler, UnitOutcome.result, progress)
     _write_irradiance(session, weather, slots, drift, wrong)
     dni, dhi = measured_irradiance(

@@ -46,28 +46,30 @@ def truth_units(
     owed: Sequence[int],
     light: Light,
     shining: Light,
-    asked: tuple[int, str, Troubles],
+    *,
+    height: int,
+    quality: str,
+    troubles: Troubles,
 ) -> list[WorkUnit]:
     """Return the units of the slots `owed`, `SLOTS_A_UNIT` each."""
     root, coefficients = session.root.resolve(), cache.resolve()
     folder = Path(os.path.commonpath([root, coefficients]))
     name = root.relative_to(folder).as_posix()
-    height, quality, troubles = asked
     units = []
     for start in range(0, len(owed), SLOTS_A_UNIT):
         rows = np.array(owed[start : start + SLOTS_A_UNIT])
         some = tuple(slots[k] for k in rows)
         job = _TruthJob(
-            name,
-            coefficients.relative_to(folder).as_posix(),
-            sha256(session.toml),
-            height,
-            quality,
-            some,
-            light[rows],
-            shining[rows],
-            tuple(slot.t_utc for slot in slots),
-            troubles,
+            session=name,
+            cache=coefficients.relative_to(folder).as_posix(),
+            key=sha256(session.toml),
+            height=height,
+            quality=quality,
+            slots=some,
+            light=light[rows],
+            shining=shining[rows],
+            planned_utc=tuple(slot.t_utc for slot in slots),
+            troubles=troubles,
         )
         files = tuple(
             path.relative_to(session.root).as_posix()
@@ -116,7 +118,8 @@ def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequenc
             made.patch_cdm2[k],
             panorama.heading_deg,
             t_utc=panorama.t_utc,
+            sun=panorama.sun,
             attributes={"direct": "only"},
         )
         with replacing_path(session.truth_sunpatch(slot.id)) as path:
-            write_panorama(path, replace(patch, sun=panorama.sun))
+            write_panorama(path, patch)

@@ -114,7 +114,8 @@ class Troubles:
         return replace(self, **changed)
 
 
-LIMITS = {  # largest size of each trouble; the smallest is 0
+# largest size of each trouble; the smallest is 0
+LIMITS = {
     "clouds": 1.0,
     "distant_instrument": 5000.0,
     "instrument_drift": 0.5,
@@ -129,6 +130,7 @@ LIMITS = {  # largest size of each trouble; the smallest is 0
     "exposures": 1.0,
     "clipped": 1000.0,
 }
+_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")  # the smallest is -LIMITS
 
 
 def load_troubles(path: Path) -> Troubles:
@@ -142,15 +144,12 @@ def load_troubles(path: Path) -> Troubles:
         raise InputError(path, str(error), "a TOML file of troubles", "correct the file") from None
     troubles = build(Troubles, table, str(path))
     for name in troubles.names:
-        size = getattr(troubles, name).size
-        if not abs(size) <= LIMITS[name] or (size < 0 and name not in _SIGNED):
-            least = -LIMITS[name] if name in _SIGNED else 0
-            limits = f"{least:g} to {LIMITS[name]:g}"
-            raise InputError(path, f"[{name}] size = {size:g}", limits, "correct the size")
+        size, most = getattr(troubles, name).size, LIMITS[name]
+        least = -most if name in _SIGNED else 0.0
+        if not least <= size <= most:
+            expected = f"{least:g} to {most:g}"
+            raise InputError(path, f"[{name}] size = {size:g}", expected, "correct the size")
     return troubles
-
-
-_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -165,9 +164,13 @@ class CloudyLight(Light):
     cloud_seed: int = 0
 
     def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> CloudyLight:
-        plain = super().__getitem__(rows)
-        values = {f.name: getattr(plain, f.name) for f in fields(Light)}
-        return CloudyLight(**values, cloud_sd=self.cloud_sd, cloud_seed=self.cloud_seed)
+        return CloudyLight.of(super().__getitem__(rows), self.cloud_sd, self.cloud_seed)
+
+    @classmethod
+    def of(cls, light: Light, cloud_sd: float, cloud_seed: int) -> CloudyLight:
+        """Return a light with clouds."""
+        values = {f.name: getattr(light, f.name) for f in fields(Light)}
+        return cls(**values, cloud_sd=cloud_sd, cloud_seed=cloud_seed)
 
     def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the luminance of the clouded sky, [n, m], cd/m2.
@@ -175,12 +178,11 @@ class CloudyLight(Light):
         The diffuse illuminance is that of the sky without the field; the ground below the horizon
         is unchanged.
         """
-        plain = super().sky_at(directions)
+        out = super().sky_at(directions).copy()
         patches = reinhart_patches()
         weights = patches.solid_angles_sr * np.maximum(patches.directions[:, 2], 0.0)
         base = super().sky_at(patches.directions)  # [n, 2305]
         up = np.asarray(directions)[:, 2] > 0.0
-        out = plain.copy()
         for k, t in enumerate(self.t_utc):
             rng = np.random.default_rng([self.cloud_seed, int(t.timestamp())])
             field, everywhere = _cloud_field(rng, self.cloud_sd, directions, patches.directions)
@@ -216,8 +218,7 @@ def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
     moved = replace(light, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth)
     if troubles.clouds is None:
         return moved
-    values = {f.name: getattr(moved, f.name) for f in fields(Light)}
-    return CloudyLight(**values, cloud_sd=troubles.clouds.size, cloud_seed=troubles.clouds.seed)
+    return CloudyLight.of(moved, troubles.clouds.size, troubles.clouds.seed)
 
 
 def measured_irradiance(

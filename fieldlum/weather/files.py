@@ -117,6 +117,8 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     if place is None:
         return []
     away = distance_km(place, site)
+    if away <= NEAR_KM:
+        return []
     if away > FAR_KM:
         found = (
             f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), "
@@ -128,11 +130,7 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
             f"at most {FAR_KM:g} km",
             "use the file of a nearer station, or correct the site's coordinates",
         )
-    return (
-        [f"the weather station {place.name} is {away:.0f} km from the site"]
-        if away > NEAR_KM
-        else []
-    )
+    return [f"the weather station {place.name} is {away:.0f} km from the site"]
 
 
 def _in_order(path: Path, found: WeatherTable, site: Site, repairs: list[str]) -> list[WeatherRow]:
@@ -191,13 +189,12 @@ def _fill_gaps(
     columns : DNI, DHI, GHI of the rows, [3, n], W/m2. GHI is DHI + DNI sin(altitude) where the file
     has none. Raises NotEnoughDataError without an hour that has both DNI and DHI.
     """
-    times = [row.when for row in rows]
-    good = np.atleast_1d(~np.isnan(columns[:2]).any(axis=0))
+    good = np.isfinite(columns[0] + columns[1])
     if not good.any():
         raise NotEnoughDataError(
             f"{found.name}: no hour has both DNI and DHI; use a file that has both"
         )
-    known = [t for t, ok in zip(times, good, strict=True) if ok]
+    known = [row.when for row, ok in zip(rows, good, strict=True) if ok]
     values = columns[:, good]
     filled, left_out = _missing_hours(known, found.typical)
     everything = sorted([*known, *filled])
@@ -218,15 +215,12 @@ def _fill_gaps(
 
 def _missing_hours(known: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
     """Return the hours to interpolate and the hours to leave out."""
-    fill: list[datetime] = []
-    out: list[datetime] = []
+    filled: list[datetime] = []
+    left_out: list[datetime] = []
     for gap in _gaps(known, typical):
-        is_short = 0 < len(gap) <= FILLED_GAP_HOURS
-        if is_short and known[0] < gap[0] < known[-1]:
-            fill.extend(gap)
-        else:
-            out.extend(gap)
-    return fill, out
+        between = 0 < len(gap) <= FILLED_GAP_HOURS and known[0] < gap[0] < known[-1]
+        (filled if between else left_out).extend(gap)
+    return filled, left_out
 
 
 def _gaps(known: list[datetime], typical: bool) -> Iterator[list[datetime]]:

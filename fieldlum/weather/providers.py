@@ -61,7 +61,7 @@ def read_provider(path: Path, lines: Sequence[str]) -> ProviderYear | None:
     except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
         shown = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InputError(
-            path, f"{shown}", f"a weather file of {name}", "download it again as hourly data"
+            path, shown, f"a weather file of {name}", "download it again as hourly data"
         ) from None
 
 

@@ -60,11 +60,7 @@ class Weather:
         steady : the value of the moment's hour; else linear between hour centres. A typical year
         serves for every year; 29 February has the weather of the 28th.
         """
-        moments = (
-            [self._dated(t) for t in times_utc]
-            if self.typical
-            else [t.astimezone(UTC) for t in times_utc]
-        )
+        moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
         seconds = np.array([t.timestamp() for t in moments])
         known = np.array([t.timestamp() for t in self.t_utc])
         after = np.clip(np.searchsorted(known, seconds), 1, len(known) - 1)
