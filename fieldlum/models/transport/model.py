@@ -23,6 +23,7 @@ from fieldlum.models.transport.features import (
     computed_light,
     training_arrays_of,
 )
+from fieldlum.models.transport.held_out import hold_out_seasons
 from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.pixel_fit import (
     Recipe,
@@ -31,12 +32,7 @@ from fieldlum.models.transport.pixel_fit import (
     second_inverse,
 )
 from fieldlum.models.transport.response import LightBasis, RoomResponse, SurfaceMaps
-from fieldlum.models.transport.selection import (
-    SelectedRecipe,
-    choose_model,
-    hold_out_seasons,
-    plain_held_out,
-)
+from fieldlum.models.transport.selection import SelectedRecipe, choose_model, plain_held_out
 from fieldlum.models.transport.stored import (
     TransportTable,
     arrays_of,

@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 
 from fieldlum.light import Light
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
+from fieldlum.models.transport.held_out import FLOOR_CDM2, HeldOutFit
 from fieldlum.models.transport.pixel_fit import SECOND_NOISE, SECOND_SEASON, Recipe, second_own
 from fieldlum.models.transport.seasons import one_season, seasons
-from fieldlum.models.transport.selection import (
-    FLOOR_CDM2,
-    HeldOutFit,
-    SelectedRecipe,
-)
+from fieldlum.models.transport.selection import SelectedRecipe
 
 Array = NDArray[Any]
 
