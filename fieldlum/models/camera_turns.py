@@ -50,6 +50,9 @@ _LIGHT_PX = np.array((0.02, 0.05, 0.04))  # standard uncertainty by this; chosen
 # pose of n captures is corrected if it differs by 1 + SINGLE_TURN / sqrt(n) units. Chosen.
 TURN_PX = np.array((0.08, 0.25, 0.25))
 SINGLE_TURN = 1.0
+# Fewer consecutive captures share their light, so their errors are not independent: such a pose
+# must differ as much as a single capture. Chosen.
+LEAST_POSE = 5
 # In units squared. A single capture must differ by 3.1 units to count as a separate pose, twelve
 # captures by 0.9 units. Chosen.
 MOVE_COST = 4.8
@@ -318,9 +321,15 @@ def _poses(angles: Array, aligned: NDArray[np.bool_], pixel_deg: float) -> Array
     poses -= np.median(np.repeat(poses, counts, axis=0), axis=0)  # of most captures
     for (start, stop), pose in zip(pieces, poses, strict=True):
         size = np.abs(pose) / unit
-        if size.max() >= 1.0 + SINGLE_TURN / np.sqrt(stop - start):
+        if size.max() >= _least_turn(stop - start):
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
     return out
+
+
+def _least_turn(count: int) -> float:
+    """Return how far, in units of TURN_PX, a pose of `count` captures must differ."""
+    single = np.sqrt(2.0 * MOVE_COST)  # two cuts pay
+    return float(single if count < LEAST_POSE else 1.0 + SINGLE_TURN / np.sqrt(count))
 
 
 def _pieces(values: Array) -> list[tuple[int, int]]:
