@@ -131,6 +131,11 @@ def test_the_same_inputs_are_not_predicted_twice(
     assert (tmp_path / "hourly.csv").stat().st_mtime_ns == stamp
     assert run(model, weather, out=tmp_path, views=5)[1]
     assert run(model, weather, out=tmp_path, views=5, force=True)[1]
+    never = tmp_path / "never.csv"
+    never.write_text("occupied\n" + "0\n" * 8760)
+    with pytest.raises(NotEnoughDataError, match="correct --occupancy"):
+        run(model, weather, out=tmp_path, occupancy_path=never)
+    assert (tmp_path / "predict.json").is_file()  # the earlier year is still there
 
 
 @pytest.mark.slow
@@ -404,6 +409,7 @@ def test_occupancy_files(tmp_path: Path) -> None:
         ("days,start,end\nmon,12:00,08:00\n", "not before"),
         ("days,start,end\nmon,8,12\n", "line 2"),
         ("days,start,end\nmon,08:00\n", "2 cells"),
+        ("days,start,end\n\n\nmon,8,12\n", "line 4"),
         ("occupied\n1\n0\n", "2 hours"),
         ("occupied\n" + "1\n" * 8759 + "x\n", "line 8761"),
     ],

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 from learning_room import SETUP, dataset, write_pairs
 
@@ -210,9 +211,12 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
         config = json.loads((folder / "config.json").read_text("utf-8"))
         config["warnings"] = [warning]
         (folder / "config.json").write_text(json.dumps(config), encoding="utf-8")
-        year, _ = predict.run(folder, session.root / "w.csv")
+        year, _ = predict.run(folder, session.root / "w.csv", maps=trusted is not None)
         assert year.about["model_warnings"] == [warning]
         if trusted is not None:
+            assert (
+                xr.open_zarr(year.folder / "maps.zarr", consolidated=False)["trusted"] == trusted
+            ).all()
             assert (predict.read_annual(year.folder).hours["trusted"] == trusted).all()
         first_screen = report._warnings(year)
         assert first_screen[0].startswith("From training: ") and warning[9:40] in first_screen[0]

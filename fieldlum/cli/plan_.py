@@ -81,6 +81,10 @@ def command(
         raise click.UsageError("--next and --replan exclude each other: use one of them")
     if (next_ or replan) and (set_ or out):
         raise click.UsageError("--next and --replan work on a session: omit --set and --out")
+    if (next_ or replan) and (start or year or days or count):
+        raise click.UsageError(
+            "--next and --replan keep the session's dates: omit --start, --year, --days and --count"
+        )
     if next_:
         answer, sentences = _coming(target, weather_file)
     elif replan:

@@ -20,7 +20,7 @@ def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -
     if not (asked > 0 and choices):
         raise DeviceError(
             f"{what}: {asked:g} {unit} planned, but the camera offers no values to set; turn "
-            "its mode dial to M".replace("  ", " ")
+            "it to its manual mode".replace("  ", " ")
         )
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
     if abs(math.log2(best / asked)) > LARGEST_STEP_EV:

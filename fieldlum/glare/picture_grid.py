@@ -42,7 +42,11 @@ class PictureGrid:
 
 
 def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
-    """Return the weights of a picture's pixels, which need 10 bytes each."""
+    """Return, for each pixel of a picture, what sums over it need; 10 bytes a pixel.
+
+    These are the solid angle, the solid angle times the cosine to the view, and two masks of
+    regions.
+    """
     solid_angle = np.zeros((height, width), np.float32)
     illuminance = np.zeros((height, width), np.float32)
     task, band = np.zeros((height, width), bool), np.zeros((height, width), bool)

@@ -216,7 +216,7 @@ def mark_text(marks: int) -> str:
 
 
 def clean_of(series: Series) -> CleanIrradiance:
-    """Return the content of clean.csv: values, their source, and the marks as text."""
+    """Return the table of clean.csv: values, their source, and the marks of each row as text."""
     texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
     flags = np.array([texts[int(m)] for m in series.marks], object)

@@ -141,7 +141,7 @@ def read_config(folder: Path) -> ModelConfig:
     if config.model not in MODELS:
         raise InputError(
             folder / "config.json",
-            "an unknown model",
+            f"the unknown model '{config.model}'",
             f"one of {', '.join(MODELS)}",
             "train the model again (fieldlum train)",
         )

@@ -35,9 +35,11 @@ class PixelSampler:
         return self.target.numel()
 
     def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return the inputs and targets of the pairs with indices `numbers` [b].
+        """Return inputs and targets of b values; a value is one pixel in one hour.
 
-        These are scene inputs [b, 7 or 8], patch [b, 1], target [b] and weight [b].
+        numbers [b]: hour times the number of seen pixels, plus the pixel. The results are the scene
+        inputs [b, 7 or 8], the encoded luminance of the sun patch [b, 1] (0 without patches), the
+        encoded target [b] and the weight [b].
         """
         hour = numbers // len(self.seen)
         place = numbers - hour * len(self.seen)

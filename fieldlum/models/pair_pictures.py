@@ -140,7 +140,7 @@ def fill_gaps(
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():
         raise NotEnoughDataError(
-            "no pixel has a value in most of the panoramas; check that "
+            "no pixel has a value in over 80 % of the panoramas; check that "
             "all panoramas are from one camera position"
         )
     gaps = ~has_value & seen

@@ -204,8 +204,8 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
         notes.append(f"whether the sun's disc is in view is {room.disc_from}")
     if untrusted > NOISY_TRUST:
         notes.append(
-            f"{100 * untrusted:.0f} % of the lit occupied hours have a sun position or a sky "
-            f"outside the captured range: their figures and intervals are extrapolated"
+            f"{100 * untrusted:.0f} % of the lit occupied hours are not trusted: no similar light "
+            f"was captured, or the model expects a large error"
         )
     return notes
 

@@ -22,7 +22,8 @@ MAPS = "luminance_cdm2"
 class MapStore(Protocol):
     """A Zarr store of predicted maps: luminance_cdm2 (time, y, x), and disc_lx and trusted (time).
 
-    disc_lx: illuminance of the visible sun disc; trusted: whether similar light was captured.
+    disc_lx: illuminance of the visible sun disc; trusted: whether similar light was captured and
+    the expected error is not large (`models.trusted_hours`).
     Parallel jobs write into `target`, a path or a URL. The store is complete after `finish`.
     """
 
@@ -106,7 +107,7 @@ def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.fl
         "units": "lx",
         "long_name": "illuminance of the visible disc on a plane normal to it",
     }
-    flag = {"long_name": "similar light was captured"}
+    flag = {"long_name": "similar light was captured, and the expected error is not large"}
     hours = xr.Dataset(
         {
             "disc_lx": (("time",), disc_lx, disc),

@@ -67,24 +67,25 @@ def _hour_of_year(t_utc: datetime, timezone: str) -> int:
 def read_occupancy(path: Path) -> Occupancy:
     """Read a csv of weekly periods or of 8760 hours. Raises InputError, naming the line."""
     try:
-        rows = list(
-            csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
-        )
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, str(error), HOW, "check the path of the csv") from None
-    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    reader = csv.reader(lines, skipinitialspace=True)
+    rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    rows = [(number, row) for number, row in rows if any(row)]
     if not rows:
         raise InputError(path, "an empty file", HOW, "write one row for each period")
-    if rows[0] == ["days", "start", "end"]:
+    names = rows[0][1]
+    if names == ["days", "start", "end"]:
         return _weekly(path, rows[1:])
-    if "occupied" in rows[0]:
-        return _hourly(path, rows)
-    raise InputError(path, f"columns {', '.join(rows[0])}", HOW, "correct the first line")
+    if "occupied" in names:
+        return _hourly(path, rows[1:], names.index("occupied"))
+    raise InputError(path, f"columns {', '.join(names)}", HOW, "correct the first line")
 
 
-def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
+def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
     periods = []
-    for number, row in enumerate(rows, start=2):
+    for number, row in rows:
         if len(row) != 3:
             found = f"line {number}: {len(row)} cells"
             raise InputError(path, found, "days,start,end", "correct that line")
@@ -106,7 +107,7 @@ def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
         periods += [(day, start, end) for day in days]
     if not periods:
         raise InputError(path, "no period", HOW, "write one row for each period")
-    return Occupancy("; ".join(" ".join(row) for row in rows), tuple(periods))
+    return Occupancy("; ".join(" ".join(row) for _, row in rows), tuple(periods))
 
 
 def _days(text: str) -> list[int]:
@@ -121,20 +122,19 @@ def _days(text: str) -> list[int]:
     return found
 
 
-def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
-    column = rows[0].index("occupied")
-    if len(rows) - 1 != HOURS_OF_YEAR:
+def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occupancy:
+    if len(rows) != HOURS_OF_YEAR:
         raise InputError(
             path,
-            f"{len(rows) - 1} hours",
+            f"{len(rows)} hours",
             f"{HOURS_OF_YEAR}, local standard time from 1 January 00:00",
             "write a row for each hour, or periods with days,start,end",
         )
     hours = np.zeros(HOURS_OF_YEAR, bool)
-    for k, row in enumerate(rows[1:]):
+    for k, (number, row) in enumerate(rows):
         cell = row[column] if len(row) > column else ""
         if cell not in ("0", "1"):
-            found = f"line {k + 2}: occupied is '{cell}'"
+            found = f"line {number}: occupied is '{cell}'"
             raise InputError(path, found, "0 or 1", "correct the value")
         hours[k] = cell == "1"
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
@@ -158,7 +158,7 @@ def occupied_hours(
     used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
     if not used.any():
         raise NotEnoughDataError(
-            f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} "
-            "days; correct --occupancy"
+            f"the occupancy ({occupancy.text}) has no hour for which the weather has values, on "
+            f"its {len(days)} days; correct --occupancy, or use weather without these gaps"
         )
     return int(used.sum()), len(days)

@@ -99,6 +99,7 @@ def run(
         )
     light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
     azimuths = view_azimuths_deg(room.heading_deg, views)
+    hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     delete_earlier_year(folder)
     annual, doubt, u_of_maps = measure(
         model_folder,
@@ -107,6 +108,7 @@ def run(
         azimuths,
         folder,
         uncertainty=fitted_uncertainty(config, room),
+        none_trusted=poor(config),
         maps=maps,
         bucket=BucketMapStore(maps_to, inputs, folder / ".maps.zarr.tmp") if maps_to else None,
         seed=seed,
@@ -115,9 +117,6 @@ def run(
     )
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
-    if poor(config):
-        annual.hours["trusted"][:] = 0.0
-    hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     found = judge(annual, doubt, u_of_maps, hours_used, seed)
     summary = summary_of_year(room, config, weather, inputs, occupancy, annual, found, days)
     annual = replace(annual, summary=summary)
@@ -163,6 +162,7 @@ def measure(
     folder: Path,
     *,
     uncertainty: RoomUncertainty | None = None,
+    none_trusted: bool = False,
     maps: bool = False,
     bucket: BucketMapStore | None = None,
     seed: int = 0,
@@ -171,10 +171,11 @@ def measure(
 ) -> tuple[Annual, GlareDoubt, NDArray[np.float64]]:
     """Predict every hour and return the figures, the room's uncertainty, and that of the maps.
 
-    The hours are predicted in blocks, which are the units of work. With `maps`, or with a `bucket`,
-    the maps are written too. Figures of directions that no lens saw are NaN. The second result is
-    the uncertainty of DGP due to the room and to unseen parts of views, for all hours. The third is
-    the standard uncertainty of DGP due to the maps, [n, d].
+    The hours are predicted in blocks, which are the units of work. none_trusted: whether `train`
+    warned of the model's single maps. With `maps`, or with a `bucket`, the maps are written too.
+    Figures of directions that no lens saw are NaN. The second result is the uncertainty of DGP due
+    to the room and to unseen parts of views, for all hours. The third is the standard uncertainty
+    of DGP due to the maps, [n, d].
     """
     count, d = len(light), len(azimuths_deg)
     coverage = view_coverage(
@@ -207,6 +208,8 @@ def measure(
         least[rows], most[rows], drawn[:, rows] = block.least, block.most, block.drawn
 
     run_each(units, scheduler, take, progress)
+    if none_trusted:
+        hours["trusted"][:] = 0.0
     if store is not None:
         store.finish(hours["disc_lx"], hours["trusted"])
     u_of_maps = figures["u_dgp"]

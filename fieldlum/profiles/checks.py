@@ -91,7 +91,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     if abs(p.sensor.exposure_offset_s) >= 0.01:
         found = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
         remedy = "write it in seconds, or calibrate it again: fieldlum calibrate linearity"
-        raise InputError(where, found, "microseconds: less than 0.01 s", remedy)
+        raise InputError(where, found, "an offset in seconds, smaller than 0.01", remedy)
     if len(p.colour.rgb_to_radiance) not in (0, 9):
         found = f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values"
         raise _impossible(where, found, "9 values, or none")

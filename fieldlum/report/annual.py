@@ -206,7 +206,7 @@ def when_section(annual: Annual, zone: str) -> Section:
             (True, True, True, True, False, False, False),
         ),
         Quantity(
-            "Light outside the captured range",
+            "Hours that are not trusted",
             "",
             np.where(judged, np.repeat(doubt, dgp.shape[2], axis=2), np.nan),
             1.0,

@@ -150,7 +150,10 @@ def create_session(
     session = Session(root)
     if session.toml.exists():
         raise InputError(
-            root, "already a session", "a new folder", "choose another --out, or use --replan"
+            root,
+            "already a session",
+            "a new folder",
+            "choose another --out; to plan missed hours again: fieldlum plan SESSION --replan",
         )
     if session.plan.is_file() and not session.plan.read_bytes().startswith(
         ",".join(PLAN_COLUMNS).encode()

@@ -96,7 +96,7 @@ def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
 
 def _too_short(trial: Trial) -> str:
     return (
-        f"not judged: {trial.passes or 0.0:.2f} passes over the data, but at least one is "
+        f"not judged: {trial.passes or 0.0:.3f} passes over the data, but at least one is "
         "needed; raise --budget"
     )
 
