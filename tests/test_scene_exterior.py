@@ -100,7 +100,7 @@ def test_principal_axes_follow_a_valley_of_three_numbers() -> None:
 @pytest.mark.property
 def test_restarts_return_the_best_and_the_spread_of_results_alike() -> None:
     search, start = _search(())
-    cost = search.objective(search.fit_evidence.thinned(3))
+    cost = search.objective(search.fit_evidence.coarse())
     best = search.restarted(start, seed=0)
     assert cost(best) <= cost(start)
     assert set(search.valley) == {p.name for p in search.parameters}
@@ -119,7 +119,7 @@ def test_the_room_that_explains_the_captures_best_is_chosen_with_its_own_light()
             tries.append(guess)
             return guess
 
-        def bars(self, guess: Guess, every: int = 1) -> Guess:
+        def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
             return guess
 
         def furnished(self, guess: Guess, most: int) -> Guess:

@@ -22,7 +22,7 @@ from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
-from fieldlum.scene_fit.furniture import solid_parameters
+from fieldlum.scene_fit.furniture import propose_columns, solid_parameters
 from fieldlum.scene_fit.guess import Guess, Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.parameters import (
@@ -32,7 +32,7 @@ from fieldlum.scene_fit.parameters import (
     stated_albedo,
 )
 from fieldlum.scene_fit.profile import CLOCK, reach_of
-from fieldlum.scene_fit.renderer import surfaces, unit_patches
+from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.scene_search import Misfits
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search, principal_search
@@ -118,6 +118,40 @@ def test_arched_and_slanted_windows_agree_with_their_stairs(
     lit, want = unit > 0.05, exact.luminance_cdm2.reshape(3, -1) > 300.0
     inside = np.bincount(pixel, ends.surface >= 0, 2 * HEIGHT**2) == SUB**2
     assert (lit != want)[:, inside].sum() < 0.04 * want[:, inside].sum()
+
+
+@pytest.mark.analytic
+def test_an_edge_takes_its_share_of_the_light_between_two_rays(evidence: SceneEvidence) -> None:
+    """Seventeen millimetres are less than rays are apart: the light follows each of them."""
+    guess = guess_of(replace(ROOM, window=(ONE_PANE.window[0],)))
+    rect = guess.windows[0]
+
+    def light(by: float, spread: float) -> np.ndarray:
+        moved = replace(guess, windows=(replace(rect, u_m=(rect.u_m[0] + by, rect.u_m[1])),))
+        lit = lit_entries(moved, surfaces(guess, evidence.rays, spread), evidence.suns_room(guess))
+        return np.bincount(lit.hour, lit.strength, len(evidence))
+
+    soft = np.array([light(0.001 * k, evidence.spread) for k in range(18)])
+    hard = light(0.0, 0.0)
+    assert np.diff(soft.sum(axis=1)).max() < 0.0
+    assert soft[0].sum() == pytest.approx(hard.sum(), rel=0.03)
+
+
+@pytest.mark.analytic
+def test_a_column_hides_what_the_stated_window_has_more(evidence: SceneEvidence) -> None:
+    guess = guess_of(ROOM)
+    rect = guess.windows[0]
+    seen = replace(guess, windows=(replace(rect, u_m=(rect.u_m[0] + 0.3, rect.u_m[1])),))
+    proposals = propose_columns(seen, guess, room_parameters(guess))
+    assert not propose_columns(guess, guess, room_parameters(guess))
+    assert len(proposals) == 3
+    view = evidence.view
+    before = view.kinds(seen) == PANE
+    for parameter, trial in proposals:
+        assert parameter.name == "window 1 u0"
+        assert trial.windows[0].u_m == pytest.approx(rect.u_m)
+        differs = (view.kinds(trial) == PANE) != before
+        assert differs.sum() < 0.3 * ((view.kinds(guess) == PANE) != before).sum()
 
 
 @pytest.mark.analytic

@@ -21,7 +21,6 @@ from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import (
-    COARSE_PIXELS_EVERY,
     KEPT_OUT_EVERY,
     Misfits,
     SceneSearch,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
+REACH_EVERY = 3  # chosen, for time: use every n-th pixel for how far numbers can move
 OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 
 
@@ -96,7 +96,7 @@ def fit_scene(
     guess = search.polish(guess, np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
-    coarse = search.objective(search.evidence.thinned(COARSE_PIXELS_EVERY))
+    coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
     reach = reach_of(coarse, guess, (WALL, CLOCK) if prior.is_clock_open else (WALL,))
     u = {
         name: float(np.linalg.norm((u, search.valley[name], reach[name])))

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence
 from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.parameters import Parameter
@@ -34,6 +36,12 @@ MIN_SIZE_M = 0.08
 MIN_SIDE_M = 0.04  # a thinner solid only explains noise; chosen, not measured
 # Chosen, not measured: the sun passes below the top of a table with thin legs.
 MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05
+
+# Chosen: twice the tape's 5 cm; places between window and camera, thickness and albedo (that of
+# walls) from which the search of a column starts.
+MIN_HIDDEN_M = 0.1
+COLUMN_SHARES = (0.2, 0.45, 0.7)
+COLUMN_M, COLUMN_ALBEDO = 0.2, 0.5
 
 # The faces that a pixel can see: axis and sign of the normal.
 FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
@@ -70,6 +78,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
     eye = np.array(guess.camera_m, np.float32)
     full_m = np.linalg.norm(ends.position_m[open_] - eye, axis=1)  # [o]
     room_rays = (ends.position_m[open_] - eye) / np.maximum(full_m, 1e-6)[:, None]
+    spread_m = np.full(len(open_), 1e-9, np.float32)  # a point of the pixel
     dark = few.dark_loss.ravel()
     least = stated[open_] - few.dark_loss.mean(axis=0)  # [o] what removing the patch would gain
     for share in np.linspace(0.0, 1.0, DEPTHS + 1)[:-1]:
@@ -84,6 +93,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
                 np.full(len(at), axis, np.int8),
                 np.full(len(at), sign, np.float32),
                 np.where(sees, 0, OUTSIDE).astype(np.int16),
+                spread_m,
             )
             lit = lit_entries(guess, point, suns)
             entry = lit.hour * len(at) + lit.ray
@@ -164,6 +174,42 @@ def _clusters(
         if found.gain[member].size > 10:
             tall = Solid((x0, y0, 0.0), (x1, y1, guess.size_m[2]), albedo)
             proposals.append((0.5 * gain, tall))
+    return proposals
+
+
+def propose_columns(
+    guess: Guess, stated: Guess, parameters: Sequence[Parameter]
+) -> list[tuple[Parameter, Guess]]:
+    """Return rooms with a column where a window ends far inside its stated end.
+
+    Each with the parameter of the end, which is back at the stated place: from the camera, the
+    column hides what is between. It is tried at several distances from the window.
+    """
+    by_name = {p.name: p for p in parameters}
+    proposals: list[tuple[Parameter, Guess]] = []
+    for number, end in product(range(len(guess.windows)), (0, 1)):
+        p = by_name[f"window {number + 1} u{end}"]
+        rect = guess.windows[number]
+        axis, side = WALLS[rect.wall]
+        along = 1 - axis
+        edge = p.read(stated)
+        if rect.wall in ("south", "east"):  # as `parameters` reads it
+            edge = guess.size_m[along] - edge
+        now = rect.u_m[end]
+        if (now - edge) * (1.0 if end == 0 else -1.0) < MIN_HIDDEN_M:
+            continue
+        back = replace(rect, u_m=(edge, rect.u_m[1]) if end == 0 else (rect.u_m[0], edge))
+        windows = (*guess.windows[:number], back, *guess.windows[number + 1 :])
+        inner = guess.size_m[axis] if side else 0.0
+        eye_u, eye_across = guess.camera_m[along], guess.camera_m[axis]
+        for share in COLUMN_SHARES:
+            low, high = [0.0, 0.0, 0.0], list(guess.size_m)
+            low[along], high[along] = sorted(u + share * (eye_u - u) for u in (edge, now))
+            middle = inner + share * (eye_across - inner)
+            low[axis], high[axis] = middle - COLUMN_M / 2.0, middle + COLUMN_M / 2.0
+            column = Solid((low[0], low[1], low[2]), (high[0], high[1], high[2]), COLUMN_ALBEDO)
+            trial = replace(guess, windows=windows, solids=(*guess.solids, column))
+            proposals.append((p, trial))
     return proposals
 
 

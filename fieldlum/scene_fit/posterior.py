@@ -1,6 +1,6 @@
 """Estimate the uncertainty of a scene by repeated searches.
 
-Each search has resampled days and other stated values.
+Each search has resampled days, resampled pixels of the windows' picture, and other stated values.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Po
             start = p.change(start, float(rng.normal(0.0, p.first_step)))
             tape = p.change(tape, float(rng.normal(0.0, p.sd)))
         pose = objective.pose and objective.pose.drawn(rng)
-        again = replace(objective, evidence=thin.hours(hours), start=tape, pose=pose)
+        evidence = replace(thin.hours(hours), view=thin.view.redrawn(rng))
+        again = replace(objective, evidence=evidence, start=tape, pose=pose)
         best, _ = pattern_search(again, start, parameters, fine=2.0)
         values.append([p.read(best) for p in parameters])
         rooms.append(room_parameters(true_room(best, stated)))

@@ -35,34 +35,43 @@ class Surfaces:
     """Where r camera rays end.
 
     position_m [r, 3]; axis and sign [r] of the normal of the surface that is hit; surface [r]: one
-    of `FLOOR` ..., `SHELL` + k for solid k, or `OUTSIDE` for a ray through a window.
+    of `FLOOR` ..., `SHELL` + k for solid k, or `OUTSIDE` for a ray through a window;
+    spread_m [r]: distance between the ends of neighbouring rays.
     """
 
     position_m: Float32
     axis: NDArray[np.int8]
     sign: Float32
     surface: NDArray[np.int16]
+    spread_m: Float32
 
 
 @dataclass(frozen=True)
 class RoomRays:
-    """Rays from the camera in room axes: directions and one over them, each [3, r], and the eye."""
+    """Rays from the camera in room axes: directions and one over them, each [3, r], and the eye.
+
+    spread: angle between neighbouring rays [rad].
+    """
 
     eye_m: Float32
     direction: Float32
     inverse: Float32
+    spread: float
 
 
-def camera_rays(guess: Guess, rays_world: Float32) -> RoomRays:
+def camera_rays(guess: Guess, rays_world: Float32, spread: float = 0.0) -> RoomRays:
     """Return rays [r, 3], stated world axes, as the guess's camera sends them."""
     rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).T  # [3, r]
     rays = np.where(np.abs(rays) < _SMALLEST, np.float32(_SMALLEST), rays).astype(np.float32)
-    return RoomRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays)
+    return RoomRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays, spread)
 
 
-def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
-    """Return where rays [r, 3] from the camera end, world axes as stated."""
-    return ends_of(guess, camera_rays(guess, rays_world))[0]
+def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces:
+    """Return where rays [r, 3] from the camera end, world axes as stated.
+
+    spread: angle between neighbouring rays [rad]; 0 gives patches with hard edges.
+    """
+    return ends_of(guess, camera_rays(guess, rays_world, spread))[0]
 
 
 def ends_of(guess: Guess, rays: RoomRays) -> tuple[Surfaces, Float32]:
@@ -96,7 +105,8 @@ def _ends(
     """Return the ends of some of the rays; normals point against the ray."""
     position = rays.eye_m[:, None] + rays.direction[:, rows] * distance
     sign = np.where(rays.direction[axis, rows] > 0.0, -1.0, 1.0).astype(np.float32)
-    return Surfaces(np.ascontiguousarray(position.T, np.float32), axis, sign, surface)
+    spread_m = np.maximum(rays.spread * distance, _SMALLEST).astype(np.float32)
+    return Surfaces(np.ascontiguousarray(position.T, np.float32), axis, sign, surface, spread_m)
 
 
 def ends_on_solid(
@@ -170,7 +180,8 @@ def seen_in_opening(guess: Guess, position: Array, direction: Array) -> NDArray[
         for bar in guess.bars:
             if bar.window == number:
                 at, slope = (u, slope_u) if bar.upright else (z, slope_z)
-                sees[_meets(bar, at, slope)] = BAR
+                below, above = _gaps(bar, at, slope)
+                sees[(below < 0.0) & (above < 0.0)] = BAR
         sees[~_within(outer_u, rect.u_m)] = JAMB
         sees[outer_z > (rect.z_m[1] if rect.is_rectangle else rect.top_m(outer_u))] = HEAD
         sees[outer_z < rect.z_m[0]] = SILL
@@ -186,7 +197,8 @@ def _within(value: Array, span: tuple[float, float]) -> NDArray[np.bool_]:
 class LitEntries:
     """Pairs of hour and ray that the sun reaches.
 
-    hour, ray: [k]; strength: cosine of incidence times transmittance of the glass [k].
+    hour, ray: [k]; strength: cosine of incidence times transmittance of the glass, times the share
+    of the ray's spread that the edges of window and bars leave [k].
     """
 
     hour: NDArray[np.intp]
@@ -224,12 +236,13 @@ def _through(
     low_z, high_z = _both(rect.z_m, slope_z * t)
     across = np.ascontiguousarray(across)
     p_u, p_z = (np.ascontiguousarray(position[:, k]) for k in (along, 2))
+    half = 0.5 * ends.spread_m[inside]
     parts: list[tuple[NDArray[np.intp], Float32, Float32]] = []
     for k in range(len(before)):  # hour by hour: arrays that stay in the processor's cache
         u = p_u + slope_u[k] * across  # [r] where the line crosses the wall's inner face
-        rows = np.flatnonzero((u > low_u[k]) & (u < high_u[k]))
-        z = p_z[rows] + slope_z[k] * across[rows]
-        passes = np.flatnonzero((z > low_z[k]) & (z < high_z[k]))
+        rows = np.flatnonzero((u > low_u[k] - half) & (u < high_u[k] + half))
+        z, reach = p_z[rows] + slope_z[k] * across[rows], half[rows]
+        passes = np.flatnonzero((z > low_z[k] - reach) & (z < high_z[k] + reach))
         rows = rows[passes]
         parts.append((rows, u[rows], z[passes]))
     if not parts:
@@ -240,14 +253,20 @@ def _through(
     # The component of the sun towards the surface, by hour and signed axis.
     facing = np.concatenate([suns[before], -suns[before]], axis=1)  # [n, 6]
     column = ends.axis[inside] + np.where(ends.sign[inside] > 0.0, 0, 3)  # [r]
+    spread = 2.0 * half[r]
     cosine = facing[h, column[r]]
-    keep = cosine > 0.0
+    cosine = cosine * _passed(u - low_u[h], spread) * _passed(high_u[h] - u, spread)
+    cosine = cosine * _passed(z - low_z[h], spread) * _passed(high_z[h] - z, spread)
     if not rect.is_rectangle:
-        keep &= _below_top(rect, u, z) & _below_top(rect, u + slope_u[h] * t, z + slope_z[h] * t)
+        outer_u, outer_z = u + slope_u[h] * t, z + slope_z[h] * t
+        cosine = cosine * _passed(rect.top_m(u) - z, spread)
+        cosine = cosine * _passed(rect.top_m(outer_u) - outer_z, spread)
     for bar in guess.bars:
         if bar.window == number:
             at, slope = (u, slope_u) if bar.upright else (z, slope_z)
-            keep &= ~_meets(bar, at, slope[h])
+            before_bar, behind_bar = _gaps(bar, at, slope[h])
+            cosine = cosine * (1.0 - _passed(-before_bar, spread) * _passed(-behind_bar, spread))
+    keep = cosine > 0.0
     h, r, cosine = h[keep], r[keep], cosine[keep]
     for solid in guess.solids:
         free = ~shades(solid, position, suns[before], h, r)
@@ -263,11 +282,20 @@ def _both(span: tuple[float, float], shift: Array) -> tuple[Array, Array]:
     return low.astype(np.float32), high.astype(np.float32)
 
 
-def _meets(bar: Bar, at_inner: Array, slope: Array) -> NDArray[np.bool_]:
-    """Return whether lines that cross the wall's inner face at `at_inner` [k] meet the bar."""
+def _passed(beyond_m: Float32, spread_m: Float32) -> Float32:
+    """Return the share of a ray's spread [k] beyond an edge that its middle passes by so much."""
+    return np.clip(beyond_m / spread_m + np.float32(0.5), 0.0, 1.0)
+
+
+def _gaps(bar: Bar, at_inner: Array, slope: Array) -> tuple[Array, Array]:
+    """Return by how much lines that cross the wall's inner face at `at_inner` miss a bar, [k].
+
+    At its lower and its upper side; a line that meets the bar misses neither.
+    """
     first = at_inner + slope * np.float32(bar.depth_m[0])
     last = at_inner + slope * np.float32(bar.depth_m[1])
-    return (np.maximum(first, last) > bar.span_m[0]) & (np.minimum(first, last) < bar.span_m[1])
+    below = np.float32(bar.span_m[0]) - np.maximum(first, last)
+    return below, np.minimum(first, last) - np.float32(bar.span_m[1])
 
 
 def shades(

@@ -27,6 +27,7 @@ from fieldlum.scene_fit.exterior import (
 )
 from fieldlum.scene_fit.furniture import (
     pixel_depths,
+    propose_columns,
     propose_solids,
     solid_parameters,
 )
@@ -58,12 +59,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 
 # Chosen, not varied: two thirds of the hours to fit and one third to check; clocks of half the
-# prior's 5 minutes from a fitted room; a third of the pixels in a third of the time.
+# prior's 5 minutes from a fitted room.
 KEPT_OUT_EVERY = 3
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
-COARSE_PIXELS_EVERY = 3
 BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
 # the same for a solid; a proposal that only explains noise gains less (docs/scene.md)
 SOLID_GAIN = 0.004
@@ -71,7 +71,6 @@ KEPT_OUT_GAIN = 0.001  # the same on held-out hours, which exceeds rounding; cho
 # Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
 # searches start. A shade needs a larger gain, because a wrong one moves north, clock and edges.
 MAX_SOLIDS = 8
-FIRST_SOLIDS = 2  # of each room, before the best room is chosen
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SHADE_GAIN = 0.02
@@ -151,29 +150,27 @@ class SceneSearch:
         return found
 
     def contents(self, starts: Sequence[Guess], step: Callable[[int], None]) -> Guess:
-        """Return the best of several rooms, each with the shades, bars and furniture found in it.
+        """Return the best of several rooms with their shades and bars, and the furniture in it.
 
-        Rooms with differently turned walls cost the same until they have bars and furniture. In a
-        wrong room these are not found, so that the search cannot begin with the room alone. step:
-        called with the number of searches done.
+        Rooms with differently turned walls cost the same until they have bars. step: called with
+        the number of searches done.
         """
         given = self.evidence, self.albedo
         rooms: list[tuple[float, Guess, SceneEvidence, Array]] = []
         for number, start in enumerate(starts):
             step(number)
             self.evidence, self.albedo = given
-            guess = self.bars(self.box(start), COARSE_PIXELS_EVERY)
+            guess = self.bars(self.box(start), fine=4.0)
             self.relight(guess)
-            guess = self.furnished(guess, FIRST_SOLIDS)
             cost = self.objective(self.fit_evidence)(guess)
             rooms.append((cost, guess, self.evidence, self.albedo))
         _, guess, self.evidence, self.albedo = min(rooms, key=lambda room: room[0])
         step(len(starts))
-        return self.furnished(guess, MAX_SOLIDS - FIRST_SOLIDS)
+        return self.furnished(guess, MAX_SOLIDS)
 
     def box(self, guess: Guess) -> Guess:
         """Search north, clock, sizes, camera, window edges and shades from several clocks."""
-        coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        coarse = self.objective(self.fit_evidence.coarse())
         starts = [self.stated.at_clock(guess, clock) for clock in self.stated.start_clocks_min]
         tries = [pattern_search(coarse, start, self.parameters, fine=4.0) for start in starts]
         guess = self.shaded(min(tries, key=lambda pair: pair[1])[0])
@@ -182,7 +179,7 @@ class SceneSearch:
 
     def shaded(self, guess: Guess) -> Guess:
         """Add blinds, facades, canopies and arches while they take enough misfit away."""
-        coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        coarse = self.objective(self.fit_evidence.coarse())
         for _ in range(MAX_SHADES):
             trials = [self._covered(guess, coarse), self._faced(guess), self._shaped(guess, coarse)]
             trial = min(trials, key=coarse)
@@ -211,7 +208,7 @@ class SceneSearch:
 
     def _faced(self, guess: Guess) -> Guess:
         """Return the guess with the facade or canopy that lowers the misfit most."""
-        thin = self.fit_evidence.thinned(COARSE_PIXELS_EVERY)
+        thin = self.fit_evidence.coarse()
         cost = self._solid_cost(thin, guess, self.albedo_with_solids(guess))
         parameters = exterior_parameters(len(guess.solids))
         trials = [replace(guess, solids=(*guess.solids, s)) for s in propose_exterior(guess)]
@@ -221,10 +218,10 @@ class SceneSearch:
         ]
         return min(tries, key=lambda pair: pair[1])[0]
 
-    def bars(self, guess: Guess, every: int = 1) -> Guess:
+    def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
         """Find bars in the picture of each window; search their place, width and depth.
 
-        every: use every n-th pixel in the search.
+        fine: as in `pattern_search`.
         """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
@@ -235,12 +232,12 @@ class SceneSearch:
             proposals += propose_bars(picture, bare, number)
         if not proposals:
             return self._pruned(guess)
-        objective = self.objective(self.fit_evidence.thinned(every))
+        objective = self.objective(self.fit_evidence.coarse())
         trial = replace(bare, bars=(*bare.bars, *proposals))
-        trial, _ = pattern_search(objective, trial, bar_parameters(trial))
+        trial, _ = pattern_search(objective, trial, bar_parameters(trial), fine=fine)
         trial = self._pruned(trial)
         both = [*self.parameters, *bar_parameters(trial)]
-        trial, cost = pattern_search(objective, trial, both, coarse=0.5)
+        trial, cost = pattern_search(objective, trial, both, coarse=0.5, fine=fine)
         return trial if cost < objective(guess) else self._pruned(guess)
 
     def _pruned(self, guess: Guess) -> Guess:
@@ -268,7 +265,7 @@ class SceneSearch:
         """
         albedo = self.albedo_with_solids(guess)
         depths = pixel_depths(self.fit_evidence, guess, albedo)
-        coarse = self._solid_cost(self.fit_evidence.thinned(COARSE_PIXELS_EVERY), guess, albedo)
+        coarse = self._solid_cost(self.fit_evidence.coarse(), guess, albedo)
         limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
         trials: list[tuple[float, Guess]] = []
         parameters = solid_parameters(len(guess.solids))
@@ -278,11 +275,29 @@ class SceneSearch:
             if cost < limit:
                 trials.append((cost, trial))
         fine = self._solid_cost(self.fit_evidence, guess, albedo)
+        trials += self._columns(guess, limit)
         for _, trial in sorted(trials, key=lambda pair: pair[0])[:2]:
-            better, _ = pattern_search(fine, trial, parameters, coarse=0.5)
+            better = trial
+            if trial.windows == guess.windows:
+                better, _ = pattern_search(fine, trial, parameters, coarse=0.5)
             if self._pays(guess, better, SOLID_GAIN):
                 return better
         return guess
+
+    def _columns(self, guess: Guess, limit: float) -> list[tuple[float, Guess]]:
+        """Return columns before a window's end that is far inside the stated one, with their costs.
+
+        A column and a narrower window look the same to the camera, but not to the sun. Only costs
+        below the limit are returned.
+        """
+        objective = self.objective(self.fit_evidence.coarse())
+        trials: list[tuple[float, Guess]] = []
+        for p, column in propose_columns(guess, self.start, self.parameters):
+            moves = [p, *solid_parameters(len(guess.solids))]
+            trial, cost = pattern_search(objective, column, moves, fine=2.0)
+            if cost < limit:
+                trials.append((cost, trial))
+        return trials
 
     def furnished(self, guess: Guess, most: int) -> Guess:
         """Add up to `most` solids; after each, search everything again."""
@@ -327,15 +342,15 @@ class SceneSearch:
         cost, which the captures cannot separate.
         """
         rng = np.random.default_rng(seed)
-        coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
-        tries = [pattern_search(coarse, guess, self.parameters, coarse=0.25, fine=2.0)]
+        coarse = self.objective(self.fit_evidence.coarse())
+        tries = [pattern_search(coarse, guess, self.parameters, coarse=0.25, fine=4.0)]
         turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
         clocks = RESTART_CLOCKS_MIN if self.stated.is_clock_open else (0.0,)
         for later, turn_deg in product(clocks, RESTART_TURNS_DEG):
             start = turned(along_valley(guess, later), turn_deg)
             for p in self.parameters:
                 start = p.change(start, float(rng.normal(0.0, 0.5 * p.first_step)))
-            tries.append(pattern_search(coarse, start, self.parameters, coarse=0.5, fine=2.0))
+            tries.append(pattern_search(coarse, start, self.parameters, coarse=0.5, fine=4.0))
         best, least = min(tries, key=lambda pair: pair[1])
         alike = [trial for trial, cost in tries if cost < SAME_COST * least]
         self.valley = {
@@ -345,7 +360,7 @@ class SceneSearch:
 
     def settled(self, guess: Guess) -> Guess:
         """Search all numbers together in small steps, at few pixels."""
-        objective = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        objective = self.objective(self.fit_evidence.coarse())
         return pattern_search(objective, guess, self.all_parameters(guess), coarse=0.25)[0]
 
     def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:

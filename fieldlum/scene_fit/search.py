@@ -62,6 +62,7 @@ class Objective:
     prior_unit: float
     pose: PosePrior | None = None
     count: int = field(default=0)
+    _seen: tuple[Guess | None, float] = field(default=(None, 0.0), init=False)
 
     def __call__(self, guess: Guess) -> float:
         """Return the mean misfit of a guess plus its prior."""
@@ -70,7 +71,10 @@ class Objective:
 
     def without_patches(self, guess: Guess) -> float:
         """Return the cost that all hours share: misfit of the windows' picture plus the prior."""
-        return self.evidence.view.misfit(guess) + self.prior(guess)
+        key = replace(guess, north_deg=0.0, clock_min=0.0)  # neither moves the windows' picture
+        if key != self._seen[0]:
+            self._seen = key, self.evidence.view.misfit(guess)
+        return self._seen[1] + self.prior(guess)
 
     def misfits(self, guess: Guess) -> Array:
         """Return the misfit of each hour's patches, [n].

@@ -50,7 +50,7 @@ class SolidCost:
     _view_misfit: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self._rays = camera_rays(self.guess, self.evidence.rays)
+        self._rays = camera_rays(self.guess, self.evidence.rays, self.evidence.spread)
         ends, self._nearest = ends_of(self.guess, self._rays)
         self._position = ends.position_m
         self._suns = self.evidence.suns_room(self.guess)

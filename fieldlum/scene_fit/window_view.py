@@ -66,6 +66,11 @@ class WindowView:
             pixel=place[self.pixel[of]],
         )
 
+    def redrawn(self, rng: np.random.Generator) -> WindowView:
+        """Return the view with random weights of its pixels (a Bayesian bootstrap)."""
+        share = rng.exponential(1.0, len(self.weights))
+        return replace(self, weights=self.weights * share / max(share.mean(), 1e-12))
+
     def errors(self, guess: Guess) -> Array:
         """Return the error of each pixel as a share of the panes' luminance, [q].
 
