@@ -273,6 +273,20 @@ def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
     )
 
 
+@pytest.mark.analytic
+def test_pixels_without_count_teach_the_network_nothing() -> None:
+    counts = np.ones(DATA.luminance_cdm2.shape, np.float16)
+    counts[1, 2, 3] = 0.0
+    base = dense_network.canvas(np.zeros(DATA.shape), 180.0)
+    data = replace(DATA, counts=counts)
+    pixels = pixels_of(data, base, Shape(**SMALL), "absolute", torch.device("cpu"))
+    _, _, _, weight = pixels.batch(torch.arange(len(pixels)))
+    flat = weight.reshape(len(DATA), -1)
+    place = np.flatnonzero(np.flatnonzero(DATA.seen) == 2 * DATA.shape[1] + 3)
+    assert flat[1, place] == 0.0 and (flat[0] > 0.0).all()
+    assert (flat == 0.0).sum() == 1
+
+
 @pytest.mark.property
 def test_a_loss_that_is_no_number_changes_nothing() -> None:
     """Training never ends in NaN: the update is skipped and the best weights are taken up again."""

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 class PixelSampler:
     """All pairs of an hour and a seen pixel, on the device.
 
-    The index of a pair is hour * P + index of its pixel in `seen`.
+    The index of a pair is hour * P + index of its pixel in `seen`. weight: solid angle; counts: how
+    much a pixel counts in an hour, None for 1 everywhere.
     """
 
     canvas: Canvas
@@ -30,6 +31,7 @@ class PixelSampler:
     patch: Tensor | None  # [n, P]
     weight: Tensor  # [P]
     seen: Tensor  # pixel indices [P]
+    counts: Tensor | None = None  # [n, P]
 
     def __len__(self) -> int:
         return self.target.numel()
@@ -45,7 +47,10 @@ class PixelSampler:
         place = numbers - hour * len(self.seen)
         scene = scene_inputs(self.canvas, self.hours, hour, self.seen[place])
         direct = torch.zeros_like(scene[:, 0]) if self.patch is None else self.patch[hour, place]
-        return scene, direct.unsqueeze(1), self.target[hour, place], self.weight[place]
+        weight = self.weight[place]
+        if self.counts is not None:
+            weight = weight * self.counts[hour, place]
+        return scene, direct.unsqueeze(1), self.target[hour, place], weight
 
 
 def pixels_of(
@@ -60,6 +65,9 @@ def pixels_of(
 
     use_patch = patch != "none" and data.patch_cdm2 is not None
     weight = torch.from_numpy(data.weights.reshape(-1)[seen].astype(np.float32))
+    counts = None
+    if data.counts is not None:
+        counts = torch.from_numpy(data.counts.reshape(len(data), -1)[:, seen]).to(device)
     return PixelSampler(
         base.to(device),
         hours(data.light, shape).to(device),
@@ -67,4 +75,5 @@ def pixels_of(
         flat(data.patch_cdm2) if use_patch and data.patch_cdm2 is not None else None,
         weight.to(device),
         torch.from_numpy(seen).to(device),
+        counts,
     )

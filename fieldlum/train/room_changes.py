@@ -82,9 +82,8 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     if len(rows):
         notes.append(
             f"WARNING: in {len(rows)} of {len(data)} captures a part of the picture is darker "
-            "than the other days predict: a person, an object or clipped highlights. Light "
-            "transport ignores these pixels in these captures; look at them: "
-            f"{_slots(data, rows)}"
+            "than the other days predict: a person, an object or clipped highlights. These "
+            f"pixels teach nothing in these captures; look at them: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts
         data = replace(data, counts=np.where(objects, np.float16(0.0), counts))
