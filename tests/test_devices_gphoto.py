@@ -187,7 +187,7 @@ def test_texts_of_cameras(text: str, value: float | None) -> None:
 @pytest.mark.contract
 def test_choose_gives_the_camera_its_own_text() -> None:
     assert choose("shutter", 1 / 64, ["Bulb", "1/50", "1/60", "1/80"]) == "1/60"
-    with pytest.raises(DeviceError, match="the camera reports no choices"):
+    with pytest.raises(DeviceError, match="the camera offers no values"):
         choose("iso", 100.0, ["Auto"])
 
 

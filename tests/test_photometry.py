@@ -67,6 +67,8 @@ def test_the_plateau_is_found_below_the_tag_and_only_where_there_is_one() -> Non
     full = counts.copy()
     full[:20] = 15000
     assert saturation_plateau(full.astype(np.uint16), 16383) == pytest.approx(15000, abs=1)
+    full[0, :3] = 16383  # hot pixels
+    assert saturation_plateau(full.astype(np.uint16), 16383) == pytest.approx(15000, abs=1)
     assert saturation_plateau(counts.astype(np.uint16), 16383) is None
     assert saturation_plateau((counts // 4).astype(np.uint16), 16383) is None
 

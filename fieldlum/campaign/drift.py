@@ -147,9 +147,10 @@ def _columns(rows: Sequence[tuple[datetime, float]]) -> tuple[list[datetime], li
 def _headings(
     session: Session, dated: Sequence[tuple[datetime, Sidecar]]
 ) -> list[tuple[datetime, float]]:
-    """Return (time, azimuth of the sun's disc in the picture minus the computed one [deg]).
+    """Return (time, azimuth error [deg]) for each picture with a measured sun disc.
 
-    One for each picture with a measured disc.
+    The error is the disc's azimuth, by the stated heading, minus the computed azimuth. If the
+    camera turns clockwise by 1 degree, the error falls by 1 degree.
     """
     from fieldlum import sun
 

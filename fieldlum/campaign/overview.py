@@ -262,7 +262,7 @@ def _drift(rooms: Sequence[RoomOverview]) -> Section:
         "room",
         "camera",
         "k by the window sky",
-        "heading by the sun's disc",
+        "azimuth of the sun's disc, less the computed",
         "residual of merging",
     )
     limits = ", ".join(f"{kind} {limit:g} {UNITS[kind]}" for kind, limit in LIMITS.items())

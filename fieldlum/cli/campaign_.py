@@ -173,7 +173,7 @@ def report_command(
     from fieldlum.campaign.hour_table import write_csv, write_parquet
     from fieldlum.campaign.overview import write_overview
 
-    if table is not None and table.suffix not in (".csv", ".parquet"):
+    if table is not None and table.suffix.lower() not in (".csv", ".parquet"):
         raise click.UsageError(
             f"--table {table}: suffix '{table.suffix}'; name a .csv or a .parquet file"
         )
@@ -184,7 +184,7 @@ def report_command(
         )
     rows = None
     if table is not None:
-        rows = (write_parquet if table.suffix == ".parquet" else write_csv)(campaign, table)
+        rows = (write_parquet if table.suffix.lower() == ".parquet" else write_csv)(campaign, table)
         say(f"{table}: {rows} rows")
     broken = [room.session for room in rooms if room.broken]
     if as_json:

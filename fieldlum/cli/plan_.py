@@ -81,6 +81,8 @@ def command(
         raise click.UsageError("--next and --replan exclude each other: use one of them")
     if (next_ or replan) and (set_ or out):
         raise click.UsageError("--next and --replan work on a session: omit --set and --out")
+    if next_ and (ics or html):
+        raise click.UsageError("--next writes no files: omit --ics and --html")
     if (next_ or replan) and (start or year or days or count):
         raise click.UsageError(
             "--next and --replan keep the session's dates: omit --start, --year, --days and --count"

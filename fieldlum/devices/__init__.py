@@ -126,7 +126,8 @@ def refuse_turning(kind: str, heading_deg: float | None) -> None:
     """Raise DeviceError if a frame has a heading: this camera has no turning head."""
     if heading_deg is not None:
         raise DeviceError(
-            f"{kind}: this camera has no turning head; remove headings from the site file"
+            f"{kind}: this camera has no turning head; remove headings from the site file and plan "
+            "a new session with it"
         )
 
 

@@ -56,7 +56,11 @@ class PixelSampler:
 def pixels_of(
     data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: torch.device
 ) -> PixelSampler:
-    """Return the pixels of all hours of `data`, encoded, on the device."""
+    """Return all pairs of an hour of `data` and a seen pixel, encoded, on the device.
+
+    base: inputs of the pixels that do not depend on the hour. patch: how sun patches are used; with
+    "none" they are left out.
+    """
     seen = np.flatnonzero(data.seen)
 
     def flat(maps: NDArray[np.float32]) -> Tensor:

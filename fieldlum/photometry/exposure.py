@@ -15,6 +15,7 @@ _OFF_GRID = 0.07
 # Chosen so that a bright smooth scene is no spike; not measured.
 _SPIKE_RATIO = 10
 _SPIKE_SHARE = 2e-4  # least share of all pixels in a spike; chosen, not measured
+_HOT_SHARE = 2e-5  # share of pixels that may be above the spike (hot pixels); chosen, not measured
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
@@ -36,19 +37,21 @@ def snap_shutter_s(nominal_s: float) -> float:
 
 
 def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
-    """Return the count at which a sensor saturates [DN]; None if the histogram has no spike.
+    """Return the count at which a sensor saturates [DN]; None if the histogram has no spike there.
 
     counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
-    below that white level. The spike is the highest short run of counts with at least
-    `_SPIKE_SHARE` of all pixels, and with ten times the pixels of the counts below it.
+    below that white level. Tested is the run of counts that ends at the highest count, but for a
+    few hot pixels. It is a spike if it has `_SPIKE_SHARE` of all pixels, and `_SPIKE_RATIO` times
+    the average of equal runs below it.
     """
-    top = int(counts.max(initial=0))
+    flat = np.maximum(counts.ravel(), 0)
+    of_count = np.bincount(flat, minlength=1)
+    above = flat.size - np.cumsum(of_count)  # pixels above each count
+    top = int(np.argmax(above <= max(8, _HOT_SHARE * flat.size)))
     if top < 0.5 * white_dn:
         return None
     width = max(1, round(0.002 * white_dn))
-    flat = counts.ravel()
-    near = flat[flat > top - 12 * width].astype(np.int64)
-    histogram = np.bincount(top - near, minlength=12 * width)
+    histogram = of_count[max(top + 1 - 12 * width, 0) : top + 1][::-1]  # from the highest count
     spike, below = histogram[:width].sum(), histogram[2 * width :].sum() / 10
     if spike < max(_SPIKE_SHARE * flat.size, 8) or spike < _SPIKE_RATIO * below:
         return None

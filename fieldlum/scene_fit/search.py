@@ -323,7 +323,11 @@ def _with_bars(change: Change) -> Change:
 
 
 def _solid_followed(guess: Guess, moved: Guess, solid: Solid, turn: Array) -> Solid:
-    """Return a solid in the room whose middle in plan is where the moved camera looks at it."""
+    """Return a solid shifted in plan, so that both cameras see its middle in the same direction.
+
+    Its size and height stay. A solid outside the room is not shifted. turn: rotation from the old
+    axes of the room to the new ones [3, 3].
+    """
     middle = (np.array(solid.low_m) + solid.high_m) / 2.0
     if not all(0.0 <= middle[k] <= guess.size_m[k] for k in (0, 1)):
         return solid

@@ -9,7 +9,7 @@ import os
 import platform
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -67,12 +67,13 @@ def remove_scraps(folder: Path) -> None:
     for scrap in folder.glob(".*.tmp*"):
         host, _, rest = scrap.name[1:].partition(".")
         number = rest.partition(".")[0]
-        if host == _host() and number.isdigit():
-            over = not _process_runs(int(number))
-        else:
-            over = time.time() - scrap.stat().st_mtime > OLD_SCRAP_S
-        if over:
-            scrap.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # renamed by its process just now
+            if host == _host() and number.isdigit():
+                over = not _process_runs(int(number))
+            else:
+                over = time.time() - scrap.stat().st_mtime > OLD_SCRAP_S
+            if over:
+                scrap.unlink()
 
 
 def _process_runs(number: int) -> bool:

@@ -118,7 +118,7 @@ def dni_by_closure(
 
 
 class Limits(NamedTuple):
-    """Lowest and highest plausible value [n] of each component, in W/m2."""
+    """Lowest (one number) and highest plausible value [n] of each component, in W/m2."""
 
     ghi_wm2: tuple[float, NDArray[np.float64]]
     dhi_wm2: tuple[float, NDArray[np.float64]]
