@@ -139,8 +139,8 @@ def score_view(
             ev, dgp = glare(maps, reference.heading_deg, suns, test.disc_lx)
             asked = replace(reference, ev_lx=reference.ev_lx[unseen], dgp=reference.dgp[unseen])
             cells = errors(asked, ev[unseen], dgp[unseen])
-            seen = passes_over_data(fitted)
-            label = model if seen is None else f"{model}, {seen:.1f} epochs"
+            epochs = passes_over_data(fitted)
+            label = model if epochs is None else f"{model}, {epochs:.1f} epochs"
             print(f"| {name} | {label} | {which} | {len(rows)} | {cells} |", flush=True)
 
 

@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.devices.settings import nearest
+from fieldlum.errors import DeviceError
 from fieldlum.photometry import (
     check_vignetting,
     dark_floor,
@@ -17,6 +19,7 @@ from fieldlum.photometry import (
     polynomial_table,
     prior_u_log,
     response_table,
+    same_exposure,
     saturation_plateau,
     snap_shutter_s,
     srgb_table,
@@ -24,7 +27,7 @@ from fieldlum.photometry import (
     vignetting_at,
     z_per_cdm2,
 )
-from fieldlum.records import SunSource
+from fieldlum.records import Exposure, SunSource
 
 # ----------------------------------------------------------------------------------------------
 # exposure
@@ -58,6 +61,16 @@ def test_luminance_of_an_exposure() -> None:
     # analytic: L = k 87 N^2 / (t S) z; f/5.6, 1/100 s, ISO 100, k 1.18, z 0.5
     luminance = 0.5 / z_per_cdm2(0.01, 5.6, 100.0, 1.18)
     assert luminance == pytest.approx(1.18 * 87 * 5.6**2 / (0.01 * 100) * 0.5)
+
+
+@pytest.mark.analytic
+def test_third_stops_are_other_settings_and_rounded_values_are_not() -> None:
+    asked = Exposure(1 / 60, 5.6)
+    assert same_exposure(Exposure(1 / 64, 5.66), asked)  # 0.09 and 0.03 EV
+    assert not same_exposure(Exposure(1 / 60, 5.0), asked)  # a third of a stop in light
+    assert not same_exposure(Exposure(1 / 80, 5.6), asked)
+    with pytest.raises(DeviceError, match="nearest is 5: plan with"):
+        nearest(5.6, (4.0, 5.0, 8.0), "aperture", ev_per_octave=2.0)
 
 
 @pytest.mark.analytic

@@ -28,11 +28,11 @@ from fieldlum.capture.match_card import (
     group_frames,
     match_groups,
     misfit,
-    same_exposure,
     true_time,
 )
 from fieldlum.capture.reassign_slots import withdraw
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.photometry import same_exposure
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text
 from fieldlum.session import (

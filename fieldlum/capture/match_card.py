@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.photometry import same_exposure
 from fieldlum.records import Exposure, Slot
 
-SAME_EV = 1 / 6  # half the third-stop spacing of camera settings; chosen
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour; chosen
 # Not measured, unless a source is stated. Each limit is chosen between the two cases that it must
 # separate.
@@ -85,19 +84,6 @@ class Unmatched:
 
     group: Group
     why: str
-
-
-def same_exposure(a: Exposure, b: Exposure) -> bool:
-    """Return whether shutter, aperture and ISO agree within a sixth of a stop.
-
-    The filters must agree too, unless one of them is not recorded: cameras do not record filters.
-    """
-    stops = (
-        math.log2(a.shutter_s / b.shutter_s),
-        2.0 * math.log2(a.f_number / b.f_number),
-        math.log2(a.iso / b.iso),
-    )
-    return all(abs(stop) <= SAME_EV for stop in stops)
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:

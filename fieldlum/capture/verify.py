@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.errors import InputError
+from fieldlum.photometry import SAME_SETTING_EV
 from fieldlum.raw import FrameInfo, is_jpeg, read_exif, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
-# EV; a camera that used another setting is at least 1/3 EV away; chosen as the half
-TOLERANCE_EV = 1 / 6
 ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
 
 
@@ -54,7 +53,7 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
     differences = [
         f"{name} {is_:g} instead of {should:g}"
         for name, is_, should, per_octave in pairs
-        if is_ > 0 and should > 0 and abs(per_octave * math.log2(is_ / should)) > TOLERANCE_EV
+        if is_ > 0 and should > 0 and abs(per_octave * math.log2(is_ / should)) > SAME_SETTING_EV
     ]
     return ", ".join(differences)
 

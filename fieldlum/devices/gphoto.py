@@ -46,7 +46,8 @@ def choose(role: str, asked: float, choices: list[str]) -> str:
     """
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
     unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
-    return offered[nearest(asked, offered, f"camera {role}", unit)]
+    ev_per_octave = 2.0 if role == "aperture" else 1.0
+    return offered[nearest(asked, offered, f"camera {role}", unit, ev_per_octave=ev_per_octave)]
 
 
 def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:

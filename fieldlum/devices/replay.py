@@ -6,16 +6,15 @@ exposure that it matches.
 
 from __future__ import annotations
 
-import math
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fieldlum.devices import CameraInfo
-from fieldlum.devices.settings import LARGEST_STEP_EV
 from fieldlum.devices.uri import DeviceUri
 from fieldlum.errors import DeviceError, InputError
+from fieldlum.photometry import same_exposure
 from fieldlum.raw import FrameInfo, read_exif
 from fieldlum.records import Exposure
 
@@ -54,14 +53,8 @@ def _order(t_camera: datetime | None) -> datetime:
 
 
 def fits(found: Exposure, asked: Exposure) -> bool:
-    """Return whether two exposures agree within 1/6 EV in each setting, and in a stated filter."""
-    pairs = (
-        (found.shutter_s, asked.shutter_s),
-        (found.f_number, asked.f_number),
-        (found.iso, asked.iso),
-    )
-    near = all(abs(math.log2(a / b)) <= LARGEST_STEP_EV for a, b in pairs)
-    return near and found.nd in ("", asked.nd)
+    """Return whether two exposures agree in each setting, and in a filter that is stated."""
+    return same_exposure(found, asked) and found.nd in ("", asked.nd)
 
 
 class ReplayCamera:

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fieldlum.devices import CameraInfo, refuse_turning
-from fieldlum.devices.settings import LARGEST_STEP_EV
 from fieldlum.devices.uri import DeviceUri, number
 from fieldlum.errors import DeviceError
+from fieldlum.photometry import SAME_SETTING_EV
 from fieldlum.records import Exposure, shutter_text
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ class RpicamCamera:
         """
         off_ev = abs(math.log2(metadata.shutter_s / asked.shutter_s))
         stretched = metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE
-        if off_ev > LARGEST_STEP_EV and stretched:
+        if off_ev > SAME_SETTING_EV and stretched:
             raise DeviceError(
                 f"rpicam: {shutter_text(asked.shutter_s)} s requested, but the sensor exposed "
                 f"{metadata.shutter_s:.4g} s and the program multiplied the picture by "
@@ -191,7 +191,7 @@ class RpicamCamera:
                 f"exposures from [bracket] and plan again"
             )
         gain = asked.iso / ISO_OF_GAIN_1
-        if abs(math.log2(metadata.analogue_gain / gain)) > LARGEST_STEP_EV:
+        if abs(math.log2(metadata.analogue_gain / gain)) > SAME_SETTING_EV:
             raise DeviceError(
                 f"rpicam: gain {gain:g} requested, but the sensor used "
                 f"{metadata.analogue_gain:g}; plan an ISO that this module has"

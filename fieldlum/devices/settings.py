@@ -6,15 +6,22 @@ import math
 from collections.abc import Iterable
 
 from fieldlum.errors import DeviceError
+from fieldlum.photometry import SAME_SETTING_EV
 from fieldlum.records import shutter_text
 
-LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop; chosen, as capture/verify.py, TOLERANCE_EV
 
-
-def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -> float:
+def nearest(
+    asked: float,
+    offered: Iterable[float],
+    what: str,
+    unit: str = "",
+    *,
+    ev_per_octave: float = 1.0,
+) -> float:
     """Return the offered value that is nearest to `asked` in the log domain.
 
-    Raises DeviceError if it is more than 1/6 EV away, or if nothing is offered.
+    ev_per_octave: 2 for f-numbers, 1 for shutter times and ISO. Raises DeviceError if the value is
+    more than 1/6 EV away, or if nothing is offered.
     """
     choices = [value for value in offered if value > 0]
     if not (asked > 0 and choices):
@@ -23,7 +30,7 @@ def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -
             "it to its manual mode".replace("  ", " ")
         )
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
-    if abs(math.log2(best / asked)) > LARGEST_STEP_EV:
+    if abs(ev_per_octave * math.log2(best / asked)) > SAME_SETTING_EV:
         shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
         raise DeviceError(
             f"{what}: {asked:.5g} {unit} is not offered; the nearest is {shown}: plan with "

@@ -166,7 +166,9 @@ class ThetaCamera:
             "iso": nearest(exposure.iso, offers["iso"], "theta ISO"),
         }
         if offers["aperture"]:
-            chosen["aperture"] = nearest(exposure.f_number, offers["aperture"], "theta aperture")
+            chosen["aperture"] = nearest(
+                exposure.f_number, offers["aperture"], "theta aperture", ev_per_octave=2.0
+            )
         return chosen
 
     def check_offered(self, exposure: Exposure) -> None:

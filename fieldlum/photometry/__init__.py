@@ -1,6 +1,12 @@
 """Compute with exposures and luminances: shutter times, responses, exposure ratios, vignetting."""
 
-from fieldlum.photometry.exposure import saturation_plateau, snap_shutter_s, z_per_cdm2
+from fieldlum.photometry.exposure import (
+    SAME_SETTING_EV,
+    same_exposure,
+    saturation_plateau,
+    snap_shutter_s,
+    z_per_cdm2,
+)
 from fieldlum.photometry.illuminance import (
     illuminance_lx,
     illuminance_verdict,

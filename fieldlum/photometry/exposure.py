@@ -5,6 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.records import Exposure
+
 # L = STONITS N^2 / (t S) cd/m2 at z = 1, f-number N, time t [s], ISO S: the empirical constant of
 # hdrgen (Ward, panlib). A wrong value scales all luminances without a scale calibration.
 STONITS = 87.0
@@ -16,6 +18,28 @@ _OFF_GRID = 0.07
 _SPIKE_RATIO = 10
 _SPIKE_SHARE = 2e-4  # least share of all pixels in a spike; chosen, not measured
 _HOT_SHARE = 2e-5  # share of pixels that may be above the spike (hot pixels); chosen, not measured
+
+
+# Settings of cameras are a third of a stop apart: two values within the half of it are the same
+# setting, rounded differently. Chosen.
+SAME_SETTING_EV = 1 / 6
+
+
+def ev_between(a: Exposure, b: Exposure) -> tuple[float, float, float]:
+    """Return by how many EV the shutter, the aperture and the ISO of two exposures differ."""
+    return (
+        abs(math.log2(a.shutter_s / b.shutter_s)),
+        abs(2.0 * math.log2(a.f_number / b.f_number)),
+        abs(math.log2(a.iso / b.iso)),
+    )
+
+
+def same_exposure(a: Exposure, b: Exposure) -> bool:
+    """Return whether shutter, aperture and ISO agree within `SAME_SETTING_EV`.
+
+    Filters are not compared, because cameras do not record them.
+    """
+    return max(ev_between(a, b)) <= SAME_SETTING_EV
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:

@@ -100,15 +100,15 @@ def evaluate_folds(
             progress=progress,
             **more,
         )
-        seen = passes_over_data(fitted)
-        judged = seen is None or seen >= least_passes
+        count = passes_over_data(fitted)
+        judged = count is None or count >= least_passes
         test = truth(data.take(fold.check if judged else fold.check[:1]), glare=glare)
         scores = evaluate(fitted, test, keep_maps=keep_maps, progress=progress)
         if scores.maps is not None:
             scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
         parts.append(scores)
-        if seen is not None:
-            passes.append(seen)
+        if count is not None:
+            passes.append(count)
         wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
     n = len(parts)
     least = min(passes, default=None)
