@@ -17,6 +17,7 @@ from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
 from fieldlum.scene_fit.apply import with_patches
 from fieldlum.scene_fit.fit import SceneFit
+from fieldlum.models.year_sample import light_of_year
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_search import Misfits
@@ -26,7 +27,6 @@ from fieldlum.scene_fit.verdict import (
     SceneVerdict,
     choose_geometry,
     judge,
-    light_of_year,
     outside_hours,
     sun_blocks,
     sunny_hours,

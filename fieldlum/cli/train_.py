@@ -149,6 +149,12 @@ def _show(answer: TrainAnswer) -> None:
     if captures:
         enough, idle = captures.get("enough"), len(captures.get("added_nothing", []))
         click.echo(f"captures: {enough} would have been enough; {idle} added nothing")
+    if year := answer.get("year"):
+        click.echo(
+            f"over a year: expected log10 MSE {year['expected_log10_mse']:.2e}, "
+            f"{100 * year['trusted_share']:.0f} % of the hours trusted ({year['hours']:.0f} hours "
+            "drawn, under the captures' skies)"
+        )
     for note in answer["notes"]:
         say(note)
 

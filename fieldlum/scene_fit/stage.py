@@ -24,7 +24,7 @@ from fieldlum.statistics import is_no_worse
 if TYPE_CHECKING:
     from fieldlum.models import Patch
     from fieldlum.models.data import Dataset
-    from fieldlum.scene_fit.verdict import Predictor
+    from fieldlum.models.year_sample import Predictor
 
 
 # With three hours or fewer, the relative uncertainty of the standard error of their mean misfit is

@@ -9,23 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.light import facades_of, light_at
-from fieldlum.models import trusted_hours
+from fieldlum.light import facades_of
+from fieldlum.models.year_sample import Predictor, expect, light_of_year
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, Room, quiet
-from fieldlum.scene.patches import sun_patches
 
 if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models import Patch, Prediction
+    from fieldlum.models import Patch
     from fieldlum.models.data import Dataset
 
 Array = NDArray[np.float64]
@@ -33,7 +29,6 @@ Array = NDArray[np.float64]
 # Chosen: suns closer than this leave together; neighbouring hours are 12 to 15 degrees apart.
 BLOCK_DEG = 9.0
 OUTSIDE_EVERY = 3  # chosen: a third of the sun's directions is outside the search
-YEAR_HOURS = 150  # measured: their mean expected error has a standard error of 10 to 15 %
 PIXELS = 250  # drawn by solid angle; measured: the ranking of three geometries is that with 500
 # Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
 # several times brighter than the room; a sun below which refraction and horizon are uncertain.
@@ -49,18 +44,6 @@ _SAME_MISFIT = 1.1
 # Chosen: a scene that leaves more than this share of the misfit without patches lacks something.
 MAX_UNEXPLAINED = 0.5
 MIN_TRUSTED_SHARE = 0.5  # chosen: of a year's hours; with less, most of the year is a guess
-# Chosen, not measured: below this sun, clear-sky irradiance is uncertain; beam and diffuse
-# irradiance are at most these multiples of a cloudless sky's.
-_LOWEST_CLEAR_SUN_DEG = 5.0
-_MAX_BEAM, _MAX_DIFFUSE = 1.2, 4.0
-
-
-class Predictor(Protocol):
-    """A fitted model that can be judged."""
-
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps of n hours; patch_cdm2: [n, H, W]."""
-        ...
 
 
 FitTransport = Callable[["Dataset", "Patch"], Predictor]
@@ -162,55 +145,16 @@ def judge(
     scores = []
     for k, candidate in enumerate(candidates):
         progress(k, len(candidates), f"scene: judging {candidate.name}")
-        prediction = year_prediction(replace(candidate.data, seen=pixels), light, fit)
+        data = replace(candidate.data, seen=pixels)
+        mode: Patch = "none" if data.patch_cdm2 is None else "absolute"
+        year = expect(fit(data, mode), data, light)
         scores.append(
             GeometryScore(
-                candidate.name,
-                float(prediction.expected_mse.mean()),
-                candidate.misfit,
-                float(trusted_hours(prediction).mean()),
+                candidate.name, year.expected_log10_mse, candidate.misfit, year.trusted_share
             )
         )
     progress(len(candidates), len(candidates), "")
     return choose_geometry(scores)
-
-
-def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
-    """Return `YEAR_HOURS` hours of a year at random, each under the sky of a random capture.
-
-    A capture's sky is its beam and diffuse irradiance over that of a cloudless sky.
-    """
-    site, first = data.setup.site, data.light.t_utc[0]
-    begin = datetime(first.year, 1, 1, tzinfo=UTC)
-    hours = [begin + timedelta(hours=hour) for hour in range(365 * 24)]
-    up = np.asarray(sun.position(hours, site).altitude_deg) > _LOWEST_SUN_DEG
-    times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), YEAR_HOURS, replace=False))]
-    high = np.flatnonzero(data.light.sun_altitude_deg > _LOWEST_CLEAR_SUN_DEG)
-    drawn = rng.choice(high if len(high) else np.arange(len(data)), YEAR_HOURS)
-    there = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
-    here = sun.clearsky(times, site)
-
-    beam = data.light.dni_wm2[drawn] / np.maximum(there.dni_wm2, 1.0)
-    diffuse = data.light.dhi_wm2[drawn] / np.maximum(there.dhi_wm2, 1.0)
-    beam, diffuse = np.minimum(beam, _MAX_BEAM), np.minimum(diffuse, _MAX_DIFFUSE)
-    return light_at(times, site, beam * here.dni_wm2, diffuse * here.dhi_wm2)
-
-
-def year_prediction(data: Dataset, light: Light, fit: FitTransport) -> Prediction:
-    """Return the prediction of the hours of `light` by a model of the captures."""
-    mode: Patch = "none" if data.patch_cdm2 is None else "absolute"
-    patch = None
-    if data.patch_cdm2 is not None:
-        assert data.setup.room is not None
-        patch = sun_patches(
-            data.setup.room,
-            data.setup,
-            light.shown_sun_direction,
-            light.direct_lx,
-            height=data.shape[0],
-            heading_deg=data.heading_deg,
-        ).luminance_cdm2
-    return fit(data, mode).predict(light, patch)
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:

@@ -9,9 +9,11 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
@@ -35,6 +37,7 @@ from fieldlum.version import __version__
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
     from fieldlum.models.transport.setting_scan import Setting
+    from fieldlum.models.year_sample import YearExpectation
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 # share of the time of slow models that their held-out days get; the stored model gets the rest; not
@@ -51,7 +54,8 @@ class Result:
     """A trained model, and how it was chosen.
 
     not_judged: trials that were too short for their scores to count; data: the captures of the
-    training, without those of a changed room.
+    training, without those of a changed room; year: what the model expects of a year, None if it
+    does not know its error.
     """
 
     fitted: Fitted
@@ -61,6 +65,7 @@ class Result:
     fit_s: float
     data: Dataset
     notes: tuple[str, ...] = ()
+    year: YearExpectation | None = None
 
     @property
     def held_out(self) -> HeldOutMaps | None:
@@ -177,7 +182,26 @@ def fit_and_score(
     fitted, doubted = findings(fitted, data, patch, setting)
     skies = seen_skies(fitted, data)
     notes = (*_notes(data, patch, model, trials), *left_out, *skies, *changed, *doubted)
-    return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes)
+    year = year_of(fitted, data, patch, seed, progress)
+    return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year)
+
+
+def year_of(
+    fitted: Fitted, data: Dataset, patch: Patch, seed: int, progress: Progress
+) -> YearExpectation | None:
+    """Return what the model expects of a year under the captures' skies.
+
+    None if the model does not know its error, or needs sun patches that no room can give.
+    """
+    from fieldlum.models.year_sample import expect, light_of_year
+
+    if patch == "none":
+        data = replace(data, patch_cdm2=None)
+    if data.patch_cdm2 is not None and data.setup.room is None:
+        return None
+    light = light_of_year(data, np.random.default_rng(seed))
+    year = expect(fitted, data, light, progress)
+    return year if math.isfinite(year.expected_log10_mse) else None
 
 
 _NO_CURVE = "no time for the learning curve; raise --budget"
@@ -323,6 +347,7 @@ def run(
         "parameters": result.fitted.parameters,
         "final_fit_s": result.fit_s,
         "captures": enough,
+        "year": None if result.year is None else asdict(result.year),
         "notes": notes,
         "inputs": inputs,
     }

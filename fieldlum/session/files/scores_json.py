@@ -78,6 +78,7 @@ class TrainAnswer(TypedDict):
     parameters: int
     final_fit_s: float
     captures: CaptureCurve
+    year: NotRequired[Mapping[str, float] | None]
     notes: list[str]
     inputs: NotRequired[Mapping[str, object]]
     model_sha256: NotRequired[str]
