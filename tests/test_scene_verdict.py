@@ -13,11 +13,11 @@ from fieldlum.light import Light, light_at
 from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import Transport, fit
+from fieldlum.models.year_sample import light_of_year
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
 from fieldlum.scene_fit.apply import with_patches
 from fieldlum.scene_fit.fit import SceneFit
-from fieldlum.models.year_sample import light_of_year
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_search import Misfits

@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from learning_room import dataset, write_pairs
+from learning_room import dataset, room, write_pairs
 
 from fieldlum import models, train
 from fieldlum.cli import main, train_
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores
-from fieldlum.train import fit_and_score, run
+from fieldlum.models.year_sample import light_of_year
+from fieldlum.projection import equirect_solid_angles
+from fieldlum.records import quiet
+from fieldlum.train import fit_and_score, run, year_of
 from fieldlum.train.captures import how_many, order_of_use
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.selection import Trial, choose
@@ -138,6 +141,29 @@ def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
         and config["setup"]["site"]["name"] == "Test room"
     )
     assert models.load(tmp_path).name == "nearest"
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_year_is_expected_to_be_harder_than_held_out_days_of_one_season() -> None:
+    march = dataset(("2027-03-17", "2027-03-18", "2027-03-19", "2027-03-20"))
+    result = fit_and_score(march, "transport", patch="none", budget_s=60.0)
+    assert result.year is not None
+    held_out = result.table(0)[-1]["log10_mse_weighted"]
+    year = light_of_year(result.data, np.random.default_rng(5))
+    maps = result.fitted.predict(year).luminance_cdm2
+    weights = equirect_solid_angles(*march.shape) / (4.0 * np.pi)
+    error = float((weights * np.log10(maps / room(year)[0]) ** 2).sum(axis=(1, 2)).mean())
+    assert error > 5.0 * held_out
+    assert 3.0 * held_out < result.year.expected_log10_mse < 1.5 * error
+    assert result.year.trusted_share < 0.8
+
+
+@pytest.mark.contract
+def test_a_year_is_not_judged_without_a_room_for_its_patches() -> None:
+    fitted = models.fit("transport", DATA)
+    assert year_of(fitted, DATA, "absolute", 0, quiet) is None
+    assert year_of(models.fit("mean", DATA), DATA, "none", 0, quiet) is None
 
 
 @pytest.mark.property
