@@ -1,6 +1,6 @@
 """The error that a trained model expects over a year, from a sample of the year's hours.
 
-Held-out days are close to captured ones, so their errors are too small for seasons without captures.
+Held-out days are close to captured ones, so their errors are too small for other seasons.
 """
 
 from __future__ import annotations
