@@ -40,7 +40,10 @@ YEAR = 2027  # of the simulated captures; chosen
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """Size and duration of a demo."""
+    """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training.
+
+    `quality` is that of `fieldlum simulate --quality`; `troubles` names a file of simulated faults.
+    """
 
     height: int  # of the panoramas; they are twice as wide
     quality: str  # of the rendered truth
@@ -76,7 +79,8 @@ Show = Callable[[str], Any]
 class Outcome:
     """Result of the demo.
 
-    report: path of its page; seconds: time of each stage [s]; figures: name, value, remark.
+    report: path of the report page; seconds: duration of each stage by its name [s]; figures: rows
+    of the printed table, each with name, value and remark.
     """
 
     report: Path
@@ -85,7 +89,7 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """Return the session with nine days in the paper's office; an earlier demo is continued."""
+    """Open the session in `folder`; if there is none, plan nine days in the paper's office."""
     from fieldlum import plan
 
     if (folder / "session.toml").is_file():
@@ -96,7 +100,10 @@ def prepare(folder: Path) -> Session:
 
 
 def capture(session: Session, seed: int, progress: Progress) -> None:
-    """Capture brackets and irradiance of all due slots, with a clock that jumps between slots."""
+    """Capture all due slots with a simulated camera and pyranometer.
+
+    The clock jumps from slot to slot, so that nothing waits. seed: of the simulated noise.
+    """
     from fieldlum import capture as stage
     from fieldlum.capture.live import Live
     from fieldlum.capture.verify import doubts
@@ -110,9 +117,10 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
-    """Compare all merged panoramas with the truth.
+    """Compare all merged panoramas with the rendered truth, over unflagged pixels.
 
-    Return the median error, the share of unflagged pixels within 5 %, and the number of maps.
+    Return the median relative error (median of the maps' medians), the mean share of pixels within
+    5 %, both as fractions, and the number of maps.
     """
     from fieldlum.images import read_panorama
 
@@ -135,9 +143,9 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
 
 
 def irradiance_against_truth(session: Session) -> tuple[float, float]:
-    """Return the rms errors of paired DNI and DHI compared with the simulator's [W/m2].
+    """Return the rms errors of DNI and of DHI in pairs.csv against the simulated truth [W/m2].
 
-    Only hours with the sun above 10 degrees count.
+    Only usable rows with the sun above 10 degrees count.
     """
     truth = TruthIrradiance.read(session.truth_irradiance)
     rows_of_hours = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}
@@ -152,7 +160,7 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
 
 
 def troubles_named(notes: Iterable[str]) -> list[str]:
-    """Return the troubles that notes of `train` name as possible causes."""
+    """Return the names of simulated troubles that the notes of `train` give as possible causes."""
     texts = list(notes)
     return [name for name, words in NAMED_BY.items() if any(words in text for text in texts)]
 
@@ -258,9 +266,11 @@ def run(
     workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
-    """Run all stages in `folder`, with the paper's weather unless `weather` names another file.
+    """Run all stages in `folder`, write demo.json, and return the outcome.
 
-    Completed stages are skipped.
+    preset: a name in `PRESETS`. weather: a weather file; None: the paper's weather. show: called
+    with the name of each stage, returns a context manager that yields a progress function. workers:
+    number of processes. Results that are already in `folder` are used again.
     """
     from fieldlum import irradiance, merge, pair, predict, report, simulate, train
     from fieldlum.models.data import load_pairs

@@ -45,6 +45,6 @@ class DeviceError(FieldlumError):
 
 
 class NotEnoughDataError(FieldlumError):
-    """Too few usable data for an answer."""
+    """Readable input that has too few usable data for an answer."""
 
     exit_code = 5

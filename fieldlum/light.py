@@ -74,7 +74,7 @@ class Light:
 
     @cached_property
     def sky(self) -> PerezSky:
-        """The skies at all times."""
+        """Perez skies at the n times: those of `perez`, else computed from the irradiance."""
         if self.perez is not None:
             return self.perez
         return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
@@ -98,7 +98,7 @@ class Light:
 
     @cached_property
     def sky_cdm2(self) -> NDArray[np.float32]:
-        """Luminance of the Reinhart patches, [n, 2305]."""
+        """Luminance of the Reinhart sky patches in cd/m2, without the sun, [n, 2305]."""
         return self.sky_at(reinhart_patches().directions)
 
     def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -125,7 +125,8 @@ class Light:
     def total_lx(self) -> Array:
         """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
-        Features are divided by it; it is not small for a low sun.
+        It is at least `LEAST_LX`, because features are divided by it. It is not small for a low
+        sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 
@@ -160,19 +161,20 @@ class Facades:
 
 
 def one_facade(azimuth_deg: float) -> Facades:
-    """Return a single facade with weight one."""
+    """Return a single facade of weight 1 with this azimuth of its outward normal."""
     return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
 
 
 def facades_unknown() -> Facades:
-    """Return eight equal facades, for a room of which nothing is known."""
+    """Return eight facades, one every 45 degrees, of weight 0.25 each, for an unknown room."""
     return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
 
 
 def facades_of(room: Room | None) -> Facades:
-    """Return the walls with windows.
+    """Return the walls of a box room that have windows, as facades.
 
-    The largest has weight one; the others have the root of their share of glass.
+    A weight is the root of the wall's glass area times transmittance, over that of the wall with
+    most glass. Without a box room or windows the result is `facades_unknown`.
     """
     if room is None or room.kind != "box" or not room.window:
         return facades_unknown()
@@ -224,7 +226,7 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Return sky and sun at each time, divided by the total light."""
+    """Return the features `sky`, `beam` and `direction` of each time, from irradiance alone."""
     root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
     sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
@@ -320,11 +322,12 @@ def greedy_hours(
     weights: Array | None = None,
     progress: Progress = quiet,
 ) -> GreedySelection:
-    """Choose from `pool`, one at a time, the hour that most reduces the variance over `year`.
+    """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.
 
-    Only weather is needed, no picture. taken : hours already captured; weights [len(year)] :
-    importance of each hour of the year; noise : variance of one capture, in units of the kernel.
-    Cost: O(len(year) len(pool) count).
+    year, pool : features of the hours to predict and of the hours that can be chosen. Only weather
+    is needed, no picture. taken : hours already captured; weights [len(year)] : importance of each
+    hour of the year; noise : variance of one capture, in units of the kernel. Cost: O(len(year)
+    len(pool) count).
     """
     w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
     cross, own = kernel(year, pool), kernel(pool, pool)

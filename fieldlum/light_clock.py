@@ -45,9 +45,10 @@ def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
 
 
 def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[datetime], Array]:
-    """Return each complete day's middle of the light, and its distance from solar noon.
+    """Return the middle of the light of each complete day (UTC), and its distance from solar noon.
 
-    The distance is [days] s, positive after solar noon.
+    The middle is half way between the first and the last light. The distance is [days] s, positive
+    after solar noon. t_unix_s, ghi_wm2 : [n] rows in order of time.
     """
     known = np.isfinite(ghi_wm2)
     middles = [
@@ -62,7 +63,7 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
 
 
 def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
-    """Return the first day after the clock was set, and the size of the step; None without a step.
+    """Return the first day after the clock was set, and the step [s]; None without a step.
 
     The days are split so that the scatter on both sides is least, with at least three days on each.
     A step must be at least half an hour and remove half of all scatter, because the middle of one
@@ -90,9 +91,10 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 
 
 def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
-    """Return the first and last time of each spell of light between logged darkness.
+    """Return the first and last lit time [unix s] of each day between two logged nights.
 
-    t_unix_s, ghi_wm2 : [n] rows in order of time.
+    A row is lit above `LIT_WM2`. Darkness under two hours, as in a storm, does not end a day; a day
+    of less than two hours is omitted. t_unix_s, ghi_wm2 : [n] rows in order of time.
     """
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
@@ -117,7 +119,7 @@ def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
 
 
 def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
-    """Return minutes with light while the sun is well down.
+    """Return the minutes (UTC) with over `LIT_WM2` of light while the sun is below -3 degrees.
 
     They show that the logger's clock, the stated offset, or the sign of the longitude is wrong.
     Unlike `clock_off_s` this needs no complete day, but gives no offset, and does not detect an

@@ -76,7 +76,7 @@ def full_dn(
 
 
 def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
-    """Return counts above black [...] DN after the profile's linearity correction."""
+    """Return counts above `black` [...], in DN, times the profile's linearity correction."""
     sensor = profile.sensor
     if not sensor.linearity:
         return above_dn
@@ -94,15 +94,15 @@ def curve_u_rel(profile: CameraProfile) -> float:
 
 
 def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
-    """Return electrons per count at an ISO."""
+    """Return the sensor's gain at an ISO, in electrons per count."""
     return profile.sensor.gain_e_per_dn * profile.sensor.iso / iso
 
 
 def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
-    """Return the true time of a nominal shutter time, and its relative standard uncertainty.
+    """Return the true time of a nominal shutter time [s], and its relative standard uncertainty.
 
-    It is the profile's measured time, or else the time by its shutter law; no ratios have been
-    fitted yet.
+    It is the profile's measured time, or else the time by its shutter law plus the sensor's
+    constant exposure offset.
     """
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
@@ -184,10 +184,10 @@ def response_tables(profile: CameraProfile) -> NDArray[np.float64]:
 def lens_geometry(
     lens: Lens, turn_deg: float = 0.0, corner_px: tuple[float, float] = (0.0, 0.0)
 ) -> LensGeometry:
-    """Return the lens's geometry on a part of its sensor, with the camera turned.
+    """Return the lens's geometry in pixels of a crop of the sensor, with the camera turned.
 
-    turn_deg : the camera's heading minus the panorama's; corner_px : x, y of the part's top left
-    corner.
+    turn_deg : the camera's heading minus the panorama's; corner_px : x, y of the crop's top left
+    corner on the sensor.
     """
     x, y = lens.centre_px
     return replace(

@@ -36,5 +36,5 @@ MODELS: dict[str, ModelKind] = {
 
 
 def baselines() -> tuple[str, ...]:
-    """Return the names of the models that are always tried, next to the requested ones."""
+    """Return the names of the models that `train` always tries next to the requested ones."""
     return tuple(name for name, kind in MODELS.items() if kind.baseline)

@@ -17,7 +17,7 @@ Progress = Callable[[int, int, str], None]
 
 
 def quiet(done: int, total: int, text: str) -> None:
-    """Ignore progress; used if nobody wants to see it."""
+    """Do nothing: the default where a progress function is expected."""
 
 
 # ----------------------------------------------------------------------------------------------
@@ -168,7 +168,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class PyranometerSetup:
-    """The kind and profile of the instrument of a session."""
+    """The instrument of a session as SITE.toml states it: its kind and the name of its profile."""
 
     kind: str = ""
     profile: str = ""
@@ -176,7 +176,7 @@ class PyranometerSetup:
 
 @dataclass(frozen=True, slots=True)
 class SiteFile:
-    """The content of SITE.toml."""
+    """The content of SITE.toml: place, camera, room (None if not described) and pyranometer."""
 
     site: Site
     camera: CameraSetup = field(default_factory=CameraSetup)
@@ -190,7 +190,7 @@ class SiteFile:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """The settings of one frame."""
+    """Camera settings of one frame: shutter time, f-number, ISO and filter."""
 
     shutter_s: float
     f_number: float
@@ -214,7 +214,7 @@ def shutter_text(shutter_s: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One planned bracket."""
+    """One planned bracket: its start, the sun's position then, the exposures and tags."""
 
     t_utc: datetime
     sun_altitude_deg: float  # true, no refraction

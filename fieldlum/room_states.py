@@ -36,12 +36,15 @@ def parse_state(text: str) -> tuple[str, ...]:
 
 
 def state_text(parts: Iterable[str]) -> str:
-    """Return the text of parts, as `parse_state` reads it."""
+    """Join the parts of a state, sorted, with semicolons; the inverse of `parse_state`."""
     return ";".join(sorted(parts))
 
 
 def merged_state(text: str, change: str) -> str:
-    """Return `text` with the words of `change` set. Raises ValueError as `parse_state`."""
+    """Return the state `text` after the words in `change` took their new values.
+
+    A word with its usual value is not in the result. Raises ValueError as `parse_state`.
+    """
     parse_state(change)
     words = {part.partition("=")[0].strip() for part in change.split(";") if part.strip()}
     unchanged = [part for part in parse_state(text) if part.partition("=")[0] not in words]
@@ -49,6 +52,6 @@ def merged_state(text: str, change: str) -> str:
 
 
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return whether the state at a time has that part, as 1 or 0, [n, columns]."""
+    """Return 1 where a state has the part of a column, such as "lamp=on", else 0, [n, columns]."""
     rows = [[float(part in parse_state(text)) for part in columns] for text in states]
     return np.array(rows, float).reshape(len(states), len(columns))

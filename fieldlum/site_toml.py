@@ -20,7 +20,11 @@ _MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supp
 
 
 def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
-    """Build a site. Raises InputError for unknown keys, an impossible place or time zone."""
+    """Build the site, camera and room from the parsed content of a SITE.toml.
+
+    where: name of the source in errors. Raises InputError for unknown keys, an impossible place, or
+    a time zone that is unknown or hours from the longitude's.
+    """
     setup = build(SiteFile, table, where)
     site = setup.site
     if not -90 <= site.latitude_deg <= 90:
@@ -59,12 +63,19 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
 
 
 def site_table(setup: SiteFile) -> dict[str, Any]:
-    """Return the table of a site; the inverse of `site_from_table`."""
+    """Return a site as nested tables that can be written as SITE.toml.
+
+    It is the inverse of `site_from_table`.
+    """
     return plain(setup)
 
 
 def load_site(path: Path) -> SiteFile:
-    """Read a SITE.toml; the camera's height may be in [camera] or in [room], and counts in both."""
+    """Read a SITE.toml. Raises InputError as `site_from_table`.
+
+    The camera's height may be stated in [camera] or in [room], and then counts in both; two
+    different heights are an error.
+    """
     table = read_toml(path)
     camera, room = table.setdefault("camera", {}), table.get("room")
     if isinstance(camera, dict) and isinstance(room, dict):

@@ -131,7 +131,10 @@ class SkyPatches:
 
 
 def patches_per_row(mf: int = 4) -> list[int]:
-    """Return the number of patches in each row from the horizon up; the last is the zenith cap."""
+    """Return the number of Reinhart patches in each row from the horizon up, then 1 for the zenith.
+
+    mf : number of rows and columns into which each Tregenza patch is divided.
+    """
     return [n * mf for n in (30, 30, 24, 24, 18, 12, 6) for _ in range(mf)] + [1]
 
 

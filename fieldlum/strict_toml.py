@@ -93,9 +93,9 @@ def _value(hint: Any, value: Any, where: str) -> Any:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
+    """Return the content of a TOML file as nested dicts.
 
-    Raises InputError if the file is missing, or is not TOML.
+    Raises InputError if the file is missing, over 4 MB, not UTF-8, or not TOML.
     """
     try:
         with path.open("rb") as file:
@@ -123,7 +123,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a dataclass as values that TOML can store: no None, and lists for tuples."""
+    """Return a dataclass as nested dicts and lists for TOML; fields that are None are omitted."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):
