@@ -225,7 +225,7 @@ def read_weather(
 
 
 def place(site: SiteFile | Site | str | Path) -> Site:
-    """Return the place of a site, or of the path of a SITE.toml."""
+    """Return the `Site` of a loaded SITE.toml, or of the path of one, which is read."""
     if isinstance(site, str | Path):
         site = load_site(site)
     return site.site if isinstance(site, SiteFile) else site

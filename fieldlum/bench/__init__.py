@@ -94,7 +94,11 @@ _BUDGETS = 4.0
 
 
 class BenchAnswer(TypedDict):
-    """The object that `bench --json` prints; rows as `rows.BenchRow`, and a row for Radiance."""
+    """The object that `bench --json` prints: one row per model and seed, and the chosen model.
+
+    models: rows as `rows.BenchRow`, and one for Radiance if it was timed. chosen: name of the
+    model; reason: sentence that explains the choice.
+    """
 
     models: list[Mapping[str, object]]
     chosen: str
@@ -126,7 +130,10 @@ def shown(value: object) -> str:
 
 
 def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> str:
-    """Return a Markdown table; columns without any value are omitted."""
+    """Return rows as a Markdown table; columns without any value are omitted.
+
+    columns: heading of each key, in the order of the table.
+    """
     used = [key for key in columns if any(row.get(key) is not None for row in rows)]
     lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
     lines += ["| " + " | ".join(shown(row.get(key)) for key in used) + " |" for row in rows]
@@ -134,7 +141,7 @@ def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> s
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write rows with all their columns."""
+    """Write rows to a csv, with every key that occurs in any row as a column."""
     names = list(dict.fromkeys(key for row in rows for key in row))
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=names)
@@ -145,7 +152,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
 def store(
     out: Path, name: str, rows: Sequence[Mapping[str, object]], draw: Callable[[Path], None]
 ) -> None:
-    """Write NAME.csv, and NAME.png by `draw`."""
+    """Write rows to out/NAME.csv, and the chart that `draw(path)` writes to out/NAME.png."""
     write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
         draw(path)
@@ -156,9 +163,9 @@ def store(
 
 
 def patient(scheduler: Scheduler, budget_min: float) -> Scheduler:
-    """Return a scheduler that does not take a long training for a hanging unit.
+    """Return the scheduler with a time limit per unit that a dense training cannot reach.
 
-    A dense training takes far longer than the median piece.
+    Without a stated limit it is two hours plus four times the budget.
     """
     limit_s = scheduler.unit_limit_s or _SHORTEST_LIMIT_S + _BUDGETS * 60.0 * budget_min
     return replace(scheduler, unit_limit_s=limit_s)
@@ -177,11 +184,12 @@ def run(
     files: BenchFiles | None = None,
     progress: Progress = quiet,
 ) -> BenchAnswer:
-    """Write score table, chart, learning curves, collection periods and stress tests into `out`.
+    """Run all pieces of a benchmark, write tables and charts into `out`, and return the scores.
 
-    Collection periods need a year of data. loaded: hours to train on, hours to test on (by default
-    held-out days), and hours from which seasons are drawn. files: where other processes read these
-    hours; needed for a scheduler other than this process.
+    Files: bench.md, scores, learning curve and, with a year of data, collection periods; stress
+    tests with `with_stress`. loaded: hours to train on, hours to test on (by default held-out
+    days), and hours from which seasons are drawn. files: where other processes read these hours;
+    needed for a scheduler other than this process. render_hours: hours for which Radiance is timed.
     """
     from fieldlum.bench import charts
     from fieldlum.bench.pieces import local_unit_of, pieces_of, unit_of

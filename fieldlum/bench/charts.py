@@ -46,7 +46,7 @@ def _known(value: float | None) -> bool:
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the indices of the points on the Pareto front, from left to right."""
+    """Return the indices of the points (x, y) on the Pareto front, by rising x and falling y."""
     order = sorted(range(len(points)), key=lambda k: points[k])
     front: list[int] = []
     for k in order:
@@ -56,9 +56,10 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
-    """Draw the error over the seconds of training, and over the seconds of one map.
+    """Draw the log10 MSE (paper mode) of each model over its CPU seconds, as two panels.
 
-    The error is that of paper mode, as for the published point.
+    The panels are training and predicting one map. rows: of the score table; machine: for the
+    title.
     """
     figure, axes = _figure(11.0, 4.8, 2)
     for axis, key, label in zip(

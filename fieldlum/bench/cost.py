@@ -19,10 +19,11 @@ PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1
 def radiance_row(
     data: Dataset, hours: int, *, progress: Progress = quiet
 ) -> dict[str, object] | None:
-    """Measure the time of one map of the data's size by rtrace with the paper's options.
+    """Return a row of the score table with the seconds that rtrace needs for one map.
 
-    It is the mean of a few hours on one core. The room is the box of [room]. Its sky is uniform
-    with the hour's illuminance, which costs as much as a Perez sky. Return None without a box room.
+    The mean of `hours` bright hours of `data`, at its map size, on one core, with the paper's
+    options. The room is the box of [room]. Its sky is uniform with the hour's illuminance, which
+    costs as much as a Perez sky. Return None without a box room.
     """
     from fieldlum.scene.geometry import build
     from fieldlum.scene.radiance import octree, rad_text, sun_text, trace

@@ -50,7 +50,7 @@ class BenchFiles:
     scene: str = ""
 
     def hashed(self) -> tuple[str, ...]:
-        """Return the csv files whose content must be the same for a worker as for this computer."""
+        """Return the names of the pairs.csv files that a worker must have with the same content."""
         found = [name for name in (self.pairs, self.test, self.pool) if name]
         tables = [f"{name}/pairs.csv" if (self.folder / name).is_dir() else name for name in found]
         return tuple(dict.fromkeys(os.path.normpath(table) for table in tables))
@@ -104,11 +104,11 @@ class BenchData:
 
     @cached_property
     def asked(self) -> Truth | None:
-        """The test hours with their true figures; None without test hours."""
+        """The test hours with their true maps and glare; None without test hours."""
         return None if self.test is None else truth(self.test)
 
     def spec(self, text: str) -> Spec:
-        """Return one model of the benchmark."""
+        """Parse the text that names one model, as `rows.parse_specs` does."""
         return parse_specs([text], self.folder)[0]
 
 
@@ -142,9 +142,10 @@ def load(files: BenchFiles, progress: Progress = quiet) -> BenchData:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One piece of a benchmark, which becomes a unit of work.
+    """One piece of a benchmark: a kind of test, for one model and seed.
 
-    kind "random" and "greedy": learning curves over captures chosen in that way.
+    kind "random" and "greedy": learning curves over captures chosen in that way; "rendering": the
+    time of Radiance for `hours` hours.
     """
 
     kind: PieceKind
@@ -168,7 +169,11 @@ def pieces_of(
     with_stress: bool,
     render_hours: int,
 ) -> list[Piece]:
-    """Return all pieces, in the order of the tables; models without random numbers run once."""
+    """Return all pieces that the data allow, in the order of the tables.
+
+    Learning curves and periods are only for untrained `transport` models; the stress test is for
+    one model.
+    """
     found = score_pieces(models, seeds, budget_s, loaded.folder)
     quick = [
         model
@@ -192,9 +197,10 @@ def pieces_of(
 def score_pieces(
     models: Sequence[str], seeds: int, budget_s: float, folder: Path = Path()
 ) -> list[Piece]:
-    """Return the scores of models with seeds; a model without randomness has one.
+    """Return one piece of kind "score" for each model and seed.
 
-    folder: that folders of trained models are relative to.
+    A model without randomness, or a trained one, has only seed 0. folder: the folder to which paths
+    of trained models are relative.
     """
     found: list[Piece] = []
     for model in models:
@@ -217,7 +223,10 @@ def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
 
 
 def work(piece: Piece, loaded: BenchData, progress: Progress = quiet) -> Any:
-    """Return the rows of a piece; for a score, also its trial."""
+    """Run one piece in this process and return its table rows.
+
+    A "score" gives its row and its trial; a "rendering" gives one row or None.
+    """
     if piece.kind == "rendering":
         asked = loaded.data if loaded.test is None else loaded.test
         return radiance_row(asked, piece.hours, progress=progress)
@@ -265,13 +274,13 @@ def _split(data: Dataset) -> tuple[Dataset, Dataset]:
 
 
 def unit_of(piece: Piece, files: BenchFiles) -> WorkUnit:
-    """Return a piece as a unit of work that any worker can run."""
+    """Return a unit of work that runs a piece on any worker, which reads the pairs itself."""
     argument = (piece, replace(files, folder=Path()))
     return WorkUnit(piece.name, perform, files.folder, argument, files=files.hashed())
 
 
 def local_unit_of(piece: Piece, loaded: BenchData, progress: Progress) -> WorkUnit:
-    """Return a piece as a unit of work for this process, which has already read the pairs."""
+    """Return a unit of work that runs a piece in this process with the pairs already read."""
     call: Callable[[Path, Any], Any] = partial(_perform_here, loaded=loaded, progress=progress)
     return WorkUnit(piece.name, call, loaded.folder, piece)
 
@@ -281,7 +290,7 @@ def _perform_here(folder: Path, piece: Piece, *, loaded: BenchData, progress: Pr
 
 
 def perform(folder: Path, argument: tuple[Piece, BenchFiles]) -> Any:
-    """Run a piece with the pairs in a folder."""
+    """Read the pairs below `folder`, once in each process, run a piece and return its rows."""
     piece, files = argument
     return work(piece, _loaded(replace(files, folder=folder)))
 

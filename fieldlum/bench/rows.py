@@ -36,7 +36,7 @@ ERRORS = (
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """A model to compare: ``NAME``, ``NAME:PATCH`` or the folder of a trained model."""
+    """A model to compare, parsed from ``NAME``, ``NAME:PATCH`` or the folder of a trained model."""
 
     label: str
     name: str
@@ -45,7 +45,10 @@ class Spec:
 
 
 class BenchRow(ScoreFigures):
-    """One model in `bench --json`. Times are None where a model was not fitted."""
+    """One row of the score table: a model with one seed, its times [s] and its errors.
+
+    Times are None where a model was not fitted.
+    """
 
     name: str
     fit_s: float | None
@@ -107,7 +110,11 @@ def score_row(
     budget_s: float,
     progress: Progress = quiet,
 ) -> tuple[BenchRow, Trial]:
-    """Fit one model with one seed on `data` and score it on `test`, or on held-out days."""
+    """Fit one model with one seed on `data`; return its score row and the trial.
+
+    The test is `test`, or held-out days of `data` if None. A trained model is not fitted again.
+    Raises InputError for a trained model without test hours.
+    """
     patch = patch_mode(data, spec.patch)
     if test is None:
         if spec.folder is not None:
@@ -148,7 +155,10 @@ def _fitted(
 
 
 def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
-    """Return one row for each model: its first seed's, with mean and sd over all seeds."""
+    """Return one row for each model, with the mean and sd of its errors over all seeds.
+
+    Other columns are those of the first seed.
+    """
     out: list[dict[str, object]] = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]

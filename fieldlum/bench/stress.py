@@ -41,7 +41,7 @@ OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A condition: its training data, its test data, and the name of its normal case."""
+    """A condition to test: its training data, its test data, and the name of its normal case."""
 
     name: str
     train: Dataset
@@ -60,14 +60,14 @@ def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
 
 
 def turned(data: Dataset, degrees: float) -> Dataset:
-    """Return the data with north wrong by some degrees."""
+    """Return the data with a wrong north: sun azimuths turned by `degrees`, maps unchanged."""
     return _patched(
         with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
     )
 
 
 def late(data: Dataset, minutes: float) -> Dataset:
-    """Return the data with the clock wrong by some minutes, with the sun moved as SPA computes."""
+    """Return the data with a wrong clock: the sun's position of `minutes` later, maps unchanged."""
     site, step = data.setup.site, timedelta(minutes=minutes)
     now = sun.position(data.light.t_utc, site)
     then = sun.position([t + step for t in data.light.t_utc], site)
@@ -94,7 +94,7 @@ def shifted(data: Dataset, pixels: int) -> Dataset:
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with log-normal noise of each pixel."""
+    """Return the data with pixels times log-normal noise of standard deviation `share`."""
     factor = np.exp(
         share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32)
     )
@@ -102,7 +102,7 @@ def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with log-normal noise of DNI and DHI."""
+    """Return the data with DNI and DHI times log-normal noise of standard deviation `share`."""
     rng, light = np.random.default_rng(seed), data.light
     dni = light.dni_wm2 * np.exp(share * rng.standard_normal(len(data)))
     dhi = light.dhi_wm2 * np.exp(share * rng.standard_normal(len(data)))
@@ -110,7 +110,10 @@ def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data as under broken clouds: DNI is wrong, global horizontal is right."""
+    """Return the data with noise in DNI, and DHI such that global horizontal is unchanged.
+
+    This is as under broken clouds. share: standard deviation of ln DNI.
+    """
     light = data.light
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
     total = light.dni_wm2 * rise + light.dhi_wm2
@@ -163,9 +166,9 @@ def _months(data: Dataset) -> NDArray[np.int64]:
 
 
 def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
-    """Yield all conditions that the data allow.
+    """Yield every condition that the data allow, beginning with the normal case.
 
-    Seasons are drawn from `pool`, without test hours.
+    Captures of one season are taken from `pool`, which must not contain test hours.
     """
     yield Case("normal", data, test)
     for seed in range(1, SEEDS):
@@ -235,8 +238,9 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 class StressRow:
     """The result of one condition; the fields are the columns of stress.csv.
 
-    The last columns: whether the tool itself reported the error; the numbers of gross errors and of
-    trusted gross errors; the name of the normal case; the error over that of the normal case.
+    The last columns: whether the tool itself reported the error; the number of gross errors, and of
+    those without any warning, distrust or large expected error; the name of the normal case; the
+    error over that of the normal case.
     """
 
     name: str
@@ -266,7 +270,7 @@ def run(
     budget_s: float = 60.0,
     progress: Progress = quiet,
 ) -> list[StressRow]:
-    """Return one row for each condition, with the ratio to its normal case."""
+    """Fit the model under each condition and return one row per condition."""
     rows: list[StressRow] = []
     normal: dict[str, float] = {}
     for case in cases(data, test, pool):

@@ -41,9 +41,9 @@ def learning_curve(
     *,
     progress: Progress = quiet,
 ) -> list[dict[str, object]]:
-    """Return the error on `test` of models trained on N captures.
+    """Return rows with the error on `test` of models trained on 25, 50 ... captures of `data`.
 
-    Captures are drawn at random (random), or taken in the order of use (greedy).
+    way: captures are drawn at random, or taken in the order of use (greedy).
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = curve_counts(len(data))
@@ -65,7 +65,7 @@ def learning_curve(
 
 
 def curve_counts(captures: int) -> list[int]:
-    """Return the numbers of captures of a learning curve."""
+    """Return the numbers of captures, up to `captures`, at which a learning curve is computed."""
     counts = [n for n in COUNTS if n < captures]
     return counts + [captures] * (captures <= COUNTS[-1])
 
@@ -111,7 +111,10 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 def compare_periods(
     spec: Spec, data: Dataset, *, progress: Progress = quiet
 ) -> list[dict[str, object]]:
-    """Train on each period; test on hours of the year that no training uses."""
+    """Return one row with errors for each collection period on which the model was trained.
+
+    All are tested on the same random hours of the year, which no training uses.
+    """
     order = np.random.default_rng(0).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True
