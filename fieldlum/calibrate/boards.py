@@ -30,10 +30,11 @@ _MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 
 @dataclass(frozen=True, slots=True)
 class Boards:
-    """Corners [boards, points, 2] on the sensor, points [points, 3] on the board, and start values.
+    """Chessboard corners on the sensor, their places on the board, and start values of a fit.
 
-    poses [boards, 6] : rotation vector and position in OpenCV's camera frame; targets : the rays of
-    OpenCV's model.
+    corners [boards, points, 2] px; points [points, 3] in squares; poses [boards, 6] : rotation
+    vector and position in OpenCV's camera frame; targets : the rays of OpenCV's model at all
+    corners.
     """
 
     corners: Array
@@ -43,7 +44,7 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Return the inner corners [rows * columns, 2] in px; None if no board is visible."""
+    """Return a chessboard's inner corners [rows * columns, 2] in px; None if no board is found."""
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(
@@ -61,10 +62,10 @@ def from_boards(
     size_px: tuple[int, int],
     paths: Sequence[Path] = (),
 ) -> Boards:
-    """Fit OpenCV's omnidirectional model to boards [rows * columns, 2]; return its rays and poses.
+    """Fit OpenCV's omnidirectional model to the corners of n boards; return its rays and poses.
 
-    size_px : width, height. Raises NotEnoughDataError for fewer than four boards, InputError if the
-    fit does not converge.
+    corners : one [rows * columns, 2] px per picture; size_px : width, height. Raises
+    NotEnoughDataError for fewer than four boards, InputError if the fit does not converge.
     """
     import cv2
 
@@ -106,9 +107,9 @@ def from_boards(
 
 
 def fit(boards: Boards, lens: Lens) -> LensFit:
-    """Fit the mapping to the model's rays, then all parameters to the corners.
+    """Fit the lens to the rays of OpenCV's model, then lens and board poses to the corners.
 
-    rms_px is the residual of the corners.
+    The start is `lens`. rms_px of the result is the residual of the corners.
     """
     from scipy.optimize import least_squares
 

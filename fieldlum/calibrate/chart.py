@@ -64,13 +64,16 @@ def misfit(rgb: Array) -> float:
 
 
 def in_order(luminance: Array) -> bool:
-    """Return whether luminances [24], in any unit, rise and fall like those of a chart."""
+    """Return whether luminances [24], in any unit, rise and fall like those of the chart."""
     logs = np.log(np.maximum(np.asarray(luminance, float), 1e-12))
     return float(np.corrcoef(logs, np.log(CHART_Y))[0, 1]) > _IN_ORDER
 
 
 def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
-    """Return patch centres [24, 2] inside corners [4, 2], and a radius within a patch, in px."""
+    """Return the centres [24, 2] of a chart's patches, and a radius within a patch, in px.
+
+    corners : [4, 2] px, outer corners of the field of patches, clockwise from the dark skin patch.
+    """
     import cv2
 
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)

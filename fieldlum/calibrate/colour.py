@@ -52,7 +52,7 @@ class Colours:
 
 @dataclass(frozen=True, slots=True)
 class ColourFit:
-    """The fitted coefficients, their uncertainty, and relative residuals [n] of the readings."""
+    """Fitted coefficients, their relative uncertainty, and relative residuals of the readings."""
 
     y_from_rgb: tuple[float, float, float]
     scale: float  # luminance over a . rgb with the new coefficients: a factor on k
@@ -120,7 +120,7 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 
 
 def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
-    """Return possible starts of the fit, [3] each, with a name.
+    """Return the coefficients [3] from which the fit may start, each with a name.
 
     These are the profile's coefficients and the luminance row of the frames' own matrix (camera to
     XYZ), scaled to the same size.
@@ -137,13 +137,13 @@ def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
 
 
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
-    """Fit coefficients by ridge regression towards the start.
+    """Fit the coefficients of R, G, B in luminance by ridge regression towards one of `priors`.
 
-    Leave-one-out errors choose its weight. The new coefficients give the mean colour of the
-    readings the same luminance as the start does: only their proportion is fitted here. The
-    absolute factor belongs to `calibrate scale` and is returned separately. Raises
-    NotEnoughDataError for fewer than four readings, InputError for readings that do not fit the
-    colours.
+    Leave-one-out errors choose the start and the weight of the ridge. The new coefficients give the
+    mean colour of the readings the same luminance as the start does: only their proportion is
+    fitted here. The absolute factor belongs to `calibrate scale` and is returned separately, as
+    `scale`. Raises NotEnoughDataError for fewer than four readings, InputError for readings that do
+    not fit the colours.
     """
     n = len(colours.y)
     if n < LEAST:

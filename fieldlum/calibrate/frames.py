@@ -57,9 +57,9 @@ class LinearFrame:
     colour_matrix: NDArray[np.float64] | None = None
 
     def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
-        """Return the mean of a disc of the sensor.
+        """Return the mean colour of a disc of the sensor, centred at x_px, y_px.
 
-        Raises InputError for a patch outside the picture, or with over a fifth of it clipped.
+        Raises InputError for a disc outside the picture, or with over a fifth of it clipped.
         """
         h, w = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
@@ -96,7 +96,10 @@ def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
 
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
-    """Read a frame. Raises InputError if it cannot be read or is of another camera."""
+    """Read a raw or JPEG frame as linear camera colours; a raw cell of 2 x 2 is one pixel.
+
+    Raises InputError if the frame cannot be read or is of another camera.
+    """
     return _from_jpeg(path, profile) if is_jpeg(path) else _from_mosaic(path, profile)
 
 
@@ -147,7 +150,7 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 
 
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
-    """Return the angle of a place from the optical axis, over half of the full angle."""
+    """Return the angle of a place on the sensor from the axis, over half of the full angle."""
     geometry = lens.geometry
     radius = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)

@@ -50,13 +50,13 @@ class Targets:
 
     @property
     def source(self) -> Path | str:
-        """What an error about the targets names."""
+        """The file that errors about the targets name; "targets" without one."""
         return self.frames[0] if self.frames else "targets"
 
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A fitted lens, the residuals [n] of its targets, and warnings."""
+    """A fitted lens, the residuals [n] of its targets in px, its held-out error, and warnings."""
 
     lens: Lens
     rms_px: float  # of held-out targets
@@ -86,10 +86,10 @@ def from_table(path: Path) -> Targets:
 def geometry_of_figures(
     lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
 ) -> LensGeometry:
-    """Return a lens with the parameters of a fit.
+    """Return the lens geometry that the parameter vector of a fit describes.
 
     figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose`, then
-    the polynomial's higher terms.
+    the polynomial's terms of all `powers` but the first.
     """
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)

@@ -47,7 +47,7 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """The image circle; u_px is the spread of its edge points."""
+    """The image circle of a fisheye: centre, radius and spread of its edge points, in px."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -122,7 +122,10 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
 
 
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
-    """Return how far a picture [h, w] moved [px], right and down, by phase correlation."""
+    """Return how far the picture `after` moved from `before` [px], right and down.
+
+    Phase correlation of grey pictures [h, w]. Raises InputError for different sizes.
+    """
     from skimage.registration import phase_cross_correlation
 
     if before.shape != after.shape:
@@ -142,7 +145,10 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
 
 
 def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
-    """Return the lens with the circle's centre and radius; its mapping does not change."""
+    """Return the lens with the circle's centre and radius, and with `full_angle_deg`.
+
+    Its mapping and pose do not change.
+    """
     return replace(
         lens,
         centre_px=(round(found.centre_px[0], 2), round(found.centre_px[1], 2)),

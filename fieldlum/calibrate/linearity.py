@@ -41,10 +41,10 @@ _OFFSET_SIGMA = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Block means of the frames.
+    """Mean raw counts of blocks of each frame, for a fit of linearity.
 
-    share: of the full scale, [frames, blocks], NaN where a block is saturated or dark; weight: of
-    each share, [frames, blocks]; seconds: true times by the profile, [frames] s.
+    share: mean above black over the full scale, [frames, blocks], NaN where a block is saturated or
+    dark; weight: of each share, [frames, blocks]; seconds: true times by the profile, [frames] s.
     """
 
     share: Array
@@ -70,7 +70,7 @@ class LinearityFit:
 
 
 def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
-    """Read raw frames of one steady scene.
+    """Read raw frames of one steady scene with many exposure times as block means.
 
     Raises InputError for a frame of another camera, or of another aperture or ISO than the first.
     """
@@ -121,7 +121,7 @@ def _blocks(cell: Array, black: float, most: float) -> tuple[Array, Array]:
 
 
 def fit(levels: Levels) -> LinearityFit:
-    """Choose the smallest order that predicts held-out times well, and fit it to all frames.
+    """Fit linearity and shutter offset; held-out exposure times choose the order of the curve.
 
     Raises NotEnoughDataError for fewer than six times, or for frames without the dark or the bright
     part of the scale.

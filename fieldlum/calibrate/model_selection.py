@@ -46,9 +46,10 @@ def choose(
     scale: float = 100.0,
     negligible: float = 0.0,
 ) -> OrderSelection:
-    """Return the smallest candidate within one standard error of the best.
+    """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    negligible : a candidate whose rms is larger by at most this counts as equal to the best.
+    what, unit, scale : name of the fit, and unit and factor of the rms in that line; negligible : a
+    candidate whose rms is larger by at most this counts as equal to the best.
     """
     means = np.array([candidate.errors.mean() for candidate in candidates])
     best = int(np.argmin(means))
@@ -71,7 +72,10 @@ def choose(
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:
-    """Yield masks [n] of held-out data: each group, or `count` interleaved sets of many groups."""
+    """Yield masks [n] of the data to hold out: one group each, or with over 24 groups `count` sets.
+
+    groups [n] : group of each datum; a group is never divided.
+    """
     names = np.unique(groups)
     parts = len(names) if len(names) <= LEAVE_ONE_OUT else count
     for part in range(parts):

@@ -66,7 +66,7 @@ def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> 
 
 
 def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
-    """Draw the response tables and the residuals of the sampled places."""
+    """Draw the response tables, and the residuals of the sampled places over the code."""
     figure, left, right = _two(
         f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
     )
@@ -94,7 +94,7 @@ def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
 def of_vignette(
     samples: vignette.Samples, found: vignette.VignettingFit, half_angle_deg: float
 ) -> Figure:
-    """Draw the vignetting of readings and fit, and the residuals."""
+    """Draw transmission over the angle from the axis, readings and fit, and the residuals."""
     figure, left, right = _two(
         f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * found.u_rel:.2g} %"
     )
@@ -125,7 +125,7 @@ def of_vignette(
 
 
 def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> Figure:
-    """Draw the meter's readings over the picture's values, and the residuals."""
+    """Draw the values of the pictures over the meter's readings, and the residuals."""
     figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
     meter = np.array([r.meter for r in readings])
     image = np.array([r.image for r in readings]) * found.factor
@@ -212,7 +212,7 @@ def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
 
 
 def of_shutter(found: shutter.ShutterFit) -> Figure:
-    """Draw fitted over nominal times, and fitted over assumed times."""
+    """Draw the fitted times over the nominal and over the previously assumed times."""
     figure, left, right = _two(
         f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
     )

@@ -200,11 +200,11 @@ def _planes(
 
 
 def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
-    """Return a mask [h, w] of the pixels that deviate from the median of their neighbourhood.
+    """Return a mask [h, w] of the raw pixels that deviate from the median of their neighbourhood.
 
     The neighbourhood is nine pixels of one colour. A pixel deviates if it differs by more than the
     noise, a tenth of the light, and the spread of the nine. alone : omit pixels with three or more
-    neighbours like them, as at the corner of an object.
+    neighbours that deviate likewise, as at the corner of an object.
     """
     import cv2
 

@@ -16,10 +16,11 @@ from fieldlum.version import __version__
 
 
 def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Read a csv with a header; all columns are numbers except the paths `file` and `panorama`.
+    """Return the rows of a csv as dicts: numbers, and paths in the columns `file` and `panorama`.
 
-    Paths are relative to the csv. Separators are commas, semicolons or tabs; with the last two,
-    decimals may have a comma. An empty cell is None. Raises InputError with line and column.
+    needed, also : required and optional columns. Paths are relative to the csv. Separators are
+    commas, semicolons or tabs; with the last two, decimals may have a comma. An empty cell is None.
+    Raises InputError with line and column.
     """
     numbered = _lines(path)
     lines = [line for _, line in numbered]
@@ -69,7 +70,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def columns_of(path: Path) -> list[str]:
-    """Return the names in the header of a csv."""
+    """Return the column names in the header of a csv. Raises InputError if it cannot be read."""
     lines = [line for _, line in _lines(path)[:1]]
     return [name.strip() for name in next(csv.reader(lines, delimiter=_separator(lines)), [])]
 
@@ -94,7 +95,7 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
 
 
 def needed(row: dict[str, Any], name: str, path: Path) -> Any:
-    """Return the value of a cell. Raises InputError if it is empty."""
+    """Return the cell `name` of a row of `read_table`. Raises InputError if it is empty."""
     if row.get(name) is None:
         raise InputError(
             path, f"an empty {name}", "a value in every line", "fill in the missing value"
@@ -110,7 +111,11 @@ def save_calibration(
     today: date,
     **changed: Any,
 ) -> CameraProfile:
-    """Write the profile with `changed` tables, a line about every fit, and the frames' sha256."""
+    """Write the profile with its fields in `changed` replaced, to the file `out`, and return it.
+
+    The profile's provenance gets the sha256 of `frames`, and `lines` (one about each fit), dated
+    `today`.
+    """
     hashes = tuple(sorted({sha256(path) for path in frames}))
     before = profile.provenance
     provenance = Provenance(

@@ -57,7 +57,7 @@ class Places:
 
 @dataclass(frozen=True, slots=True)
 class ResponseFit:
-    """A fitted response, and its residuals."""
+    """A fitted JPEG response, its residual for each colour, and the line about the choice."""
 
     response: Response
     residual: tuple[float, float, float]  # rms of ln z for each colour, of held-out places
@@ -246,9 +246,10 @@ def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 def residuals(
     table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64], low: int = LOW
 ) -> NDArray[np.float64]:
-    """Return the mean square of ln(z / exposure) about each place's own mean, [places].
+    """Return the variance of ln(z / exposure) within each place, [places].
 
-    Codes from `low` to HIGH count; NaN for places with fewer than two.
+    table [256] : z of each code; codes [places, frames]; log_e [frames] : ln of exposure. Codes
+    from `low` to HIGH count; NaN for places with fewer than two.
     """
     counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
@@ -266,11 +267,12 @@ def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDAr
 
 
 def fit(places: Places) -> ResponseFit:
-    """Fit standard curves, then monotone tables from stiff to flexible; choose on held-out places.
+    """Fit the response: standard curves, then monotone tables from stiff to flexible.
 
-    Complete brackets are held out if there are three or more, else every eighth place. If the
-    darkest codes do not follow the light (because of a black level), low_code rises to the first
-    code that does. Raises NotEnoughDataError for fewer than 20 places.
+    Held-out places choose among them. Complete brackets are held out if there are three or more,
+    else every eighth place. If the darkest codes do not follow the light (because of a black
+    level), low_code rises to the first code that does. Raises NotEnoughDataError for fewer than 20
+    places.
     """
     low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8

@@ -57,7 +57,7 @@ class LuminanceReading:
 
 @dataclass(frozen=True, slots=True)
 class ScaleFit:
-    """A fitted factor on k, its uncertainty, and the residuals of the readings."""
+    """A fitted factor on k, its relative uncertainty, all residuals, and the labels of outliers."""
 
     factor: float  # multiplies the profile's k
     u_rel: float
@@ -189,9 +189,10 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
 def spot_cdm2(
     picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path | str = "picture"
 ) -> tuple[float, float]:
-    """Return the trimmed mean luminance over the meter's field, and its relative u.
+    """Return the trimmed mean luminance [cd/m2] of a spot meter's field, and its relative u.
 
-    The field has at least a few pixels. Raises InputError for a place that is clipped or dark.
+    The field is a disc of 1 degree around the direction, at least a few pixels. file : for errors.
+    Raises InputError for a place that is clipped or dark.
     """
     from scipy.stats import trim_mean
 
@@ -224,10 +225,11 @@ def spot_cdm2(
 def fit(
     readings: list[LuminanceReading], meter_u: float = METER_U, source: Path | str = "scale"
 ) -> ScaleFit:
-    """Fit k by weighted least squares of ln(meter / picture) with Huber weights.
+    """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
 
-    u(k) includes the meter's own u. Raises NotEnoughDataError without readings, InputError if a
-    reading is not positive, or if too many readings contradict each other.
+    meter_u : relative u of the meter, part of u(k); source : for errors. Raises NotEnoughDataError
+    without readings, InputError if a reading is not positive, or if too many readings contradict
+    each other.
     """
     if not readings:
         raise NotEnoughDataError(
@@ -264,9 +266,9 @@ def fit(
 
 
 def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
-    """Return a text on each outlier that looks like a typing error.
+    """Return a text on each outlier with its ratio to the picture.
 
-    Its ratio is that of two units, or a power of ten.
+    If the ratio is that of two units or a power of ten, the text names this as the likely error.
     """
     texts = []
     for reading in readings:

@@ -57,9 +57,10 @@ class ShutterReading:
 
 @dataclass(frozen=True, slots=True)
 class FramePairTable:
-    """One pair of times over all brackets.
+    """Summary of one pair of shutter times over all brackets.
 
-    median, spread and error are those of log_ratio; the spread is that beyond the noise.
+    median, spread and error are those of log_ratio; the spread is that beyond the noise; brackets :
+    their number; seconds : median time between the two frames.
     """
 
     pair: Pair
@@ -125,9 +126,9 @@ def from_session(
 
 
 def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
-    """Return the profile with the shutter law that its brackets were merged with.
+    """Return the profile; a shutter law "auto" is replaced by the law of the merged brackets.
 
-    Raises InputError if they were merged with several laws.
+    sidecars : of the brackets. Raises InputError if they were merged with several laws.
     """
     reports = [Sidecar.read(path).report for path in sidecars]
     laws = {report.shutter_law.law for report in reports if report.shutter_law}
@@ -144,7 +145,7 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
 
 
 def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
-    """Return the readings of one bracket.
+    """Return the measured ratios of neighbouring frames in one merged bracket.
 
     Frames with a filter and pairs of two ISOs are omitted, because they have additional errors.
     """
@@ -196,9 +197,9 @@ def _reading(
 def pool(
     brackets: Sequence[Sequence[ShutterReading]], drift: bool = True
 ) -> dict[Pair, FramePairTable]:
-    """Return the median of each pair over the brackets, after removing the drift of each bracket.
+    """Return a summary of each pair of shutter times over all brackets.
 
-    drift : with False the drift is not removed.
+    drift : first remove the drift of the light, a line over time, from each bracket.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
@@ -361,10 +362,7 @@ def _levelled(
 
 
 def with_times(profile: CameraProfile, found: ShutterFit) -> tuple[ShutterTime, ...]:
-    """Return the profile's table of times after replacing old ones by fitted ones.
-
-    The longest time comes first.
-    """
+    """Return the profile's shutter times with the fitted ones added or replaced, longest first."""
     kept = [
         s
         for s in profile.shutter

@@ -60,7 +60,7 @@ class StrayReading:
 
 @dataclass(frozen=True, slots=True)
 class StrayFit:
-    """A fitted kernel, the predicted stray light of each reading [cd/m2], and the choice."""
+    """A fitted kernel, and the stray light that it predicts for each reading [cd/m2]."""
 
     kernel: StrayLight
     predicted_cdm2: Array
@@ -116,10 +116,11 @@ def reading(
     true_cdm2: float = 0.0,
     radius_deg: float = TRAP_RADIUS_DEG,
 ) -> StrayReading:
-    """Return the stray light at azimuth and altitude `at_deg`, and the light that may cause it.
+    """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    Only the field of the lens whose axis is nearest to the place counts. Raises InputError for a
-    place that is clipped or that no lens sees.
+    at_deg : azimuth and altitude of the place; true_cdm2 : its own luminance. Only the field of the
+    lens whose axis is nearest to the place counts. Raises InputError for a place that is clipped,
+    that no lens sees, or that is not brighter than true_cdm2.
     """
     height, width = picture.luminance_cdm2.shape
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()

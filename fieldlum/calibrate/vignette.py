@@ -69,11 +69,12 @@ class VignettingFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> Samples:
-    """Read a csv with angle_deg and value, or with the places of one patch in many frames.
+    """Read readings from a csv with angle_deg and value, or of one patch in many frames.
 
-    The second form has the columns file, x_px and y_px. Optional columns: radius_px of the patch
-    (default 12), reference (a meter's reading at that time, which corrects the drift of a lamp),
-    u_rel and f_number. Raises InputError for other columns or values.
+    The second form has the columns file, x_px and y_px. Optional columns: reference (a meter's
+    reading at that time, which corrects the drift of a lamp); u_rel and f_number in the first form;
+    radius_px of the patch (default 12) in the second. Raises InputError for other columns or
+    values.
     """
     if "angle_deg" in columns_of(path):
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
@@ -120,7 +121,10 @@ def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
-    """Read frames of an evenly lit field (a sphere, a diffuser) as the medians of BINS rings."""
+    """Read frames of an evenly lit field (a sphere, a diffuser) as medians over BINS rings.
+
+    lens : index. Raises InputError for frames of several apertures, or saturated or dark ones.
+    """
     geometry, rings = profile.lens[lens].geometry, []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
     for path in paths:
@@ -195,10 +199,10 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
 
 
 def fit(samples: Samples) -> VignettingFit:
-    """Fit the curve of the smallest order that the readings support.
+    """Fit an even polynomial V(r) of the smallest order that the readings support.
 
-    Raises NotEnoughDataError for fewer than five readings, InputError for a curve that rises to the
-    edge.
+    Raises NotEnoughDataError for fewer than five readings, or none beyond half of the half angle;
+    InputError for a curve that rises to the edge.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:
@@ -297,7 +301,7 @@ def _refuse_rising(samples: Samples) -> None:
 
 
 def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:
-    """Return the lens with this aperture's curve, which replaces an older one."""
+    """Return the lens with this curve for the aperture f_number; an older one is replaced."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     curve = Vignetting(
         f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5)
