@@ -38,18 +38,18 @@ DEFAULTS = CampaignRoom(
 
 @dataclass(frozen=True, slots=True)
 class CampaignFile:
-    """A campaign with its rooms; values of [common] are filled in."""
+    """The content of a CAMPAIGN.toml: its name and rooms, whose empty values are filled in."""
 
     path: Path
     name: str
     rooms: tuple[CampaignRoom, ...]
 
     def session_folder(self, room: CampaignRoom) -> Path:
-        """Return the session folder of a room."""
+        """Return the path of a room's session, resolved from the folder of the campaign file."""
         return self.path.parent / room.session
 
     def file(self, name: str) -> Path:
-        """Return a path that is written in the campaign file, relative to that file's folder."""
+        """Return the path `name`, resolved from the folder of the campaign file."""
         return self.path.parent / name
 
 

@@ -54,12 +54,12 @@ class DriftSeries:
 
     @property
     def drifts(self) -> bool:
-        """Return whether the change exceeds its limit and is significant."""
+        """Whether the change exceeds its limit and is significant."""
         return bool(abs(self.change) > max(LIMITS[self.kind], self.reach))
 
     @property
     def text(self) -> str:
-        """Return the change with its interval, or the number of values."""
+        """The change with its unit and 95 % interval; without a change, the number of values."""
         if not np.isfinite(self.change):
             return f"values: {len(self.values)}" if len(self.values) else "–"
         digits = 2 if LIMITS[self.kind] <= 1.0 else 1
@@ -73,10 +73,11 @@ class DriftSeries:
 def series(
     kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
 ) -> DriftSeries:
-    """Return a quantity's values [n] with the change of a robust line from first to last.
+    """Return a series of values with the change of a robust line from the first to the last.
 
-    The captures of one day share its weather. Therefore the interval is computed from the scatter
-    of days, and is wide for few days.
+    kind: "k", "heading" or "residual"; values: at t_utc, [n], NaN is omitted. The captures of one
+    day share its weather. Therefore the interval is computed from the scatter of days, and is wide
+    for few days.
     """
     data = np.asarray(values, float)
     times = np.array([t.timestamp() for t in t_utc], float) / 86400.0

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
-    """Yield the name and the predicted year of each room that has one.
+    """Yield the session and the predicted year of each room that has a predicted year.
 
     Rooms that cannot be read are skipped.
     """
@@ -48,7 +48,10 @@ def _columns(name: str, annual: Annual) -> dict[str, Any]:
 
 
 def write_csv(campaign: CampaignFile, path: Path) -> int:
-    """Write the table as csv, one room in memory at a time; return the number of rows."""
+    """Write a csv row for each room, hour and direction; return the number of rows.
+
+    Only one room is in memory at a time. Without a predicted year the file is empty.
+    """
     count = 0
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -69,9 +72,9 @@ def _cell(value: Any) -> str:
 
 
 def write_parquet(campaign: CampaignFile, path: Path) -> int:
-    """Write the table as Parquet, a row group for each room; return the number of rows.
+    """Write a Parquet row for each room, hour and direction; return the number of rows.
 
-    Raises InputError without pyarrow.
+    Each room is a row group. Raises InputError without pyarrow, or without a predicted year.
     """
     try:
         import pyarrow as pa  # pyright: ignore[reportMissingImports]

@@ -70,12 +70,12 @@ class RoomOverview:
 
     @property
     def drifting(self) -> list[DriftSeries]:
-        """Quantities whose drift exceeds its limit."""
+        """Drift series whose change exceeds its limit and is significant."""
         return [series for series in self.drifts.values() if series.drifts]
 
 
 def exceeded(row: DirectionYear | None) -> float:
-    """Return the DGP that is exceeded in 5 % of the hours; -1 if there is none."""
+    """Return the DGP that a direction exceeds in 5 % of the occupied hours; -1 if it is unknown."""
     return -1.0 if row is None or row.dgp_exceeded is None else row.dgp_exceeded
 
 

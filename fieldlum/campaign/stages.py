@@ -21,7 +21,7 @@ _LINE = 200  # characters of a room's line; chosen
 
 @dataclass(frozen=True, slots=True)
 class RoomResult:
-    """What a stage did for one room; `text` is one line."""
+    """What a stage did for one room: "done" or "failed", and a line with its result or error."""
 
     session: str
     state: Literal["done", "failed"]
@@ -70,7 +70,7 @@ def run_stage(
 
 
 def guarded(name: str, work: Callable[[], str]) -> RoomResult:
-    """Return the result of one room's work; an error in it does not affect other rooms."""
+    """Run the work of the room `name`; return its text as "done", or any error as "failed"."""
     try:
         return RoomResult(name, "done", work())
     except (FieldlumError, OSError) as error:
@@ -161,7 +161,10 @@ def without_pairs(room: CampaignRoom, folder: Path) -> RoomResult | None:
 
 
 def train_room(folder: Path, job: _TrainJob) -> str:
-    """Train one room's model: a unit of work. Raises NotEnoughDataError for too few hours."""
+    """Train one room's model from the session in `folder`; return a line about the result.
+
+    Runs as a unit of work. Raises NotEnoughDataError for too few hours.
+    """
     from fieldlum import train
     from fieldlum.models.data import load_pairs
 

@@ -29,8 +29,8 @@ def run_sweep(
 ) -> tuple[list[RoomResult], str]:
     """Score models with seeds on held-out days of every room; write sweep.csv and sweep.md.
 
-    Return what failed, and the table of means over seeds. Raises InputError for a text that is no
-    model's name.
+    Return the failed units, and the Markdown table of means over seeds. Raises InputError for a
+    text that is no model's name.
     """
     units, failed = _units(campaign, models, seeds, budget_min)
     rows: dict[str, list[BenchRow]] = {room.session: [] for room in campaign.rooms}

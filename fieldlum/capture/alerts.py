@@ -29,7 +29,7 @@ QUIET = timedelta(hours=6)
 
 @dataclass(slots=True)
 class DayCount:
-    """Outcomes and highest irradiance of one local day."""
+    """Counts of the outcomes of slots on one local day, and that day's highest GHI."""
 
     done: int = 0
     missed: int = 0
@@ -42,7 +42,7 @@ class DayCount:
 class Alerts:
     """The faults already reported, and the counts of the current day, in one capture.
 
-    contact_sheet: returns the picture to attach to a daily summary, at the time of that summary.
+    contact_sheet: called for a daily summary, returns the picture to attach, or None.
     """
 
     name: str
@@ -57,7 +57,11 @@ class Alerts:
     _count: DayCount = field(default_factory=DayCount)
 
     def event(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
-        """Return the messages to send for one journal event."""
+        """Return the messages to send for one journal event; often none.
+
+        event: name of the event; fields: its further values. After midnight, local time, this
+        includes the summary of the previous day.
+        """
         messages = self._new_day(t_utc)
         if event == "device-lost":
             self._away_since.setdefault(str(fields.get("device")), t_utc)

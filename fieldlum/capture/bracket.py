@@ -66,7 +66,7 @@ class BracketCapture:
     frame_bytes: int = 0  # size of the largest frame so far
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
-        """Take the missing frames of a slot and return the slot's final state.
+        """Take the missing frames of a slot; return its final state, done or aborted.
 
         After a failure, try again until `deadline`, the end of the slot's window.
         """
@@ -116,7 +116,7 @@ class BracketCapture:
                 state = self._again(slot, folder, state, wanted[frame.index], frame, deadline)
 
     def resumable(self, slot: Slot, state: SlotState) -> bool:
-        """Return whether a bracket has all frames, or its pause is short enough to continue it."""
+        """Return whether a bracket is complete, or its last frame is less than a minute old."""
         if len(state.frames) == len(shots(slot.exposures, self.setup)):
             return True
         return bool(state.frames) and self._pause_s(state) <= STALE_S
@@ -343,7 +343,10 @@ class BracketCapture:
         return replace(state, illuminance_lx=(*state.illuminance_lx, reading.illuminance_lx))
 
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
-        """Close a slot that will not be finished; its frames remain, marked as incomplete."""
+        """Journal a slot as aborted for the reason `why`, and return its state.
+
+        Frames that were taken remain; capture.json marks their bracket as incomplete.
+        """
         folder = self.session.capture_file(slot.id).parent
         _sweep(folder)
         if state.frames:

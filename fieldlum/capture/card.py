@@ -94,7 +94,7 @@ def read_card(
 
 
 def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[str]]:
-    """Return each picture once, and a note if there were copies.
+    """Return the frames without copies of the same file content, and a note if there were copies.
 
     A copy would split its bracket in two.
     """

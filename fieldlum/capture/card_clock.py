@@ -84,7 +84,7 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
 
 
 def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """Return the frames with the time that the camera's clock showed, ignoring EXIF's offset.
+    """Return the frames with their times as the camera's clock showed them, not corrected by EXIF.
 
     A stated --utc-offset applies to the clock itself. exif_offset_s remains, for `contradiction`.
     """
@@ -160,7 +160,7 @@ def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile)
 
 
 def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Group]]:
-    """Split the brackets at days where the camera's clock was set by a number of hours.
+    """Split the brackets, in order of time, at days where the camera's clock was set by hours.
 
     An example is daylight saving time. With hourly slots such a change is hard to see: brackets
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
@@ -178,9 +178,9 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
 
 
 def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.ndarray:
-    """Return how many brackets of each day are near slots, for each clock offset [days, hours].
+    """Return how many brackets of each day are near slots, for each clock offset [days, offsets].
 
-    The hours count from a base, the quarter of an hour that fits all brackets best.
+    Offsets are -26 to 26 hours from a base, the quarter of an hour that fits all brackets best.
     """
     everything = [group for day in days for group in day]
     base = next(iter(fitting_offsets(everything, slots)), 0.0) % 3600.0
@@ -205,9 +205,10 @@ def _steadiest(hits: np.ndarray) -> list[int]:
 
 
 def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
-    """Return a note on each change of the camera's clock that the plan suggests.
+    """Return a note on each change of the camera's clock by over half an hour between two parts.
 
-    Brackets that were taken an hour early on some days look the same.
+    clocks: brackets of each part with the fitted offset. Brackets that were taken an hour early on
+    some days look the same.
     """
     notes: list[str] = []
     for (before, old), (after, new) in pairwise(clocks):
@@ -222,7 +223,7 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
-    """Return why the plan contradicts an offset, or "".
+    """Return why the plan contradicts a clock offset, or "".
 
     Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),
     and a clock that was set between brackets.

@@ -25,7 +25,7 @@ class FrameRequest:
 
     @property
     def stem(self) -> str:
-        """File name without suffix: index, shutter time, heading, filter."""
+        """File name without suffix: index, shutter time, heading and filter (``03_0.5s_h90``)."""
         turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
         return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}" + (
             f"_{self.exposure.nd}" if self.exposure.nd else ""
@@ -33,7 +33,7 @@ class FrameRequest:
 
 
 def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
-    """Return each exposure at each heading of a turned head, in the order of capture."""
+    """Return the frames of a bracket: all exposures at the first heading, then at the next."""
     headings: tuple[float | None, ...] = setup.headings or (None,)
     pairs = [(exposure, heading) for heading in headings for exposure in exposures]
     return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
@@ -48,7 +48,10 @@ def write_capture(
     *,
     complete: bool,
 ) -> None:
-    """Write raw/<slot>/capture.json atomically; merge reads it (docs/file-formats.md)."""
+    """Write capture.json about a slot's frames into its folder, atomically, for merge.
+
+    complete: whether all planned frames were taken; camera: what the camera reports about itself.
+    """
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx
     CaptureFile(

@@ -214,7 +214,7 @@ def _one_a_slot(
 
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
-    """Return the slot's exposures, at every heading, that are missing in a bracket."""
+    """Return the planned exposures, counted once for each heading, that a card's bracket lacks."""
     left, missing = [frame.exposure for frame in group.frames], []
     for shot in shots(slot.exposures, setup):
         found = next(
@@ -321,7 +321,7 @@ def _adopt(
 def meant(
     group: Group, index: int, slot: Slot, setup: CameraSetup
 ) -> tuple[Exposure, float | None]:
-    """Return the planned exposure and heading of a frame.
+    """Return the planned exposure and heading of frame `index` of a card's bracket.
 
     EXIF has neither filter nor heading, so they follow from the order of the frames. A frame that
     is not in the plan keeps its EXIF exposure.

@@ -9,7 +9,7 @@ from datetime import datetime
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """State of a running capture, for the display and for monitors."""
+    """State of a running capture: counts of slots, next slot, irradiance, devices, disk."""
 
     state: str  # waiting, paused, capturing, finished
     t_utc: datetime

@@ -41,7 +41,7 @@ class Logger:
         self._hour, self._refused = -1, 0
 
     def poll(self) -> IrradianceSample | None:
-        """Read and write one row.
+        """Read the pyranometer once, write the reading as a row of the day file, and return it.
 
         Return None if the instrument is away or its answer is invalid.
         """
@@ -85,7 +85,7 @@ class Logger:
 
     @property
     def due_in_s(self) -> float:
-        """Return the time until the next poll [s]; negative if the poll is overdue."""
+        """Time until the next poll [s]; 0 if the poll is overdue."""
         return max(0.0, self._due - self._clock.boottime())
 
     def poll_if_due(self) -> None:

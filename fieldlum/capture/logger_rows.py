@@ -129,10 +129,11 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
 
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Remove the rows with these times and texts from the day files; return their number.
+    """Remove the rows with the times and raw texts of `samples` from the day files.
 
-    The earlier day file remains in irradiance/withdrawn/. clean.csv is deleted too, because it is
-    only updated if the length of a day file changes, and rows that only move do not change it.
+    Return the number of removed rows. The earlier day file remains in irradiance/withdrawn/.
+    clean.csv is deleted too, because it is only updated if the length of a day file changes, and
+    rows that only move do not change it.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

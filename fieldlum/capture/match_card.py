@@ -46,7 +46,7 @@ class CardFrame:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The frames of one bracket on the card."""
+    """The frames of one bracket on a camera's card, in order of time."""
 
     frames: tuple[CardFrame, ...]
 
@@ -71,7 +71,7 @@ class Offset:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A bracket and the slot it belongs to."""
+    """A bracket on a card, the planned slot it belongs to, and its delay [s]."""
 
     slot: Slot
     group: Group
@@ -80,14 +80,17 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Unmatched:
-    """A bracket without a slot, and the reason."""
+    """A bracket on a card that belongs to no slot, and the reason."""
 
     group: Group
     why: str
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Return the median time between two frames [s], at least the one second that EXIF resolves."""
+    """Return the median pause between two frames [s], at least the 1 s that EXIF resolves.
+
+    The shutter time of the first frame is subtracted.
+    """
     gaps = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
         for a, b in pairwise(frames)
@@ -150,12 +153,12 @@ def group_frames(
 
 
 def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
-    """Split groups at gaps of several days, where the camera's clock may have been set."""
+    """Split brackets, in order of time, at gaps of five days, where the clock may have been set."""
     return split_at_gaps(groups, _CAMPAIGN_S)
 
 
 def split_at_gaps(groups: Sequence[Group], gap_s: float) -> list[list[Group]]:
-    """Split groups, in order of time, where two begin at least `gap_s` apart."""
+    """Split brackets, in order of time, between two that begin at least `gap_s` apart."""
     parts: list[list[Group]] = []
     for group in groups:
         if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < gap_s:
@@ -171,7 +174,10 @@ def fits(group: Group, slot: Slot) -> int:
 
 
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
-    """Return each group's start, with the clock corrected, minus its nearest slot's time, [n] s."""
+    """Return by how much each bracket starts after its nearest slot, [n] s; negative if before.
+
+    offset_s: the camera's clock minus UTC, which is subtracted from the bracket's time.
+    """
     starts = np.array([slot.t_utc.timestamp() for slot in slots])
     times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
     return times - starts[np.abs(times[:, None] - starts[None, :]).argmin(axis=1)]
@@ -232,14 +238,18 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 
 
 def misfit(match: Match) -> tuple[int, float]:
-    """Return a sort key: most of the slot's exposures first, then nearest in time."""
+    """Return a key that sorts the best match first: most of the slot's exposures, then nearest."""
     return -fits(match.group, match.slot), abs(match.late_s)
 
 
 def match_groups(
     groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 ) -> tuple[list[Match], list[Unmatched]]:
-    """Return, for each slot, the group with most of its exposures; and the unmatched groups."""
+    """Match brackets to the nearest slot within 20 minutes; return matches and the others.
+
+    A match needs two of the slot's exposures, if it has two. Of several brackets at one slot, the
+    one with most of its exposures is matched.
+    """
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []
     for group in groups:
@@ -260,5 +270,5 @@ def match_groups(
 
 
 def true_time(t_camera: datetime, offset: Offset) -> datetime:
-    """Return the UTC of a time by the camera's clock."""
+    """Return a time by the camera's clock as UTC, with the clock's offset subtracted."""
     return (t_camera - timedelta(seconds=offset.seconds)).astimezone(UTC)

@@ -26,7 +26,7 @@ class MissedHook:
     _misses: int = 0
 
     def count(self, slot: str, state: SlotState) -> None:
-        """Count the outcome of a slot; a command runs in its own thread."""
+        """Count slots in a row that were not done; at the second, run the command in a thread."""
         self._misses = 0 if state.outcome == "done" else self._misses + 1
         if self._misses != MISSES_IN_A_ROW or not self.command:
             return

@@ -16,7 +16,7 @@ FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance a
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How a capture runs."""
+    """Settings of a running capture that are not in the plan: times, watchdog, hook, disk."""
 
     # a bracket may start this late [s]; after that its slot is missed
     grace_s: float = DEFAULT_GRACE_S

@@ -15,10 +15,10 @@ SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measure
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
 ) -> tuple[str, ...]:
-    """Remove imported brackets whose frames belong to other slots, and return these slots.
+    """Remove imported brackets whose frames now match other slots; return their former slots.
 
-    Move their folders to raw/withdrawn/ and delete what merge wrote from them. The slots are then
-    without a bracket again.
+    matched: the new matches. The brackets' folders move to raw/withdrawn/, and what merge wrote
+    from them is deleted. The slots are then without a bracket again.
     """
     held: dict[str, list[str]] = {}
     for slot, state in ledger.slots.items():

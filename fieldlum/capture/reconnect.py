@@ -57,7 +57,7 @@ class Keeper(Generic[D]):
 
     @property
     def state(self) -> str:
-        """Return the device's state as text for the display."""
+        """The device's state for the display: "ok", "closed" (not yet opened) or "lost"."""
         if self._lost_at is not None:
             return "lost"
         return "closed" if self._device is None else "ok"
@@ -73,7 +73,7 @@ class Keeper(Generic[D]):
         return self._device
 
     def insist(self) -> D:
-        """Open the device now, and pass on any error."""
+        """Return the device, opened now if necessary; pass on any error of opening it."""
         if self._device is None:
             self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
         return self._device
@@ -97,7 +97,10 @@ class Keeper(Generic[D]):
         return result
 
     def lost(self, error: BaseException) -> None:
-        """Drop the device, and plan tries after 1, 2, 4 ... 30 s."""
+        """Close a failed device, journal its loss, and plan the next try to open it.
+
+        The pause doubles with each call, from 1 s to 30 s, until a call of the device succeeds.
+        """
         self.close()
         now = self._clock.boottime()
         if self._lost_at is None:
@@ -124,9 +127,9 @@ def plain_info(info: CameraInfo | InstrumentInfo) -> DeviceTable:
 
 
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
-    """Run `work()` in its own thread and return its result.
+    """Run `work()` in its own thread and return its result, or raise its error.
 
-    Raises DeviceError if it does not return in time; the thread is then abandoned.
+    Raises DeviceError, naming `what`, if it does not return in time; the thread is then abandoned.
     """
     result: list[Any] = []
 

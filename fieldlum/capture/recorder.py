@@ -62,7 +62,7 @@ class Recorder:
         self.refill()
 
     def tell(self, event: str, **fields: Unpack[EventFields]) -> bool:
-        """Journal an event with the current time; return True if it is on the disk."""
+        """Write an event with the current time to the journal; return whether it is on the disk."""
         with self._lock:
             self.last_event = event
             now = self._now()
@@ -73,7 +73,7 @@ class Recorder:
         return durable
 
     def sample(self, sample: IrradianceSample) -> bool:
-        """Add a row to its day file; return True if it is on the disk."""
+        """Write a reading to its day file; return whether it is on the disk."""
         with self._lock:
             self._rows.append(sample)
             return self._flush_rows()

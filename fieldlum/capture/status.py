@@ -13,7 +13,7 @@ from fieldlum.session.ledger import Ledger, owed, read_ledger
 
 
 def status(session: Session) -> JsonTable:
-    """Return for each stage what is done and what is still to do."""
+    """Return the object that `status --json` prints: by stage, what is done and still to do."""
     slots, ledger = session.slots(), read_ledger(session)
     captured = {slot.id for slot in slots if ledger.state(slot.id).frames}
     merged = {path.stem for path in session.panorama_files()}
@@ -36,7 +36,7 @@ def status(session: Session) -> JsonTable:
 
 
 def next_step(answer: JsonTable) -> str:
-    """Return the next step, as a command line if there is one."""
+    """Return the user's next step, mostly a command line, from the result of `status`."""
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
     models = [row["name"] for row in answer["train"]["models"]]

@@ -54,7 +54,7 @@ class SteadyClock:
         self._refused_s = 0.0  # a step that was not followed is reported once
 
     def now(self) -> datetime:
-        """Return UTC."""
+        """Return the steady UTC, which does not follow untrusted steps of the computer's clock."""
         return self._anchor + timedelta(seconds=self._clock.boottime() - self._boot)
 
     def monotonic(self) -> float:
@@ -70,13 +70,14 @@ class SteadyClock:
         self._clock.sleep(seconds)
 
     def mark(self) -> ClockMark:
-        """Return what a later process needs to continue the time of this one."""
+        """Return the boot's identifier and its boot time [s], for `carry_on` in a later process."""
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
     def carry_on(self, then: datetime, mark: ClockMark | JournalEvent) -> None:
-        """Continue the time of an earlier process of the same boot.
+        """Continue the time of an earlier process, which was at `then` when it stored `mark`.
 
-        `check` then detects a step between the two processes.
+        This is done only within the same boot. `check` then detects a step between the two
+        processes.
         """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
             self._anchor, self._boot = then, float(mark.get("boottime_s", 0.0))

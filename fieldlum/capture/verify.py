@@ -20,7 +20,10 @@ ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is u
 
 
 def doubts(path: Path, asked: Exposure) -> str:
-    """Return what is wrong with a new frame's EXIF, or ""."""
+    """Return how a new frame's EXIF differs from the requested exposure, or why it is unreadable.
+
+    The text is "" for a good frame.
+    """
     try:
         info = read_exif(path, lens_f_number=asked.f_number)
     except InputError as error:
@@ -43,7 +46,7 @@ def as_taken(path: Path, asked: Exposure) -> Exposure:
 
 
 def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
-    """Return where EXIF and request differ by more than the rounding of nominal values."""
+    """Return the settings that differ between EXIF and request by more than rounding, or ""."""
     found = info.exposure
     pairs = (
         ("shutter", found.shutter_s, asked.shutter_s, 1.0),
@@ -59,9 +62,10 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
 
 
 def clipped_share(path: Path) -> float:
-    """Return the share of a frame's pixels at its highest value, or at a JPEG's top code.
+    """Return the share of a frame's clipped pixels, 0 to 1.
 
-    Raises InputError if the frame cannot be read.
+    A JPEG pixel is clipped at code 254. Raw pixels are clipped at the frame's highest count, if
+    this is at least 0.8 of the white level. Raises InputError if the frame cannot be read.
     """
     if is_jpeg(path):
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
@@ -72,7 +76,10 @@ def clipped_share(path: Path) -> float:
 
 
 def bracket_doubts(shortest: Path) -> str:
-    """Return a warning if more than half of the shortest frame's pixels are clipped, else ""."""
+    """Return a warning if over half of the shortest frame is clipped, else "".
+
+    If the frame cannot be read, return the reason.
+    """
     try:
         share = clipped_share(shortest)
     except InputError as error:
