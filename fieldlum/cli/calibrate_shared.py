@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """The common options: the profile to start from, and where results are written."""
+    """Options of every `calibrate` command: start profile, output file, picture, JSON output."""
 
     camera: str
     out: Path
@@ -38,7 +38,7 @@ class Refit:
         return load_camera_profile(self.camera)
 
     def draw(self, figure: Callable[[], Figure]) -> None:
-        """Save the figure if --picture names a file."""
+        """Draw the figure and save it, if --picture names a file."""
         from fieldlum.calibrate import pictures
 
         if self.picture:
@@ -52,7 +52,10 @@ class Refit:
         figures: JsonTable,
         **changed: Any,
     ) -> None:
-        """Write the profile with its changed parts, and print the choice and the figures."""
+        """Write the profile with its fields in `changed` replaced, and print lines and figures.
+
+        lines: one about each fit, stored in the profile; frames: files whose sha256 is stored.
+        """
         from fieldlum.calibrate import save_calibration
 
         save_calibration(self.out, profile, frames, lines, datetime.now(UTC).date(), **changed)
@@ -64,7 +67,7 @@ class Refit:
 
 
 def calibration_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Add --camera, --out, --picture and --json, as one argument `refit`."""
+    """Add --camera, --out, --picture and --json to a command, as one argument `refit`."""
 
     @functools.wraps(function)
     def gathered(
@@ -94,7 +97,10 @@ lens_option = click.option(
 
 
 def lens_index(profile: CameraProfile, lens_number: int) -> int:
-    """Return the index of the lens of --lens. Raises click.UsageError if there is no such lens."""
+    """Return the index, from 0, of the lens that --lens counts from 1.
+
+    Raises click.UsageError if there is no such lens.
+    """
     if lens_number > len(profile.lens):
         raise click.UsageError(
             f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
@@ -104,7 +110,7 @@ def lens_index(profile: CameraProfile, lens_number: int) -> int:
 
 
 def with_lens(profile: CameraProfile, index: int, lens: Lens) -> tuple[Lens, ...]:
-    """Return the lenses of a profile with one of them replaced."""
+    """Return the profile's lenses with the one at `index` replaced by `lens`."""
     return (*profile.lens[:index], lens, *profile.lens[index + 1 :])
 
 

@@ -40,13 +40,13 @@ _LEAST_PRINTED_S = 20.0  # shorter times are not printed; chosen
 
 
 def merge_s(folders: Iterable[Path]) -> float:
-    """Return the time to merge brackets [s], from the size of their frames."""
+    """Return the estimated time to merge brackets [s], from the size of their frames."""
     sizes = (f.stat().st_size for folder in folders for f in folder.iterdir() if f.is_file())
     return _MERGE_S_PER_BYTE * sum(sizes)
 
 
 def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
-    """Return the time to train [s].
+    """Return the estimated time to train [s].
 
     It is the complete budget if the dense network is tried.
     """
@@ -57,12 +57,12 @@ def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
 
 
 def predict_s(pixels: int, directions: int) -> float:
-    """Return the time to predict a year [s]."""
+    """Return the estimated time to predict a year [s]; pixels: of one map."""
     return _YEAR_FIXED_S + _YEAR_S * pixels * directions
 
 
 def simulate_s(quality: str, pixels: int, hours: int) -> float:
-    """Return the time to simulate the hours of a plan [s]."""
+    """Return the estimated time to simulate the hours of a plan [s]; pixels: of one map."""
     return _SIMULATE_FIXED_S[quality] + _SIMULATE_S[quality] * pixels + _HOUR_S * hours
 
 
@@ -78,7 +78,7 @@ def bench_s(
     render_hours: int,
     with_stress: bool,
 ) -> float:
-    """Return the time of a benchmark [s].
+    """Return the estimated time of a benchmark [s].
 
     transport, slow: number of transport models, and of trainings of the dense network. folds:
     number of fits of a model for the score table. curve_captures: sum of the captures over all fits
@@ -90,7 +90,10 @@ def bench_s(
 
 
 def frames_s(count: int, pixels: int, *, boards: bool = False) -> float:
-    """Return the time to read frames for a calibration [s], or to detect boards in them."""
+    """Return the estimated time to read `count` frames of `pixels` each [s].
+
+    boards: chessboards are detected in them too.
+    """
     per_megapixel = _BOARD_S_PER_MEGAPIXEL if boards else _FRAME_S_PER_MEGAPIXEL
     return per_megapixel * count * pixels / 1e6
 
@@ -105,7 +108,7 @@ def duration_text(seconds: float) -> str:
 
 
 def estimate_text(seconds: float, processes: int = 1) -> str:
-    """Return a sentence for the start of a command; "" if the command is short."""
+    """Return a sentence on the time that a command will take; "" for less than 20 s."""
     needed = seconds / max(processes, 1)
     if needed < _LEAST_PRINTED_S:
         return ""

@@ -136,7 +136,7 @@ def command(
 
 
 def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
-    """Return one row for each view, with the names of `CSV_COLUMNS`."""
+    """Return one row for each view direction of a `glare` answer, with the keys `CSV_COLUMNS`."""
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
     rows = []
     for view in answer["views"]:

@@ -59,7 +59,10 @@ def _short(value: object) -> str:
 
 
 def describe(path: Path) -> Facts:
-    """Return facts about a file, by its kind. Raises InputError for an unknown kind."""
+    """Return what `fieldlum info` prints about a file or a folder, as names and values.
+
+    Raises InputError for an unknown kind of file.
+    """
     if path.is_dir():
         return _folder(path)
     if not path.is_file():

@@ -25,7 +25,7 @@ _JSON_EVERY_S = 10.0
 
 
 def countdown(seconds: float | None) -> str:
-    """Return ``mm:ss``, or ``h:mm:ss`` from one hour."""
+    """Return a time as ``mm:ss``, or ``h:mm:ss`` from one hour; "-" for None."""
     if seconds is None:
         return "-"
     whole = max(0, round(seconds))
@@ -34,7 +34,7 @@ def countdown(seconds: float | None) -> str:
 
 
 def panel(live: Live, site: Site) -> RenderableType:
-    """Return the display as one rich renderable."""
+    """Return the state of a capture as a panel that rich can print."""
     from rich.markup import escape
     from rich.panel import Panel
     from rich.progress_bar import ProgressBar
@@ -86,7 +86,7 @@ def _state(state: str) -> str:
 
 
 def as_json(live: Live) -> JsonTable:
-    """Return the state as JSON can hold it."""
+    """Return the state of a capture as a dict for JSON, with times as UTC text."""
     return {k: utc_text(v) if isinstance(v, datetime) else v for k, v in asdict(live).items()}
 
 
@@ -121,7 +121,8 @@ class _StatusFile:
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
     """Yield a function that shows the state of a capture.
 
-    On a terminal it shows a panel; otherwise it prints one line for each outcome on stderr.
+    On a terminal it shows a panel; otherwise it prints one line for each outcome on stderr. It also
+    writes the state to the file status_json, unless that is None.
     """
     status_file = _StatusFile(status_json)
     if not terminal.seen():

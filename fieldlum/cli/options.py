@@ -91,7 +91,10 @@ def device_options(function: Command) -> Command:
 
 
 def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
-    """Return the URIs of camera, pyranometer and meter; by default those of the last capture."""
+    """Return the URIs of camera, pyranometer and meter, in this order; "" without a device.
+
+    given: the values of the three options; None takes the URI of the session's last capture.
+    """
     known = session.table().get("devices", {}).get("uris", {})
     names = [name.removeprefix("--") for name, _ in _DEVICES]
     pairs = zip(names, given, strict=True)
@@ -121,7 +124,7 @@ scene_option = click.option(
 
 
 def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:
-    """Return the option --out for a content such as "Session folder" or "Model folder"."""
+    """Return the click option --out; its help is `content`, such as "Model folder", "to write"."""
     text = f"{content} to write." + (f" [default: {default}]" if default else "")
     return click.option("--out", type=PATH, required=required, help=text)
 
@@ -146,7 +149,7 @@ scheduler_option = click.option(
 
 
 def scheduler_of(text: str) -> Scheduler:
-    """Return the scheduler of --scheduler. Raises InputError for an unknown text."""
+    """Return the scheduler for the text of --scheduler. Raises InputError for an unknown text."""
     from fieldlum.cli.terminal import say
     from fieldlum.scheduler import parse_scheduler
 
@@ -162,7 +165,7 @@ _LARGEST_PX = 16384  # largest width: a map of 134 million pixels, 0.5 GB in flo
 
 
 def dimensions(size: str) -> tuple[int, int]:
-    """Return width and height of WxH [px]. Raises click.UsageError for anything else."""
+    """Parse --size WxH to width and height [px]. Raises click.UsageError for anything else."""
     width, _, height = size.lower().partition("x")
     if not (width.isdigit() and height.isdigit()):
         raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
@@ -175,7 +178,7 @@ def dimensions(size: str) -> tuple[int, int]:
 
 
 def panorama_height(size: str) -> int:
-    """Return the height of a panorama's WxH [px]. Raises click.UsageError unless W = 2H."""
+    """Parse a panorama's --size WxH to its height [px]. Raises click.UsageError unless W = 2H."""
     width, height = dimensions(size)
     if width != 2 * height:
         raise click.UsageError(

@@ -39,7 +39,7 @@ def emit_json(answer: Any) -> None:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    """Write these columns of the rows; None is an empty cell."""
+    """Write a csv with `columns` of the rows, as header and cells; None is an empty cell."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -59,16 +59,16 @@ def say_if(text: str) -> None:
 
 
 def seen() -> bool:
-    """Return whether stderr is a terminal, so that somebody may see it."""
+    """Return whether stderr is a terminal, where a user may see its output."""
     return sys.stderr.isatty()
 
 
 @contextmanager
 def unattended() -> Iterator[None]:
-    """Protect a command that runs for weeks.
+    """Let a command that runs for weeks survive a closed terminal, inside the block.
 
-    A closed terminal (SIGHUP) does not end the command, and SIGTERM ends it like Ctrl-C. Processes
-    that it starts, such as a camera's, ignore the closed terminal too.
+    SIGHUP is ignored, also by processes that it starts, such as a camera's. SIGTERM ends it like
+    Ctrl-C.
     """
     wanted: dict[signal.Signals, Any] = {signal.SIGTERM: signal.default_int_handler}
     if hasattr(signal, "SIGHUP"):  # not on Windows
@@ -83,7 +83,7 @@ def unattended() -> Iterator[None]:
 
 @contextmanager
 def web_library() -> Iterator[None]:
-    """Guard imports of the web server, which is optional. Raises InputError if it is missing."""
+    """Guard imports inside the block; raise InputError if the optional web server is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -96,7 +96,7 @@ def web_library() -> Iterator[None]:
 
 @contextmanager
 def awake() -> Iterator[None]:
-    """Keep the computer awake; print a note if that is not possible."""
+    """Keep the computer awake inside the block; print a note if that is not possible."""
     from fieldlum.devices.awake import kept_awake
 
     with kept_awake() as what:
