@@ -40,10 +40,7 @@ YEAR = 2027  # of the simulated captures; chosen
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training.
-
-    `quality` is that of `fieldlum simulate --quality`; `troubles` names a file of simulated faults.
-    """
+    """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training."""
 
     height: int  # of the panoramas; they are twice as wide
     quality: str  # of the rendered truth

@@ -125,8 +125,7 @@ class Light:
     def total_lx(self) -> Array:
         """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
-        It is at least `LEAST_LX`, because features are divided by it. It is not small for a low
-        sun.
+        Features are divided by it; it is at least `LEAST_LX`, and not small for a low sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 

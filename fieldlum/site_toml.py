@@ -63,10 +63,7 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
 
 
 def site_table(setup: SiteFile) -> dict[str, Any]:
-    """Return a site as nested tables that can be written as SITE.toml.
-
-    It is the inverse of `site_from_table`.
-    """
+    """Return a site as the nested tables of a SITE.toml; the inverse of `site_from_table`."""
     return plain(setup)
 
 

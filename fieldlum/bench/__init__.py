@@ -94,11 +94,7 @@ _BUDGETS = 4.0
 
 
 class BenchAnswer(TypedDict):
-    """The object that `bench --json` prints: one row per model and seed, and the chosen model.
-
-    models: rows as `rows.BenchRow`, and one for Radiance if it was timed. chosen: name of the
-    model; reason: sentence that explains the choice.
-    """
+    """The object that `bench --json` prints: rows by model and seed, the chosen model and why."""
 
     models: list[Mapping[str, object]]
     chosen: str
@@ -130,10 +126,7 @@ def shown(value: object) -> str:
 
 
 def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> str:
-    """Return rows as a Markdown table; columns without any value are omitted.
-
-    columns: heading of each key, in the order of the table.
-    """
+    """Return rows as a Markdown table headed by `columns`; columns without a value are omitted."""
     used = [key for key in columns if any(row.get(key) is not None for row in rows)]
     lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
     lines += ["| " + " | ".join(shown(row.get(key)) for key in used) + " |" for row in rows]

@@ -56,11 +56,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
-    """Draw the log10 MSE (paper mode) of each model over its CPU seconds, as two panels.
-
-    The panels are training and predicting one map. rows: of the score table; machine: for the
-    title.
-    """
+    """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map."""
     figure, axes = _figure(11.0, 4.8, 2)
     for axis, key, label in zip(
         axes,

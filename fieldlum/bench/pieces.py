@@ -169,11 +169,7 @@ def pieces_of(
     with_stress: bool,
     render_hours: int,
 ) -> list[Piece]:
-    """Return all pieces that the data allow, in the order of the tables.
-
-    Learning curves and periods are only for untrained `transport` models; the stress test is for
-    one model.
-    """
+    """Return all pieces that the data allow: scores, rendering, curves, periods, stress."""
     found = score_pieces(models, seeds, budget_s, loaded.folder)
     quick = [
         model
@@ -223,10 +219,7 @@ def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
 
 
 def work(piece: Piece, loaded: BenchData, progress: Progress = quiet) -> Any:
-    """Run one piece in this process and return its table rows.
-
-    A "score" gives its row and its trial; a "rendering" gives one row or None.
-    """
+    """Run one piece in this process; return its table rows, or for a score its row and trial."""
     if piece.kind == "rendering":
         asked = loaded.data if loaded.test is None else loaded.test
         return radiance_row(asked, piece.hours, progress=progress)

@@ -45,10 +45,7 @@ class Spec:
 
 
 class BenchRow(ScoreFigures):
-    """One row of the score table: a model with one seed, its times [s] and its errors.
-
-    Times are None where a model was not fitted.
-    """
+    """One row of the score table: model, seed, times [s] (None: not fitted) and errors."""
 
     name: str
     fit_s: float | None
@@ -155,10 +152,7 @@ def _fitted(
 
 
 def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
-    """Return one row for each model, with the mean and sd of its errors over all seeds.
-
-    Other columns are those of the first seed.
-    """
+    """Return one row for each model: its first seed's, with mean and sd of errors over seeds."""
     out: list[dict[str, object]] = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]

@@ -110,10 +110,7 @@ def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with noise in DNI, and DHI such that global horizontal is unchanged.
-
-    This is as under broken clouds. share: standard deviation of ln DNI.
-    """
+    """Return the data with log-normal noise in DNI, and DHI such that global stays the same."""
     light = data.light
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
     total = light.dni_wm2 * rise + light.dhi_wm2

@@ -111,10 +111,7 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 def compare_periods(
     spec: Spec, data: Dataset, *, progress: Progress = quiet
 ) -> list[dict[str, object]]:
-    """Return one row with errors for each collection period on which the model was trained.
-
-    All are tested on the same random hours of the year, which no training uses.
-    """
+    """Train on each collection period; return a row of errors on common hours for each."""
     order = np.random.default_rng(0).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True

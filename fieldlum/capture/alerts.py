@@ -57,11 +57,7 @@ class Alerts:
     _count: DayCount = field(default_factory=DayCount)
 
     def event(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
-        """Return the messages to send for one journal event; often none.
-
-        event: name of the event; fields: its further values. After midnight, local time, this
-        includes the summary of the previous day.
-        """
+        """Return the messages to send for a journal event and, on a new day, the daily summary."""
         messages = self._new_day(t_utc)
         if event == "device-lost":
             self._away_since.setdefault(str(fields.get("device")), t_utc)

@@ -345,7 +345,7 @@ class BracketCapture:
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
         """Journal a slot as aborted for the reason `why`, and return its state.
 
-        Frames that were taken remain; capture.json marks their bracket as incomplete.
+        Its frames remain; capture.json records whether they are all that were planned.
         """
         folder = self.session.capture_file(slot.id).parent
         _sweep(folder)

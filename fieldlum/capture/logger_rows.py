@@ -129,11 +129,10 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
 
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Remove the rows with the times and raw texts of `samples` from the day files.
+    """Remove the rows with the times and texts of `samples` from the day files; return the number.
 
-    Return the number of removed rows. The earlier day file remains in irradiance/withdrawn/.
-    clean.csv is deleted too, because it is only updated if the length of a day file changes, and
-    rows that only move do not change it.
+    The earlier day file remains in irradiance/withdrawn/. clean.csv is deleted too, because it is
+    only updated if the length of a day file changes, and rows that only move do not change it.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

@@ -87,10 +87,7 @@ class Unmatched:
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Return the median pause between two frames [s], at least the 1 s that EXIF resolves.
-
-    The shutter time of the first frame is subtracted.
-    """
+    """Return the median pause from the end of one frame to the next [s], at least 1 s."""
     gaps = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
         for a, b in pairwise(frames)
@@ -247,8 +244,7 @@ def match_groups(
 ) -> tuple[list[Match], list[Unmatched]]:
     """Match brackets to the nearest slot within 20 minutes; return matches and the others.
 
-    A match needs two of the slot's exposures, if it has two. Of several brackets at one slot, the
-    one with most of its exposures is matched.
+    Of several brackets at one slot, the one with most of its exposures is matched.
     """
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []

@@ -76,8 +76,7 @@ class SteadyClock:
     def carry_on(self, then: datetime, mark: ClockMark | JournalEvent) -> None:
         """Continue the time of an earlier process, which was at `then` when it stored `mark`.
 
-        This is done only within the same boot. `check` then detects a step between the two
-        processes.
+        Only within the same boot. `check` then detects a step between the two processes.
         """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
             self._anchor, self._boot = then, float(mark.get("boottime_s", 0.0))

@@ -90,10 +90,7 @@ def bench_s(
 
 
 def frames_s(count: int, pixels: int, *, boards: bool = False) -> float:
-    """Return the estimated time to read `count` frames of `pixels` each [s].
-
-    boards: chessboards are detected in them too.
-    """
+    """Return the estimated time to read frames, or to detect boards in them [s]."""
     per_megapixel = _BOARD_S_PER_MEGAPIXEL if boards else _FRAME_S_PER_MEGAPIXEL
     return per_megapixel * count * pixels / 1e6
 

@@ -59,10 +59,7 @@ def _short(value: object) -> str:
 
 
 def describe(path: Path) -> Facts:
-    """Return what `fieldlum info` prints about a file or a folder, as names and values.
-
-    Raises InputError for an unknown kind of file.
-    """
+    """Return what `fieldlum info` prints about a file. Raises InputError for an unknown kind."""
     if path.is_dir():
         return _folder(path)
     if not path.is_file():

@@ -119,10 +119,9 @@ class _StatusFile:
 
 @contextmanager
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
-    """Yield a function that shows the state of a capture.
+    """Yield a function that shows the state of a capture, and writes it to status_json if stated.
 
-    On a terminal it shows a panel; otherwise it prints one line for each outcome on stderr. It also
-    writes the state to the file status_json, unless that is None.
+    On a terminal it shows a panel; otherwise it prints one line for each outcome on stderr.
     """
     status_file = _StatusFile(status_json)
     if not terminal.seen():
