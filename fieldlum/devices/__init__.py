@@ -93,13 +93,13 @@ class BracketingCamera(Protocol):
 
     @property
     def bracket_shots(self) -> range:
-        """Numbers of frames that a bracket may have."""
+        """The possible numbers of frames in a bracket."""
         ...
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take all frames in the given order; write each one to its target plus a suffix.
+        """Take the frames of a bracket in the given order; return the files written.
 
-        Raises DeviceError if the camera does not deliver them all.
+        Each file is its target plus a suffix. Raises DeviceError if a frame is missing.
         """
         ...
 
@@ -115,10 +115,10 @@ class ReportingCamera(Protocol):
 
 @runtime_checkable
 class Choosing(Protocol):
-    """A camera whose settings have fixed steps."""
+    """A camera whose settings have fixed steps, such as third stops."""
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError, naming the nearest step, for an exposure that is not offered."""
+        """Raise DeviceError, naming the nearest step, for an exposure that cannot be set."""
         ...
 
 
@@ -132,7 +132,7 @@ def refuse_turning(kind: str, heading_deg: float | None) -> None:
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return why a camera will not take these exposures, one sentence for each reason.
+    """Return why the camera cannot be set to some of these exposures, a sentence for each reason.
 
     The list is empty for a camera that does not report its steps.
     """
@@ -169,7 +169,7 @@ class Pyranometer(Protocol):
 
 @runtime_checkable
 class Streaming(Protocol):
-    """An instrument that sends readings without a request."""
+    """An instrument that sends lines with readings without a request."""
 
     def refused(self) -> list[str]:
         """Return the lines rejected since the last call, each with the reason."""
@@ -232,16 +232,17 @@ def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any
 
 
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
-    """Open a camera.
+    """Open the camera that a device URI names, such as ``gphoto:``, by the driver of its scheme.
 
-    Raises DeviceError for an unknown scheme or option, or if the camera is missing.
+    session : some drivers read its plan or its simulated truth. Raises DeviceError for an unknown
+    scheme or option, or if the camera is missing.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, CAMERAS, "camera")(parsed, clock=clock, session=session)
 
 
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
-    """Open a pyranometer. Raises DeviceError as `open_camera` does.
+    """Open the pyranometer that a device URI names. Raises DeviceError as `open_camera` does.
 
     session : the simulator reads its true irradiance; other drivers ignore it.
     """
@@ -250,9 +251,9 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
 
 
 def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
-    """Open an illuminance meter next to the lens: ``cl200a:/dev/serial/by-id/...``.
+    """Open the illuminance meter that a device URI names, such as ``cl200a:/dev/ttyUSB0``.
 
-    Raises DeviceError.
+    Raises DeviceError as `open_camera` does.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, METERS, "illuminance meter")(parsed, clock=clock)

@@ -34,7 +34,7 @@ _LIMITS = {"temperature_c": (-60.0, 150.0)}
 
 @dataclass(frozen=True, slots=True)
 class AsciiLine(SerialLine):
-    """Settings of the serial line.
+    """Settings of the serial line of an instrument that prints its readings.
 
     `silence_s` must be longer than the restart of an Arduino, because opening the line restarts
     most of them.
@@ -45,7 +45,7 @@ class AsciiLine(SerialLine):
 
 @dataclass(frozen=True, slots=True)
 class AsciiField:
-    """One number of a line: quantity = scale * number + offset.
+    """One number in a line that an instrument prints: quantity = scale * number + offset.
 
     The other fields serve to reject damaged numbers. `decimals` : exact number of digits after the
     point; `width` : exact number of characters, as printf's %6.1f or %06.1f print; `unit` : text
@@ -65,7 +65,7 @@ class AsciiField:
 
 @dataclass(frozen=True, slots=True)
 class AsciiProfile:
-    """Description of an instrument's lines, from calibration/instruments/ascii/NAME.toml."""
+    """The format of the lines that an instrument prints, from instruments/ascii/NAME.toml."""
 
     name: str
     form: Literal["regex", "key-value", "json"]
@@ -126,7 +126,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Return the quantities in one complete line, which includes its end mark.
+    """Return the quantities in one line, by name such as ``ghi_wm2``; `line` has its end mark.
 
     Raises DeviceError for a line that does not fit the profile in every part.
     """
@@ -262,6 +262,6 @@ def _form(entry: AsciiField) -> str:
 
 
 def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:
-    """Return a sample of the quantities in `values`; the others are None."""
+    """Return a pyranometer sample of `values`, by name such as ``ghi_wm2``; others are None."""
     ghi, dhi, dni = values.get("ghi_wm2"), values.get("dhi_wm2"), values.get("dni_wm2")
     return IrradianceSample(t_utc, ghi, dhi, dni, values.get("temperature_c"), raw=raw)

@@ -46,11 +46,11 @@ _SHORT = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)", re.DOTALL)
 
 
 class NotReady(DeviceError):
-    """The meter changes its range, or has not measured yet: measure again."""
+    """Signal that the meter changes its range, or has not measured yet: measure again."""
 
 
 def bcc(body: bytes) -> bytes:
-    """Return the check digits of the bytes between STX and BCC; ETX is added here."""
+    """Return the two check digits (BCC) of a frame; `body` is without STX and ETX."""
     return b"%02X" % reduce(xor, body + ETX)
 
 
@@ -81,7 +81,7 @@ def _value(six: str) -> float:
 
 
 def parse_answer(reply: bytes) -> IlluminanceReading:
-    """Return the reading of an answer to command 02, which also has the chromaticity.
+    """Return the illuminance reading in the meter's answer to its measuring command (02).
 
     Raises DeviceError for damage and for the meter's own errors, NotReady while it settles.
     """
@@ -146,7 +146,7 @@ class Cl200a:
         )
 
     def read(self) -> IlluminanceReading:
-        """Return one reading.
+        """Measure once and return the illuminance.
 
         Raises DeviceError if the meter does not answer, its answer is damaged or reports an error,
         or the meter does not settle on a range.

@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 
 
 class Clock(Protocol):
-    """Wall time, time since start (with and without sleep), and waiting."""
+    """Protocol of a clock: wall time, seconds with and without the computer's sleep, waiting."""
 
     def now(self) -> datetime:
         """Return wall time, aware UTC; users and time servers may step it."""
@@ -126,7 +126,7 @@ class FastClock:
             self._step_s += seconds
 
     def suspend(self, seconds: float) -> None:
-        """Let the computer sleep: wall and boot time continue, monotonic time does not."""
+        """Simulate sleep of the computer: wall and boot time continue, monotonic time does not."""
         with self._lock:
             self._slept_s += seconds
             self._pass(seconds)

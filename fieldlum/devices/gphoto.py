@@ -40,9 +40,9 @@ def setting_value(text: str) -> float | None:
 
 
 def choose(role: str, asked: float, choices: list[str]) -> str:
-    """Return the camera's own text for a value.
+    """Return the entry of `choices`, as the camera writes it, that is nearest to the value `asked`.
 
-    Raises DeviceError if no choice is within 1/6 EV.
+    role : shutter [s], aperture or iso. Raises DeviceError if no choice is within 1/6 EV.
     """
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
     unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
@@ -111,7 +111,7 @@ class GphotoCamera:
         )
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for a value that is not among the camera's choices."""
+        """Raise DeviceError for a setting that is over 1/6 EV from each of the camera's choices."""
         for role, asked in _roles(exposure):
             if role in self._about["settings"]:
                 choose(role, asked, self._about["settings"][role][1])
@@ -135,7 +135,10 @@ class GphotoCamera:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
-    """Open the camera. Raises DeviceError without the package gphoto2 or without a camera."""
+    """Open the first tethered camera, or the one whose model contains the URI's place.
+
+    Raises DeviceError without the package gphoto2 or without a camera.
+    """
     from importlib.util import find_spec
 
     options = uri.read(delete=integer_option(0, 1))

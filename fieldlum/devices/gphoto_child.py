@@ -46,7 +46,7 @@ class GphotoDescription(TypedDict):
 
 
 def serve(pipe: Connection) -> None:
-    """Answer commands until `close`, or until the parent process ends."""
+    """Answer the parent's commands to the camera through `pipe`, until `close` or its end."""
     import gphoto2 as gp
 
     camera: Any = None

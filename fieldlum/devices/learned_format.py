@@ -24,10 +24,9 @@ _PADDED = re.compile(r"[+-]?0\d")
 
 
 def constant(values: Sequence[Hashable]) -> Hashable | None:
-    """Return the value that nearly all values have.
+    """Return the value that nearly all of `values` have, or None.
 
-    Return None if there is no such value, or for fewer than 20 values. One value may differ, or one
-    in sixty if there are more.
+    One value may differ, or one in sixty if there are more. None for fewer than 20 values.
     """
     if len(values) < ENOUGH:
         return None
@@ -52,13 +51,13 @@ class _Number:
 
 @dataclass(slots=True)
 class LineForm:
-    """The format of the last 60 lines that fit their profile."""
+    """The format of the last 60 lines of a stream, against which each new line is checked."""
 
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))
     numbers: dict[int, _Number] = field(default_factory=dict)
 
     def unlike(self, text: str) -> str:
-        """Return how a line differs from the constant format, or ""; then learn from the line.
+        """Return how a line differs from the format of earlier lines, or ""; learn from the line.
 
         After a permanent format change, two lines are rejected, then the new format is accepted.
         """

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One instrument on the bus."""
+    """One instrument on a Modbus bus: what it measures (ghi, dhi or dni), and its address."""
 
     measures: str  # ghi, dhi or dni
     address: int
@@ -142,7 +142,7 @@ def _integer_text(value: float | None) -> str:
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> ModbusPyranometer:
-    """Open the instruments of a URI.
+    """Open the Modbus pyranometer, or the several of one kind, that a URI names.
 
     Raises DeviceError for unknown options or kinds, a missing port, or an instrument that does not
     answer.

@@ -25,7 +25,7 @@ Registers = Mapping[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Line(SerialLine):
-    """Factory settings of the serial line; unit 0 means that the user must state it."""
+    """Factory settings of a Modbus line, and the unit number (0: the user must state it)."""
 
     baud: int = 19200
     parity: Literal["N", "E", "O"] = "E"
@@ -34,7 +34,7 @@ class Line(SerialLine):
 
 @dataclass(frozen=True, slots=True)
 class RegisterBlock:
-    """Registers that are read by one request, and therefore at one moment."""
+    """A block of Modbus registers that are read by one request, and therefore at one moment."""
 
     start: int
     count: int
@@ -47,7 +47,7 @@ class RegisterBlock:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value of a profile.
+    """One value of a register profile: its name, registers, type and scale.
 
     power10_register : the value is divided by ten to the power of that register (Kipp & Zonen).
     """
@@ -154,7 +154,10 @@ def _needed_registers(entry: Entry) -> set[int]:
 
 
 def raw_value(kind: str, words: Iterable[int]) -> float:
-    """Return one number from its registers, high word first."""
+    """Return the number in `words`, 16-bit registers with the high word first.
+
+    kind : u16, s16, u32, s32, f32 or date.
+    """
     data = b"".join(struct.pack(">H", w) for w in words)
     code = {"u16": ">H", "s16": ">h", "u32": ">I", "s32": ">i", "f32": ">f", "date": ">I"}[kind]
     return float(struct.unpack(code, data)[0])
@@ -178,7 +181,7 @@ def _text(words: Iterable[int]) -> str:
 
 
 def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
-    """Decode the entries whose registers were read.
+    """Return the profile's entries whose registers are in `registers`, decoded.
 
     Raises DeviceError for an irradiance outside -200 to 4000 W/m2.
     """

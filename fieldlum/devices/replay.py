@@ -53,7 +53,7 @@ def _order(t_camera: datetime | None) -> datetime:
 
 
 def fits(found: Exposure, asked: Exposure) -> bool:
-    """Return whether two exposures agree in each setting, and in a filter that is stated."""
+    """Return whether shutter, aperture, ISO and, if `found` states one, the filter agree."""
     return same_exposure(found, asked) and found.nd in ("", asked.nd)
 
 
@@ -72,7 +72,10 @@ class ReplayCamera:
         return CameraInfo("replay", self._make, self._model, frames_left=len(self._left))
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Copy the next frame with this exposure. Raises DeviceError if there is none left."""
+        """Copy the next unused frame with this exposure to `target` plus its suffix.
+
+        Return the file. Raises DeviceError if no such frame is left.
+        """
         for i, (path, info) in enumerate(self._left):
             if fits(info.exposure, exposure):
                 del self._left[i]
@@ -92,7 +95,10 @@ class ReplayCamera:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ReplayCamera:
-    """Open a folder. Raises DeviceError for a missing folder, or one without frames."""
+    """Open the folder in a URI ``replay:FOLDER`` as a camera that returns its frames.
+
+    Raises DeviceError for a missing folder, or one without frames.
+    """
     uri.read()
     folder = Path(uri.place)
     if not uri.place or not folder.is_dir():

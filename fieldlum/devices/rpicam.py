@@ -57,14 +57,14 @@ class FrameMetadata:
     digital_gain: float
 
     def exposure(self, asked: Exposure) -> Exposure:
-        """Return the exposure that was taken; aperture and filter are those requested."""
+        """Return the exposure that the sensor took; aperture and filter are those of `asked`."""
         iso = ISO_OF_GAIN_1 * self.analogue_gain
         is_as_asked = abs(iso / asked.iso - 1.0) <= GAIN_TOLERANCE
         return Exposure(self.shutter_s, asked.f_number, asked.iso if is_as_asked else iso, asked.nd)
 
 
 def parse_metadata(text: str) -> FrameMetadata:
-    """Read the JSON of --metadata. Raises DeviceError for anything else."""
+    """Parse the JSON of rpicam-still about a frame. Raises DeviceError for anything else."""
     try:
         table = json.loads(text)
         values = [float(table[key]) for key in ("ExposureTime", "AnalogueGain")]
@@ -81,7 +81,7 @@ def parse_metadata(text: str) -> FrameMetadata:
 
 
 def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
-    """Return number, sensor and format of each camera in the output of --list-cameras."""
+    """Return sensor and format of each camera, by number, in the output of --list-cameras."""
     return {int(m[1]): (m[2], m[3]) for m in _CAMERA_LINE.finditer(text)}
 
 
@@ -112,7 +112,7 @@ class RpicamCamera:
         return CameraInfo("rpicam", make="Raspberry Pi", model=self._sensor, clock_offset_s=0.0)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one DNG.
+        """Take one raw frame and return its file, `target` plus .dng.
 
         Raises DeviceError if its exposure cannot be merged, and OSError if the disk is full.
         """
@@ -141,7 +141,7 @@ class RpicamCamera:
         return written
 
     def exposure_taken(self, written: Path) -> Exposure | None:
-        """Return the exposure of the newest frame by its metadata."""
+        """Return the true exposure of the newest frame, by its metadata; None for other files."""
         return self._taken.get(written)
 
     def check_offered(self, exposure: Exposure) -> None:
@@ -252,7 +252,11 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
-    """Open the camera; its f-number is that of the plan unless the URI states it."""
+    """Open the Raspberry Pi camera of a URI ``rpicam:NUMBER?f_number=F``.
+
+    Without f_number the aperture is that of the session's plan. Raises DeviceError if there is
+    none, or if the camera is missing.
+    """
     options = uri.read(f_number=number(0.5, 64.0), program=str)
     f_number = options.get("f_number") or _planned_f_number(session)
     return RpicamCamera(uri.place, f_number, program=options.get("program", PROGRAM))

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
-    """Open the instrument of a URI.
+    """Open the serial pyranometer that a URI names: an SPN1, or one that prints lines.
 
-    Raises DeviceError for unknown options, a missing port, or an instrument that does not answer.
+    Raises DeviceError for unknown options or a missing port, and for an SPN1 that does not answer.
     """
     if not uri.place:
         raise DeviceError(

@@ -26,7 +26,7 @@ _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 
 
 def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Return the median of each quantity over lines.
+    """Return the median of each quantity over the values of some lines.
 
     One damaged value out of three is either outside the other two, so that the median omits it, or
     between them, where it does no harm.

@@ -21,7 +21,7 @@ except ImportError:  # Windows
 
 @contextmanager
 def device_errors(port: str) -> Iterator[None]:
-    """Raise DeviceError in place of the three unrelated errors that a serial port raises."""
+    """Turn errors of a serial port inside the block into DeviceError, with the port's name."""
     try:
         yield
     except (OSError, _TermiosError) as error:
@@ -54,7 +54,7 @@ def _cannot_open(port: str, error: DeviceError) -> str:
 
 
 def resolve(place: str) -> str:
-    """Return the device file of a place: itself, or the port of ``usb=VID:PID[:SERIAL]``.
+    """Return the device file of `place`: the place itself, or the port of ``usb=VID:PID[:SERIAL]``.
 
     The name of a USB port changes after a replug; its identity does not. Raises DeviceError if the
     device is not plugged in.
@@ -89,7 +89,7 @@ class SerialLine:
 
 
 class SerialPort:
-    """One exclusive port with fixed settings."""
+    """A serial port with fixed settings that no other program can use while it is open."""
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
         import serial
@@ -116,7 +116,7 @@ class SerialPort:
         return self._port
 
     def drain(self) -> bytes:
-        """Return the bytes already received: a late reply must not be taken for the next one."""
+        """Return the bytes already received, so that a late reply is not taken for the next one."""
         with device_errors(self.name):
             waiting = self._port.in_waiting
             return self._port.read(waiting) if waiting else b""
@@ -140,7 +140,7 @@ class SerialPort:
             return self._port.read_until(end, limit)
 
     def read_quiet(self, quiet_s: float, longest_s: float) -> bytes:
-        """Return all bytes until the line has been silent for `quiet_s`, at most `longest_s`."""
+        """Return the bytes received until the line is silent for `quiet_s`, within `longest_s`."""
         out, deadline = b"", time.monotonic() + longest_s
         last = time.monotonic()
         while (now := time.monotonic()) < deadline and now - last < quiet_s:

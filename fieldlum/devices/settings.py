@@ -18,10 +18,10 @@ def nearest(
     *,
     ev_per_octave: float = 1.0,
 ) -> float:
-    """Return the offered value that is nearest to `asked` in the log domain.
+    """Return the value in `offered` that is nearest to the planned setting `asked`, by ratio.
 
-    ev_per_octave: 2 for f-numbers, 1 for shutter times and ISO. Raises DeviceError if the value is
-    more than 1/6 EV away, or if nothing is offered.
+    what, unit : for the error. ev_per_octave: 2 for f-numbers, 1 for shutter times and ISO. Raises
+    DeviceError if the value is more than 1/6 EV away, or if nothing is offered.
     """
     choices = [value for value in offered if value > 0]
     if not (asked > 0 and choices):

@@ -65,14 +65,14 @@ def parse_reading(reply: bytes) -> Spn1Reading:
 
 
 def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
-    """Return the larger of two differences: that of the totals and that of the diffuse [W/m2]."""
+    """Return the larger difference of two readings, in total or in diffuse irradiance [W/m2]."""
     return max(abs(x - y) for x, y in zip(_both(a), _both(b), strict=True))
 
 
 def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
-    """Return whether three answers are evenly spaced, as in light that rises or falls steadily.
+    """Return whether the middle of three readings is half way between the others, to 25 W/m2.
 
-    The middle answer must be half way between the others.
+    This is so in light that rises or falls steadily. The outer two may differ by 200 W/m2.
     """
     triples = zip(_both(a), _both(b), _both(c), strict=True)
     return apart_wm2(a, c) <= STEEPEST_WM2 and all(

@@ -126,7 +126,7 @@ class ThetaCamera:
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take all frames with one command, in the given order.
+        """Take a bracket with one command, in the order of `exposures`; return the files written.
 
         Raises DeviceError; frames that were already fetched stay on the disk.
         """
@@ -172,7 +172,7 @@ class ThetaCamera:
         return chosen
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for a value that is over 1/6 EV from every step of the camera."""
+        """Raise DeviceError for a setting that is over 1/6 EV from every step of the camera."""
         self._chosen(exposure)
 
     def _fetch(self, url: str, target: Path) -> Path:
@@ -285,7 +285,7 @@ def _numbers(values: object) -> list[float]:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
-    """Open the camera. Raises DeviceError for unknown options, or if no Theta answers."""
+    """Open the Theta at the URI's address. Raises DeviceError for unknown options or no answer."""
     options = uri.read(delete=integer_option(0, 1))
     address = uri.place or ADDRESS
     if urlsplit(address).scheme != "http" or not urlsplit(address).hostname:

@@ -252,7 +252,7 @@ def _sample(
 
 
 def number_of(text: str, quantity: str) -> float | None:
-    """Return a logger's number, or None for NAN.
+    """Return a logger's number; None for NAN and INF.
 
     Raises ValueError for a text that is not a number, and for an irradiance outside -200 to 4000
     W/m2.

@@ -24,7 +24,7 @@ class DeviceUri:
     options: dict[str, str] = field(default_factory=dict)
 
     def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
-        """Return the options, each converted by its reader.
+        """Return the URI's options, each converted by the reader of its name in `known`.
 
         Raises DeviceError, naming the option, for an unknown option or a bad value.
         """
@@ -65,7 +65,7 @@ def parse_uri(text: str) -> DeviceUri:
 
 
 def one_of(*choices: str) -> Callable[[str], str]:
-    """Return a reader that accepts one of `choices`."""
+    """Return a function that returns a text in `choices`, and raises ValueError for others."""
 
     def reader(value: str) -> str:
         if value not in choices:
@@ -76,12 +76,12 @@ def one_of(*choices: str) -> Callable[[str], str]:
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Return a reader of a number within limits."""
+    """Return a function that converts a text to a number; ValueError outside `low` to `high`."""
     return _within(float, f"a number from {low:g} to {high:g}", low, high)
 
 
 def integer_option(low: int, high: int) -> Callable[[str], int]:
-    """Return a reader of an integer within limits."""
+    """Return a function that converts a text to an integer; ValueError outside `low` to `high`."""
     return _within(int, f"an integer from {low} to {high}", low, high)
 
 

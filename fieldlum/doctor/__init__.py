@@ -36,7 +36,7 @@ def run(
     *,
     meter_uri: str = "",
 ) -> list[Finding]:
-    """Run all checks; a check that raises an error becomes a failed finding."""
+    """Run all checks and return their findings; a check that raises an error is a failure."""
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
         ("profile", lambda: check_profile(session, now_utc.date())),
@@ -70,5 +70,5 @@ def exit_code(findings: Sequence[Finding]) -> int:
 
 
 def as_table(findings: Sequence[Finding]) -> JsonTable:
-    """Return the findings for --json."""
+    """Return the object that `doctor --json` prints about the findings."""
     return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}

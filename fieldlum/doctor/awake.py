@@ -77,6 +77,6 @@ def has_lid() -> bool:
 
 
 def lock_to_be_had() -> str:
-    """Return the locks that `capture` can get while it runs."""
+    """Take the locks against sleep that `capture` takes, release them, and return their names."""
     with kept_awake() as what:
         return what

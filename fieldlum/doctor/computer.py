@@ -42,7 +42,7 @@ def kernel_clock() -> bool | None:
 
 
 def check_clock(synchronised: bool | None) -> Finding:
-    """Return the finding about this computer's clock."""
+    """Return a finding on this computer's clock: a warning unless it is synchronised."""
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     if synchronised is None:
         text = (
@@ -60,7 +60,7 @@ def check_clock(synchronised: bool | None) -> Finding:
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Check that the disk has space for the frames of all future slots, with a margin."""
+    """Return whether the disk has space for the frames of all future slots, with a 30 % margin."""
     ahead = owed_slots(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
@@ -91,7 +91,10 @@ def _largest_bracket_bytes(session: Session) -> int:
 
 
 def check_writing(folder: Path) -> list[Finding]:
-    """Check that a file can be written, flushed to the disk, renamed and read back."""
+    """Write 1 MB into the folder, flush, rename and read it back; return findings on this.
+
+    A slow disk, or a folder that a cloud service synchronises, is a warning.
+    """
     path = folder / f".doctor.{os.getpid()}.tmp"
     payload = os.urandom(1 << 20)
     start = time.perf_counter()
@@ -123,10 +126,10 @@ def check_writing(folder: Path) -> list[Finding]:
 
 
 def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
-    """Check that something keeps this computer awake: a lock, or `own`, the lock of `capture`.
+    """Return a finding on whether something keeps this computer awake.
 
-    By logind's default a closed lid overrides a lock on sleep; only a lock on handle-lid-switch
-    prevents this.
+    locks: of all programs; own: the lock that `capture` can get. By logind's default a closed lid
+    overrides a lock on sleep; only a lock on handle-lid-switch prevents this.
     """
     how = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",

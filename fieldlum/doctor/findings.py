@@ -19,7 +19,7 @@ CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Zo
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of one check.
+    """The result of one check of `doctor`: its subject, ok, warn or fail, and a sentence.
 
     exit_code counts if the check failed: 4 for devices and this computer, 3 for files.
     """
@@ -31,13 +31,13 @@ class Finding:
 
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
-    """Return the slots that can still be captured."""
+    """Return the planned slots that can still be captured at `now_utc`."""
     grace, open_slots = session.grace, owed(session.slots(), read_ledger(session))
     return [slot for slot in open_slots if slot.t_utc + grace >= now_utc]
 
 
 def iso_date(text: str) -> date | None:
-    """Return an ISO date; None for an empty text. Raises InputError for any other text."""
+    """Parse an ISO date; None for an empty text. Raises InputError for any other text."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:

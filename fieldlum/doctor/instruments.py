@@ -50,7 +50,10 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
 
 
 def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
-    """Return a finding if the camera cannot set some planned exposures."""
+    """Return a failed finding if the camera cannot be set to some planned exposures.
+
+    refused: a sentence on each of these; planned: number of planned exposures.
+    """
     if not refused:
         return []
     shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
@@ -62,7 +65,7 @@ def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
 
 
 def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
-    """Return a warning if the camera is not the one of the profile.
+    """Return a warning if the camera's model is not that of the profile, else an empty list.
 
     Frames of another camera cannot be merged, and the planned exposures may be impossible.
     """
@@ -82,7 +85,7 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
 
 
 def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
-    """Return the number of frames in some slots, over all headings."""
+    """Return the number of frames that the slots need, over all headings of a turned head."""
     return sum(len(slot.exposures) for slot in slots) * max(len(setup.camera.headings), 1)
 
 
@@ -134,7 +137,7 @@ def check_pyranometer(session: Session, uri: str) -> list[Finding]:
 
 
 def check_meter(uri: str) -> list[Finding]:
-    """Check that the illuminance meter next to the lens answers, if one is stated."""
+    """Check that the illuminance meter next to the lens answers; nothing for an empty URI."""
     if not uri:
         return []
     meter = open_meter(uri, clock=RealClock())

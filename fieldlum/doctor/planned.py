@@ -14,7 +14,7 @@ from fieldlum.session import Session, sha256
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
-    """Check that plan.csv is the planned file, and that some slots are in the future."""
+    """Check that plan.csv is unchanged since it was planned, and that slots are in the future."""
     about = session.table().get("plan", {})
     slots, ahead = session.slots(), owed_slots(session, now_utc)
     findings = []
@@ -75,7 +75,7 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Fin
 
 
 def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
-    """Report clock changes ahead, and in how many slots the sun is in view of the lens."""
+    """Report coming changes to or from daylight saving time, and slots with the sun in view."""
     ahead, site = owed_slots(session, now_utc), session.site_file().site
     if not ahead:
         return []

@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 class LensSampling:
     """How one lens maps a panorama onto the sensor.
 
-    pixels [n] : flat indices of its pixels; relative_angle [n] : their angle from the axis over
-    half of the full angle; weights [n, H * W] : share of each panorama pixel in each sensor pixel,
-    rows sum to 1.
+    pixels [n] : flat indices of the lens's sensor pixels; relative_angle [n] : their angle from the
+    axis over half of the full angle; weights [n, H * W] : share of each panorama pixel in each
+    sensor pixel, rows sum to 1.
     """
 
     geometry: LensGeometry

@@ -62,7 +62,7 @@ def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> ND
 
 
 class RawSensor:
-    """A Bayer sensor that a profile describes, for one size of picture."""
+    """A simulated Bayer sensor with the properties of a camera profile."""
 
     def __init__(self, profile: CameraProfile) -> None:
         sensor, body = profile.sensor, profile.camera
@@ -79,9 +79,9 @@ class RawSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint16]:
-        """Return raw counts [h, w] of camera channels on the mosaic, which include vignetting.
+        """Return the raw counts [h, w] of one frame, with shot noise and read noise.
 
-        Shot noise and read noise are added before rounding.
+        mosaic_cdm2 [h, w] : its light after vignetting; true_s : the true shutter time.
         """
         sensor, k = self._profile.sensor, self._profile.scale.k
         gain = gain_e_per_dn(exposure.iso, self._profile)
@@ -102,7 +102,7 @@ class RawSensor:
 
 
 class JpegSensor:
-    """A camera that writes 8-bit codes through a response curve."""
+    """A simulated camera that writes 8-bit codes through the response of a profile."""
 
     def __init__(self, profile: CameraProfile) -> None:
         self._profile = profile
@@ -115,7 +115,10 @@ class JpegSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
-        """Return the codes [h, w, 3] of camera channels [h, w, 3], which include vignetting."""
+        """Return the 8-bit codes [h, w, 3] of one frame, with noise.
+
+        image_cdm2 [h, w, 3] : camera channels after vignetting; true_s : the true shutter time.
+        """
         sensor, k = self._profile.sensor, self._profile.scale.k
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
         full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso

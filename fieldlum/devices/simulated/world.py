@@ -44,7 +44,7 @@ class World(Protocol):
 
 
 class TruthWorld:
-    """The rendered truth of a simulated session."""
+    """A `World` from a session's truth/ folder: rendered panoramas and simulated irradiance."""
 
     def __init__(self, folder: Path) -> None:
         self._panoramas = {
