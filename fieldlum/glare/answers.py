@@ -72,7 +72,7 @@ class GlareAnswer(TypedDict):
 
 
 def verdict(dgp: float) -> str:
-    """Return the grade of a DGP, one of Wienold's four words."""
+    """Return the grade of a DGP: imperceptible, perceptible, disturbing or intolerable."""
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
@@ -84,7 +84,7 @@ def answer_of(
     sun: SunSource | None,
     covered_share: float,
 ) -> GlareAnswer:
-    """Return the answer for one picture, a panorama or a fisheye, from the figures of its views."""
+    """Return the object that `glare --json` prints for a picture, from the figures of its views."""
     panorama = picture.panorama
     known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
     return {
@@ -108,7 +108,7 @@ def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
 
 
 def seen_pixels(panorama: Panorama) -> np.ndarray | None:
-    """Return the pixels that a lens saw, [H, W], or None if all were seen."""
+    """Return a mask [H, W] of the pixels that a lens saw; None if all were seen."""
     if panorama.flags is None:
         return None
     outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
@@ -116,9 +116,9 @@ def seen_pixels(panorama: Panorama) -> np.ndarray | None:
 
 
 def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Return the luminance with unseen and negative pixels set to 0 [H, W], and warnings.
+    """Return the luminance [H, W] with unseen and negative pixels set to 0, and warnings.
 
-    Negative pixels are noise. Raises InputError for pixels that are not finite.
+    Negative pixels are noise. Raises InputError for seen pixels that are not finite.
     """
     pixels = np.array(panorama.luminance_cdm2, np.float32)
     seen = seen_pixels(panorama)
@@ -138,7 +138,7 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
 
 
 def picture_warnings(picture: Picture) -> list[str]:
-    """Return the warnings about the file: notes of the reader, unknown direction, clipping."""
+    """Return warnings on a picture as read: the reader's, no view direction, no light, clipping."""
     warnings = list(picture.notes)
     if not picture.directed:
         warnings.append(

@@ -68,12 +68,12 @@ def contrast_levels(image: Float) -> NDArray[np.float64]:
 
 
 def rammg(luminance_cdm2: Float) -> float:
-    """Return RAMMG of a map [H, W] in cd/m2, as in the paper; a sun disc dominates it."""
+    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2, as in the paper; a sun disc dominates it."""
     return float(contrast_levels(luminance_cdm2).mean())
 
 
 def rammg_lightness(luminance_cdm2: Float) -> float:
-    """Return RAMMG of CIELAB L*, [H, W] map in cd/m2.
+    """Return RAMMG of the CIELAB L* of a map [H, W] in cd/m2.
 
     White is `WHITE_OVER_MEAN` times the map's mean luminance, which is weighted by solid angle.
     """
@@ -99,7 +99,7 @@ def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
 
 
 class ViewRegions:
-    """The pixels of task, band and bright window for d view directions, used for all hours."""
+    """Solid angles of the pixels in task cone, 40-degree band and front half, for d directions."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class ViewRegions:
         self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
 
     def ratios(self, luminance_cdm2: Float) -> dict[str, NDArray[np.float64]]:
-        """Return the figures of n maps [n, H, W], [n, d] each.
+        """Return three figures of n maps [n, H, W] in cd/m2 by name, [n, d] each.
 
         task_cdm2 : mean of a 15-degree cone 30 degrees below the line of sight. window_to_task :
         mean of the pixels in view brighter than `WINDOW_CDM2`, over task_cdm2; NaN without such

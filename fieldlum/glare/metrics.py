@@ -57,9 +57,9 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 
 
 def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
-    """Return 10 log10 of the sum over sources, [...] (Hopkinson 1972, with P for windows).
+    """Return the daylight glare index, 10 log10 of `source_sum`, [...]; NaN without a source.
 
-    It is NaN without a source.
+    source_sum : Hopkinson's terms, summed over sources (Hopkinson 1972, with P for windows).
     """
     total = np.asarray(source_sum, float)
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
@@ -129,10 +129,10 @@ def glare_directions(
 def sun_per_lx(
     sun_direction: Float, views: Views
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return Ev and contrast due to a disc of 1 lx, [n, d] each.
+    """Return what a sun disc of 1 lx (normal) adds to Ev and to the contrast of DGP, [n, d] each.
 
     A disc of E lx adds E times the first to Ev, and E squared times the second to the contrast; see
-    `glare_directions`.
+    `glare_directions`. sun_direction : [n, 3] unit vectors.
     """
     right, up, cosine = _sun_angles(np.asarray(sun_direction, float), views)
     ahead = cosine > 0
@@ -189,10 +189,10 @@ def sums_of_sources(
     source_ev_lx: Float,
     ev: Float,
 ) -> NDArray[np.float64]:
-    """Return sums over s sources in d views, [4, d].
+    """Return four sums over the s glare sources in each of d views, [4, d].
 
     Rows: L2 omega / P2; illuminance; DGI's terms; E / angle^2 [lx/deg2]. Arguments are [s, d],
-    except ev, [d], of the complete view, lx.
+    except ev, [d], the vertical illuminance of the complete view, lx.
     """
     index = position_index(right_rad, up_rad)
     background = np.maximum(ev - source_ev_lx.sum(axis=0), 0.0) / np.pi
@@ -220,7 +220,7 @@ def _dgi_terms(mean: Float, omega: Float, index: Float, background: Float) -> Fl
 def combine(
     map_ev: Float, sun_ev: Float, sums: Float, sun_cdm2: Float, sun_right: Float, sun_up: Float
 ) -> dict[str, NDArray[np.float64]]:
-    """Add the sun to the other sources and return all figures, [n, d] each.
+    """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
 
     sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d].
     """

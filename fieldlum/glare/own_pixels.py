@@ -104,7 +104,7 @@ def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float
 
 
 def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
-    """Return the luminance to add so that the disc's pixels have the sun's energy, [H, W]."""
+    """Return the luminance [H, W] to add so that the pixels of the sun's disc have its energy."""
     from fieldlum.glare.fisheye import SUN_RADIUS_RAD
 
     height, width = grid.solid_angle.shape
@@ -125,7 +125,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
 
 
 def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
-    """Group the pixels of [H, W] above 2000 cd/m2 (see `sources`) and sum each source."""
+    """Group the pixels [H, W] above 2000 cd/m2 to glare sources, as module `sources` does."""
     label = np.zeros(luminance_cdm2.shape, np.int32)
     row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
     if len(row) == 0:

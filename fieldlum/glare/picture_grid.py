@@ -42,10 +42,9 @@ class PictureGrid:
 
 
 def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
-    """Return, for each pixel of a picture, what sums over it need; 10 bytes a pixel.
+    """Return the solid angle, the cosine weight and the regions of each pixel of a picture.
 
-    These are the solid angle, the solid angle times the cosine to the view, and two masks of
-    regions.
+    It needs 10 bytes a pixel.
     """
     solid_angle = np.zeros((height, width), np.float32)
     illuminance = np.zeros((height, width), np.float32)
@@ -65,7 +64,7 @@ def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
 
 
 def row_blocks(height: int, width: int) -> Iterator[slice]:
-    """Yield slices of rows for work in blocks."""
+    """Yield slices of rows, from the top, that divide a picture into blocks of limited size."""
     step = max(1, _BLOCK_PIXELS // width)
     for first in range(0, height, step):
         yield slice(first, min(first + step, height))
@@ -74,7 +73,7 @@ def row_blocks(height: int, width: int) -> Iterator[slice]:
 def centres(
     rows: slice, height: int, width: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return y [k, 1] and x [1, W] of pixel centres, -1/2 to 1/2, y upwards."""
+    """Return the centres of pixels in some rows: y [k, 1] and x [1, W], -1/2 to 1/2, y upwards."""
     y = 0.5 - (np.arange(rows.start, rows.stop) + 0.5) / height
     x = (np.arange(width) + 0.5) / width - 0.5
     return y[:, None], x[None, :]

@@ -66,7 +66,10 @@ def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> Referen
 
 
 def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
-    """Return evalglare's figures for a picture on disk that has a VIEW; flags must include -d."""
+    """Return evalglare's figures for a picture on disk that has a VIEW; flags must include -d.
+
+    Raises FieldlumError if evalglare prints no figures.
+    """
     done = subprocess.run(
         [radiance_program("evalglare"), *flags, str(path)],
         capture_output=True,

@@ -47,10 +47,12 @@ def picture_glare(
     view_options: str = "",
     measured_ev_lx: float | None = None,
 ) -> GlareAnswer:
-    """Return the figures of each view, the contrast of a panorama, and warnings.
+    """Return the object that `glare --json` prints for a .hdr or .exr picture.
 
-    view_options : replace the view that the file states. measured_ev_lx : scale the picture so that
-    its first view has this vertical illuminance. Raises InputError for an unusable picture.
+    azimuths_deg : view directions; empty: ten around a panorama, a fisheye's own. reference : add
+    evalglare's figures. view_options : replace the view that the file states. measured_ev_lx :
+    scale the picture so that its first view has this vertical illuminance. Raises InputError for an
+    unusable picture.
     """
     picture = read_picture(path, view_options)
     judge = _panorama_answer if picture.view is None else single_picture_glare
@@ -158,7 +160,7 @@ def _unseen_text(seen: np.ndarray) -> str:
 def take_out_sun(
     luminance_cdm2: Float, heading_deg: float, recorded: SunSource | None
 ) -> tuple[Float, SunSource | None]:
-    """Return a map without a sun disc in its pixels, and the disc as a source.
+    """Return the map without a sun disc in its pixels, and the sun as a source or None.
 
     Renderings can have the disc in their pixels. If the picture records a sun separately, that sun
     is returned and the map is unchanged. luminance_cdm2 : [H, W = 2H], cd/m2.

@@ -35,9 +35,10 @@ SHOWN_SOURCES = 20
 def single_picture_glare(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
 ) -> GlareAnswer:
-    """Judge a picture in its own view direction, with its luminance times `factor`.
+    """Return the `glare` answer of a fisheye in its own view direction.
 
-    Raises InputError for other directions, and for pixels that are not finite.
+    factor : multiplies its luminance; reference : add evalglare's figures. Raises InputError for
+    another azimuth in azimuths_deg, and for pixels that are not finite.
     """
     view = picture.view
     assert view is not None

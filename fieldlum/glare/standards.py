@@ -151,7 +151,7 @@ def protection(
     rng: np.random.Generator,
     doubt: GlareDoubt | None = None,
 ) -> Protection:
-    """Return the classes of d directions.
+    """Return the EN 17037 glare protection of d directions, with 95 % intervals.
 
     dgp, u_dgp : [n, d] of the lit occupied hours, with the model's own standard uncertainty. The
     interval comes from `DRAWS` years with normal errors around the model's DGP; `COMMON_ERROR` of
@@ -211,8 +211,9 @@ def hours_to_capture(
 ) -> NDArray[np.float64]:
     """Return how much each hour's uncertainty keeps classes of directions undecided, [n].
 
-    Capture the hours with the largest values. For each undecided direction the value is the
-    variance of "this hour is above the limit", p (1 - p) with normal p.
+    dgp, u_dgp : [n, d]; undecided : mask [d]; limits : DGP limit of each direction, [d]. For each
+    undecided direction the value is the variance of "this hour is above the limit", p (1 - p) with
+    normal p. Capture the hours with the largest values.
     """
     from scipy.special import ndtr
 
@@ -223,6 +224,6 @@ def hours_to_capture(
 
 
 def nearest_limits(protection: Protection) -> NDArray[np.float64]:
-    """Return the class limit (DGP) nearest to the DGP that each direction exceeds in 5 %, [d]."""
+    """Return for each direction the class limit nearest to its dgp_exceeded, [d]."""
     limits = np.array([limit for _, limit in CLASSES])
     return limits[np.abs(limits[None, :] - protection.dgp_exceeded[:, None]).argmin(axis=1)]

@@ -45,12 +45,12 @@ class ViewCoverage:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Mask [d] of the directions that have figures."""
+        """Mask [d] of the directions that are seen at least partly and therefore have figures."""
         return np.array([word != NOT_SEEN for word in self.words])
 
     @property
     def partly(self) -> NDArray[np.bool_]:
-        """Mask [d] of the directions that only have bounds."""
+        """Mask [d] of the partly seen directions, which only have bounds."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 

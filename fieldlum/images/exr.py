@@ -33,10 +33,10 @@ NO_UNIT = "the EXR states no whiteLuminance: its values count as cd/m2"
 
 
 def calibration_mark(profile: CameraProfile) -> dict[str, str]:
-    """Return the attributes that identify the camera and the calibration of a merged picture.
+    """Return the attributes that a merged picture stores about its calibration.
 
-    The scale factor k is an attribute of its own: a new k is the old one times the ratio to the
-    meters. Without the old k the same readings would be applied to k twice.
+    These are the camera's name, the scale factor k, and a digest of the rest of the profile.
+    `calibrate scale` needs the old k: it multiplies k by the ratio of the meters to the picture.
     """
     p = profile
     parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])

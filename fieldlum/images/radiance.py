@@ -69,7 +69,7 @@ class RadianceImage:
 
 
 def read_radiance_hdr(path: Path) -> RadianceImage:
-    """Read a Radiance picture with its colours. Raises InputError for anything else."""
+    """Read a Radiance picture with its colours. Raises InputError for any other file."""
     with _open(path) as file:
         header = read_header(file, path)
         pixels = np.empty((*header.resolution.counts, 3), np.float32)
@@ -105,7 +105,7 @@ def read_radiance_luminance(path: Path) -> tuple[NDArray[np.float32], RadianceHe
 
 
 def read_radiance_header(path: Path) -> RadianceHeader:
-    """Read the header only. Raises InputError for a file that is no Radiance picture."""
+    """Read the header of a Radiance picture only. Raises InputError for any other file."""
     with _open(path) as file:
         return read_header(file, path)
 
@@ -193,7 +193,7 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
 
 
 def encode_rgbe(rgb: Float) -> NDArray[np.uint8]:
-    """Return pixels with a shared exponent (RGBE): [..., 3] becomes [..., 4].
+    """Encode RGB with a shared exponent (RGBE): floats [..., 3] become bytes [..., 4].
 
     Mantissas are truncated, because Radiance decodes (mantissa + .5) / 256.
     """
@@ -216,10 +216,10 @@ def write_radiance_hdr(
     heading_deg: float | None = None,
     header: tuple[str, ...] = (),
 ) -> None:
-    """Write cd/m2 [H, W] or radiance RGB [H, W, 3] as flat RGBE with one EXPOSURE and one VIEW.
+    """Write cd/m2 [H, W] or radiance RGB [H, W, 3] in W/sr/m2 as a Radiance picture (flat RGBE).
 
     view : view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
-    instead.
+    instead; header : further lines.
     """
     values = np.asarray(pixels)
     height, width = values.shape[:2]

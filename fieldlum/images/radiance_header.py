@@ -41,7 +41,7 @@ _CONVERT = {
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """Scanlines and pixels in file order: `axes`, such as ("-Y", "+X"), and `counts` of each."""
+    """The order of scanlines and pixels in a Radiance file: `axes`, and `counts` along each."""
 
     axes: tuple[str, str]
     counts: tuple[int, int]
@@ -53,7 +53,7 @@ class Resolution:
         return (first, second) if self.axes[0][1] == "Y" else (second, first)
 
     def upright(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return pixels [first, second, ...] as rows from the top and columns from the left."""
+        """Return pixels in file order [first, second, ...] as an upright picture [H, W, ...]."""
         axes = self.axes
         if axes[0][1] == "X":
             pixels = pixels.swapaxes(0, 1)
@@ -86,7 +86,7 @@ class RadianceHeader:
 
     @property
     def view(self) -> str:
-        """The picture's view, or the only view that it inherited, or ""."""
+        """Radiance's view options of the picture, else those its input pictures agree on, or ""."""
         if self.views:
             return " ".join(self.views)
         return self.inherited_views[0] if len(set(self.inherited_views)) == 1 else ""
@@ -98,7 +98,7 @@ class RadianceHeader:
 
     @property
     def cdm2_per_unit(self) -> NDArray[np.float64]:
-        """Luminance of one unit of each decoded channel, [3], in cd/m2.
+        """Luminance in cd/m2 of one unit of each decoded channel, [3], with exposure undone.
 
         XYZE has Y in cd/m2, because ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
         """

@@ -41,9 +41,9 @@ _RECIPE = 7  # Increase it when the arithmetic changes: clean.csv is then comput
 
 
 def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
-    """Return true sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2.
+    """Return the sun's true altitude [n] deg and the extraterrestrial normal irradiance [n] W/m2.
 
-    Both are interpolated between full minutes.
+    t_unix_s : [n]. Both are interpolated between full minutes.
     """
     minute = np.floor(t_unix_s / 60.0)
     grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
@@ -53,9 +53,10 @@ def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
 
 
 def check(series: Series, altitude: Array, top: Array) -> Series:
-    """Mark impossible values, and compute the third of GHI, DHI and DNI if two are measured.
+    """Return the series with impossible values marked, and the third component computed.
 
-    altitude [n, deg], top [n, W/m2]: from `sky_geometry`.
+    If two of GHI, DHI and DNI are measured, the third follows by closure. Unusable values become
+    NaN. altitude [n, deg], top [n, W/m2]: from `sky_geometry`.
     """
     marks = series.marks.copy()
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
@@ -111,7 +112,7 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
 
 
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
-    """Return a mask [n] of rows that deviate from both neighbours, to one side, far beyond usual.
+    """Return a mask [n] of single rows that are far above or far below both neighbours.
 
     The usual step is the ninth largest of the other steps within 120 rows on each side. Where the
     light changes often, as under broken clouds, no row is a spike (bench/damaged_series.py). Rows
@@ -150,10 +151,10 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
 
 
 def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
-    """Return means by UTC minute: centres [m] (unix s), means [m], each row's index of these [n].
+    """Return means of `value` over UTC minutes: centres [m] (unix s), means [m], indices [n].
 
-    In a gap of more than half an hour one minute without a value is inserted, so that adjacent
-    minutes of the result are also adjacent in time.
+    The indices give each row's minute. In a gap of more than half an hour one minute without a
+    value is inserted, so that adjacent minutes of the result are also adjacent in time.
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
@@ -172,9 +173,10 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
 
 
 def derive(series: Series, altitude: Array, site: Site) -> Series:
-    """Return DNI and DHI derived from global irradiance by DIRINT on minute means.
+    """Fill in DNI and DHI by DIRINT in rows with global irradiance alone; return the series.
 
-    The rows of a minute share its result in proportion. altitude: of the sun, [n] deg.
+    DIRINT runs on minute means; the rows of a minute share its result in proportion. altitude: of
+    the sun, [n] deg.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
@@ -210,7 +212,7 @@ def _without_neighbours(value: Float) -> NDArray[np.bool_]:
 
 
 def mark_text(marks: int) -> str:
-    """Return marks as text, such as ``low-sun gap``; "" for a row without a mark."""
+    """Return the names of a row's marks, such as ``low-sun gap``; "" without a mark."""
     shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
     return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
 

@@ -66,9 +66,9 @@ _LEAST_SCATTER = 0.001
 
 
 def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the mean and the number of finite rows in a window around each row [n].
+    """Return the mean of the finite values in a window around each row, and their number, [n] each.
 
-    The mean is NaN without a finite row.
+    The mean is NaN without a finite value.
     """
     good = np.isfinite(value)
     total = np.r_[0.0, np.cumsum(np.where(good, value, 0.0))]
@@ -83,10 +83,7 @@ def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, 
 
 
 def lasting(t_unix_s: Array, marked: Rows, window_s: float) -> Rows:
-    """Return a mask [n] of marked rows with mostly marked neighbours.
-
-    In the window around such a row at least half of the rows are marked.
-    """
+    """Return a mask [n] of the marked rows in whose window at least half of the rows are marked."""
     share, _ = window_mean(t_unix_s, marked.astype(float), window_s)
     return marked & (share >= 0.5)
 
@@ -120,12 +117,11 @@ def k_index_fails(
     top: Array,
     altitude_m: float = 0.0,
 ) -> Rows:
-    """Return a mask [n] of rows with an impossible k-index for long.
+    """Return a mask [n] of rows with impossible k-indices for at least half of 15 minutes.
 
-    The k-indices are clearness, diffuse share and beam transmittance.
-
-    top: irradiance above the atmosphere on a plane normal to the sun [n] W/m2. The test cannot
-    decide which of two contradicting components is wrong.
+    The k-indices are clearness, diffuse share and beam transmittance. top: irradiance above the
+    atmosphere on a plane normal to the sun [n] W/m2. The test cannot decide which of two
+    contradicting components is wrong.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
@@ -144,7 +140,7 @@ def tracker_off(
 ) -> Rows:
     """Return a mask [n] of rows with a clear sky's global but almost no direct for half an hour.
 
-    The tracker points elsewhere, or the pyrheliometer is covered.
+    The tracker points elsewhere, or the pyrheliometer is covered. clear: of a clear sky, [n].
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         near = np.abs(clear.ghi_wm2 - ghi) / (clear.ghi_wm2 + ghi) < _TRACKER_GHI
@@ -157,10 +153,10 @@ def tracker_off(
 def shaded_horizon(
     t_unix_s: Array, dni: Array, altitude: Array, azimuth: Array, clear_dni: Array
 ) -> Rows:
-    """Return a mask [n] of rows in parts of the low sky where the sun is always hidden.
+    """Return a mask [n] of rows in sectors of the low sky where the sun is always hidden.
 
-    A part is 4 x 1 degrees, below 20 degrees of altitude. The sun must be hidden there on at least
-    four days on which it is free shortly before or after.
+    A sector is 4 x 1 degrees, below 20 degrees of altitude. The sun must be hidden there on at
+    least four days on which it is free shortly before or after. clear_dni: of a clear sky, [n].
     """
     out = np.zeros(len(t_unix_s), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -289,7 +285,7 @@ def _smallest(
 
 
 def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[np.int64]:
-    """Return marks [n] of rows that contradict a clear sky or their own k-indices.
+    """Return marks [n] of rows with impossible k-indices, a lost tracker or a shaded horizon.
 
     No value is deleted. altitude, top [n]: from `sky_geometry`.
     """

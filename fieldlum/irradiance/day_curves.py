@@ -25,7 +25,10 @@ _CURVES = (("ghi", AMBER), ("dni", BLUE), ("dhi", GREEN))
 
 
 def draw_days(session: Session, *, force: bool = False) -> Path | None:
-    """Write irradiance/days.png from clean.csv unless it is newer; None without a row."""
+    """Draw irradiance/days.png unless it is newer than clean.csv; return its path.
+
+    Return None if clean.csv has no row.
+    """
     path, source = session.irradiance / "days.png", session.clean_irradiance
     if not force and path.is_file() and path.stat().st_mtime >= source.stat().st_mtime:
         return path
@@ -59,9 +62,9 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
 
 
 def chosen_days(days: NDArray[np.int64], captured: set[int]) -> list[int]:
-    """Return at most `MOST_DAYS` of the days [n], in order of time.
+    """Return the days to draw, at most `MOST_DAYS`, in order of time.
 
-    Days with captures are preferred.
+    Days with captures are preferred; days and captured are day numbers.
     """
     wanted = sorted(map(int, days), key=lambda day: (day not in captured, day))
     return sorted(wanted[:MOST_DAYS])

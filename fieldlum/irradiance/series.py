@@ -16,7 +16,7 @@ _BLOCK = 64  # rows over which the usual time between rows is computed; not meas
 
 
 class Mark(IntFlag):
-    """Possible faults of a row. IMPOSSIBLE and STATUS set its values to NaN."""
+    """Possible faults of a row. Rows with a bit of `UNUSABLE` get NaN values."""
 
     IMPOSSIBLE = 1  # outside BSRN's physically possible limits
     EXTREME = 2  # outside BSRN's extremely rare limits
@@ -42,7 +42,7 @@ UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Arrays [n] in order of time [W/m2]; NaN where a component is unknown."""
+    """Irradiance rows as arrays [n] in order of time, in W/m2 (NaN: unknown), with marks."""
 
     t_unix_s: Array
     ghi_wm2: Array
@@ -55,7 +55,7 @@ class Series:
 
 
 def poll_period_s(t_unix_s: Array) -> float:
-    """Return the usual time between two rows of [n] [s]."""
+    """Return the median time between two rows [s]; t_unix_s : [n]."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
 
 
@@ -73,7 +73,7 @@ def local_period_s(t_unix_s: Array) -> Array:
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Return samples as arrays in order of time; of several samples of one time, the first.
+    """Return samples as arrays in order of time; of samples with one time, only the first.
 
     STATUS, DISORDER and DOUBLE are marked.
     """

@@ -20,7 +20,7 @@ MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; no
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """State of the instrument and its logger.
+    """What health.json reports about an instrument and its logger.
 
     marks: number of rows with each mark. Other fields are explained at their definitions.
     """
@@ -47,7 +47,7 @@ class Health:
 def health(
     raw: Series, clean: Series, altitude: Array, top: Array, broken: int, site: Site
 ) -> Health:
-    """Return the state of an instrument from its rows.
+    """Return figures and warnings about an instrument and its logger, from its rows.
 
     raw, clean: the same rows before and after the checks. altitude, top [n]: from `sky_geometry`.
     broken: number of damaged lines.

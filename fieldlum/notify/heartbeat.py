@@ -65,7 +65,7 @@ class Heartbeat:
         self._thread.start()
 
     def beat(self) -> None:
-        """Let the address be fetched soon; return at once."""
+        """Request that the thread fetches the address now; return at once."""
         self._due.set()
 
     def close(self) -> None:

@@ -22,7 +22,7 @@ PATIENCE_AT_END_S = 10.0  # seconds; not measured, because the user waits for th
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message to a user; `picture` is attached if the file exists."""
+    """A message to a user: title, text and an optional picture, which is attached if it exists."""
 
     title: str
     body: str
@@ -66,7 +66,7 @@ class Outbox:
         self._thread.start()
 
     def put(self, message: Message) -> None:
-        """Queue a message."""
+        """Queue a message to be sent in the background; return at once."""
         with self._changed:
             self._waiting.append(message)
             self._changed.notify_all()

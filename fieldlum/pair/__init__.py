@@ -126,7 +126,7 @@ def _doubles_named(brackets: list[Taken]) -> list[Taken]:
 
 
 def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
-    """Return a row; if it must not be used, with the first reason."""
+    """Return the row of pairs.csv for a bracket, with the first reason not to use it, if any."""
     why = light.why
     if taken.double_of:
         why = (

@@ -36,11 +36,11 @@ class Outside:
 
 
 def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside:
-    """Return the statistics of the rows in [opened, closed].
+    """Return the mean irradiance and its steadiness during a bracket, from `opened` to `closed`.
 
-    If there are fewer than three, one more row on each side is included. `why` is set if any time
-    in the interval is more than two poll periods from a usable row: the last value is never
-    extended.
+    If there are fewer than three rows, one more row on each side is included. `why` is set if rows
+    are over 15 minutes apart, or if any time in the interval is more than two poll periods from a
+    usable row: the last value is never extended.
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)

@@ -36,11 +36,11 @@ def seen_and_patches(
     scheduler: Scheduler = LOCAL,
     progress: Progress,
 ) -> list[tuple[Seen, str]]:
-    """Return, for each slot, the visible share of the sun and the path of the patch.
+    """Compute the visible share of the sun and sunpatches/<slot>.exr of slots; return both.
 
-    Paths are relative to the session.
-
-    The path is "" without a room. full_normal_lx : of the unobstructed sun, [n] lx.
+    The path of a patch is relative to the session, or "" without a room. items : slot, panorama and
+    time; full_normal_lx : of the unobstructed sun, [n] lx. Existing patches are used again unless
+    `force`.
     """
     if setup.room is None or not items:
         return [(Seen(), "")] * len(items)
@@ -130,7 +130,7 @@ class _PatchJob:
 
 
 def trace_patches(root: Path, job: _PatchJob) -> None:
-    """Write the sun patches of a unit's slots. Raises InputError for an impossible room."""
+    """Write the sun patches of one unit of work. Raises InputError for an impossible room."""
     from fieldlum.scene import iter_sun_patches
 
     session = Session(root)

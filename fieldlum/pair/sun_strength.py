@@ -19,9 +19,9 @@ _LEAST_COSINE = 0.2  # a meter under a more oblique sun is too inaccurate (78 de
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The visible share of the sun's disc from the lens, by the room's geometry.
+    """The visible share of the sun's disc from the lens and the glazing's transmittance.
 
-    1 without a room.
+    Both follow from the room's geometry; without a room they are 1 and not `known`.
     """
 
     visible_fraction: float = 1.0
@@ -32,7 +32,7 @@ class Seen:
 def complete_sun(
     panorama: Panorama, full_normal_lx: float, seen: Seen, meter_lx: float | None
 ) -> tuple[SunSource | None, str]:
-    """Return the sun as a source, and a caution if picture and room disagree.
+    """Return the picture's sun with its illuminance at the lens (None: no sun), and a caution.
 
     full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
     [lx]. A sun that the picture measured is not changed. A clipped sun is completed by the meter,

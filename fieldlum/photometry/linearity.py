@@ -25,6 +25,6 @@ def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArra
 
 
 def rises(coefficients: Sequence[float]) -> bool:
-    """Return whether the corrected counts increase with the counts over the full scale."""
+    """Return whether corrected counts increase with raw counts over the full scale."""
     x = np.linspace(0.0, 1.0, 201)
     return bool((np.diff(x * linearity_factor(x, coefficients)) > 0).all())

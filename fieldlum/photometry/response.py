@@ -41,7 +41,7 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64
 
 
 def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the non-decreasing curve nearest to z, at least 0, [n] (pool adjacent violators)."""
+    """Return the non-decreasing curve [n], at least 0, that is nearest to z by least squares."""
     from scipy.optimize import isotonic_regression
 
     return np.maximum(isotonic_regression(np.asarray(z, float)).x, 0.0)

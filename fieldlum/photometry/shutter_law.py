@@ -58,15 +58,15 @@ def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def time_under(law: str, nominal_s: float) -> float:
-    """Return the true time of a nominal time [s]; "auto" uses the nearer grid."""
+    """Return the time [s] that a nominal time means under a law; "auto" uses the nearer grid."""
     return snap_shutter_s(nominal_s) if law == AUTO else float(times_under(law, nominal_s))
 
 
 def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
-    """Return whether a bracket's labels [n] are in half or in third stops.
+    """Return the law, half or third stops, that fits a bracket's nominal times [n] in s best.
 
-    If both fit equally, the labels are in third stops. model : of the camera; labels of a Theta are
-    exact times (theta-web-api-v2.1, shutterSpeed).
+    If both fit equally, it is third stops. model : of the camera; labels of a Theta are exact times
+    (theta-web-api-v2.1, shutterSpeed).
     """
     if "theta" in model.casefold():
         return ShutterLaw(EXACT, "labels")
