@@ -24,7 +24,7 @@ _SETTINGS: dict[Any, Any] = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return a context in which new figures have the style."""
+    """Return a context in which new figures have fieldlum's colours and settings."""
     from matplotlib import rc_context
 
     return rc_context(_SETTINGS)

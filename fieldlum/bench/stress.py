@@ -55,19 +55,19 @@ class Case:
 
 
 def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
-    """Return the same maps with other irradiance or another sun; a measured sky is removed."""
+    """Return the same maps with replaced columns of `Light`; a stated Perez sky is removed."""
     return replace(data, light=replace(data.light, perez=None, **columns))
 
 
 def turned(data: Dataset, degrees: float) -> Dataset:
-    """Return the data with a wrong north: sun azimuths turned by `degrees`, maps unchanged."""
+    """Return the data with north wrong by `degrees`: sun and computed patches turn, maps do not."""
     return _patched(
         with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
     )
 
 
 def late(data: Dataset, minutes: float) -> Dataset:
-    """Return the data with a wrong clock: the sun's position of `minutes` later, maps unchanged."""
+    """Return the data with a clock `minutes` late: sun and computed patches move, maps do not."""
     site, step = data.setup.site, timedelta(minutes=minutes)
     now = sun.position(data.light.t_utc, site)
     then = sun.position([t + step for t in data.light.t_utc], site)

@@ -1,6 +1,7 @@
 """Fit three coefficients from camera colours to luminance.
 
-The fit starts from the maker's coefficients and changes them as far as the readings support it.
+The fit starts from the profile's coefficients or the frames' colour matrix, and changes them as far
+as the readings support it.
 """
 
 from __future__ import annotations

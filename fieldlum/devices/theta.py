@@ -122,7 +122,7 @@ class ThetaCamera:
 
     @property
     def bracket_shots(self) -> range:
-        """Numbers of frames that a bracket may have."""
+        """The possible numbers of frames in a bracket."""
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:

@@ -16,7 +16,7 @@ _SAME_XY = 5e-4  # half a unit of the third decimal, to which programs write chr
 
 
 def same_chromaticities(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Return whether two sets of eight chromaticities are equal to three decimals."""
+    """Return whether the chromaticities of two sets of primaries [8] agree to three decimals."""
     return bool(np.max(np.abs(np.subtract(a, b))) < _SAME_XY)
 
 

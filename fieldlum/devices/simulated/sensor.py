@@ -45,7 +45,7 @@ def camera_channels(scene: NDArray[np.float32], profile: CameraProfile) -> NDArr
 
 
 def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
-    """Return one colour for each pixel of the mosaic: [h, w, 3] becomes [h, w]."""
+    """Return each pixel's channel in the Bayer pattern `cfa`: [h, w, 3] becomes [h, w]."""
     out = np.empty(image.shape[:2], np.float32)
     for i, letter in enumerate(cfa):
         row, column = divmod(i, 2)

@@ -111,7 +111,7 @@ class Spn1Voice:
 
 
 def open_simulated(world: World, clock: Clock, seed: int, noise_wm2: float) -> Pyranometer:
-    """Open the real driver on a simulated instrument.
+    """Open a simulated SPN1 on a pseudo-terminal through the real driver.
 
     Raises DeviceError on a system without pseudo-terminals (Windows).
     """
