@@ -1,4 +1,4 @@
-"""A box room from clicks on a panorama: corners of floor, ceiling and windows, and one length.
+"""Fit a box room to clicks on its corners in a panorama, with the camera's height as the scale.
 
 The camera's height above the floor gives the scale: a floor corner under a known angle is at a
 known distance. All clicks are then fitted together, so that each length has the uncertainty that
@@ -36,7 +36,7 @@ class ClickedRoom:
     """A room that was fitted to clicks.
 
     room : lengths [m]. u : standard uncertainty of each length or angle by name [m, deg]. misfit_px
-    : rms over the clicks. notes : clicks that do not fit.
+    : rms over the clicks. notes : one sentence for each click more than 3 px from the fitted room.
     """
 
     room: Room
@@ -48,10 +48,11 @@ class ClickedRoom:
 def room_from_clicks(
     clicks: Sequence[Click], grid: ClickGrid, camera_height_m: float, *, where: str = "clicks"
 ) -> ClickedRoom:
-    """Fit a room to clicks. Raises InputError for clicks that cannot be the corners of a box.
+    """Fit a box room to clicks on its corners in a panorama.
 
-    Required are three floor corners and one ceiling corner, and two opposite corners of each
-    window.
+    camera_height_m : of the lens above the floor, 0.05 to 50 m. where : the source that errors
+    name. Raises InputError for clicks that cannot be the corners of a box: required are three floor
+    corners, one ceiling corner, and two opposite corners of each window.
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:

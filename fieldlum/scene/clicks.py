@@ -21,10 +21,10 @@ COLUMNS = ("kind", "window", "x_px", "y_px")
 
 @dataclass(frozen=True, slots=True)
 class Click:
-    """One click.
+    """A click on a panorama, on a corner, a bar or a transom of a room.
 
-    window: number from 1, 0 for corners of the room. x_px, y_px: from the panorama's upper left
-    corner. line: of the csv, or the number of the click.
+    kind: one of `KINDS`. window: number from 1, 0 for corners of the room. x_px, y_px: from the
+    panorama's upper left corner. line: of the csv, or the number of the click.
     """
 
     kind: Kind
@@ -48,7 +48,7 @@ class ClickGrid:
         return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
 
     def pixels(self, points: Array) -> Array:
-        """Return (x, y) of directions [n, 3] in world axes, [n, 2]."""
+        """Return pixel positions (x, y) of directions [n, 3] in world axes, [n, 2]."""
         horizontal = np.hypot(points[:, 0], points[:, 1])
         altitude = np.degrees(np.arctan2(points[:, 2], horizontal))
         azimuth = np.degrees(np.arctan2(points[:, 0], points[:, 1]))
@@ -73,7 +73,7 @@ def read_clicks(path: Path) -> list[Click]:
 
 
 def clicks_from_rows(rows: Any) -> list[Click]:
-    """Return the clicks of a list of tables, as a page sends them. Raises InputError."""
+    """Return the clicks of a page's list of dicts (keys: `COLUMNS`). Raises InputError."""
     if not isinstance(rows, list) or len(rows) > 500:
         remedy = "load the page again, and click fewer corners"
         raise InputError("clicks", "no list of at most 500 clicks", "a list", remedy)

@@ -30,9 +30,9 @@ def wind(azimuth_deg: float) -> str:
 
 
 def room_svg(setup: SiteFile) -> str:
-    """Return the drawing of a room, seen from above with the "south" wall at the bottom.
+    """Return a plan of the room as SVG text, seen from above with the "south" wall at the bottom.
 
-    It is empty for a room of another kind than "box". Raises InputError for an impossible room.
+    Return an empty text without a room of kind "box". Raises InputError for an impossible room.
     """
     room = setup.room
     if room is None or room.kind != "box":
@@ -144,9 +144,10 @@ def _north(wall_azimuth_deg: float) -> str:
 
 
 def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
-    """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...
+    """Return the edges of the box ("box") and of its windows ("window") as lines on a panorama.
 
-    A line is split where it leaves the picture at one side and continues at the other.
+    Each line is a list of pixel positions x, y, x, y ... It is split where it leaves the picture at
+    one side and continues at the other.
     """
     camera = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     low, high = np.zeros(3), np.array([room.width_m, room.depth_m, room.height_m])

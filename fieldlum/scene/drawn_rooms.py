@@ -65,7 +65,7 @@ def room_parameters(room: Room) -> dict[str, float]:
 
 
 def with_parameters(room: Room, values: Mapping[str, float]) -> Room:
-    """Return the room with some of its `room_parameters` replaced.
+    """Return the room with some of its `room_parameters` replaced by `values` [m, deg].
 
     Raises KeyError for a name that the room does not have.
     """
@@ -90,9 +90,10 @@ def with_parameters(room: Room, values: Mapping[str, float]) -> Room:
 def stated_uncertainty(
     room: Room, length_m: float = STATED_LENGTH_M, angle_deg: float = STATED_ANGLE_DEG
 ) -> RoomUncertainty:
-    """Return independent standard uncertainties of every parameter of the room.
+    """Return the uncertainty of a room whose parameters were measured independently by hand.
 
-    A window without a transom (0) never gets one.
+    length_m, angle_deg : standard uncertainty of each length and of each angle. A transom of height
+    0 (no transom) is not varied.
     """
     names = tuple(
         name
@@ -104,11 +105,11 @@ def stated_uncertainty(
 
 
 def uncertainty_of_draws(room: Room, draws: Mapping[str, Sequence[float]]) -> RoomUncertainty:
-    """Return the covariance of a fitted room over searches with resampled captures.
+    """Return the uncertainty of a fitted room as the covariance of its parameters over searches.
 
-    draws: for each of `room_parameters`, its values in two or more searches. Parameters that the
-    room does not have are ignored. Standard uncertainties are at least `SEARCH_LENGTH_M` and
-    `SEARCH_ANGLE_DEG`.
+    draws: for each of `room_parameters`, its values in two or more searches with resampled
+    captures. Parameters that the room does not have are ignored. Standard uncertainties are at
+    least `SEARCH_LENGTH_M` and `SEARCH_ANGLE_DEG`.
     """
     values = room_parameters(room)
     names = tuple(
@@ -131,8 +132,9 @@ def draw_rooms(
 ) -> tuple[Room, ...]:
     """Return `count` rooms drawn from the uncertainty around `room`.
 
-    Windows stay within their walls, and the camera within the room. Raises KeyError for a parameter
-    that the room does not have, InputError for a room that is not a box.
+    Windows stay within their walls, and the camera within the room. If 20 draws are impossible,
+    `room` itself is returned for that draw. Raises KeyError for a parameter that the room does not
+    have, InputError for a room that is not a box.
     """
     build(room)
     stated = room_parameters(room)
@@ -192,7 +194,8 @@ def _within_walls(room: Room) -> Room:
 def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArray[np.float32]:
     """Return the disc's illuminance at the camera over the sun's normal illuminance, [k, n].
 
-    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); k rooms, n times.
+    It is the visible share of the disc times the glass's transmittance, 0 to 1. sun_direction : [n,
+    3] unit vectors in world axes (x east, y north, z up); k rooms, n times.
     """
     suns = np.asarray(sun_direction, float)
     out = np.zeros((len(rooms), len(suns)), np.float32)

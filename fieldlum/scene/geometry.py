@@ -30,9 +30,9 @@ WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
 
 
 def transmissivity(transmittance: float) -> float:
-    """Return Radiance's glass parameter from transmittance at normal incidence.
+    """Return the transmissivity (0 to 1) that Radiance's glass needs for a transmittance.
 
-    Source: Radiance's materials manual, "glass".
+    transmittance : of the pane at normal incidence. Source: Radiance's materials manual, "glass".
     """
     if transmittance <= 0.0:
         return 0.0
@@ -130,7 +130,7 @@ class BoxScene:
         return turned(self.turn, world)
 
     def of_kind(self, *kinds: str) -> list[int]:
-        """Return the indices of the boxes of some kinds."""
+        """Return the indices of the boxes of some kinds, such as "wall" or "frame"."""
         return [k for k, box in enumerate(self.boxes) if box.kind in kinds]
 
 
@@ -141,8 +141,9 @@ class BoxScene:
 def build(room: Room, where: str = "[room]") -> BoxScene:
     """Build the boxes and openings of a box room.
 
-    Raises InputError for an impossible room: a window outside its wall, overlapping windows, a
-    camera outside.
+    where : the source that errors name. Raises InputError for a room of another kind, or an
+    impossible one: a window outside its wall, overlapping windows, a camera outside, a reflectance
+    or transmittance out of range.
     """
     if room.kind != "box":
         raise InputError(where, f"kind '{room.kind}'", "kind 'box'", "this needs a box room")

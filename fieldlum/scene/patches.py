@@ -38,7 +38,9 @@ def iter_sun_patches(
 ) -> Iterator[SunPatches]:
     """Yield `sun_patches` in chunks of hours, so that a year does not fill the memory.
 
-    sun_direction : [n, 3] unit vectors; normal_illuminance_lx : [n], lx.
+    sun_direction : [n, 3] unit vectors in world axes; normal_illuminance_lx : [n], of the sun
+    outside on a plane normal to it. height : rows of the maps; chunk : hours in each result; sub :
+    rays of a pixel in each direction; workers : number of threads, by default up to 8.
     """
     heading = _heading(setup, heading_deg)
     suns = np.atleast_2d(np.asarray(sun_direction, float))
@@ -149,7 +151,7 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
 def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
     """Return the share of the disc that the camera sees, and the glass's transmittance, [n] each.
 
-    toward : [n, 3] directions to the sun in room axes.
+    Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
     """
     visible, through = np.zeros(len(toward)), np.zeros(len(toward))
     eye = np.array(scene.camera_m)

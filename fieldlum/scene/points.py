@@ -1,4 +1,4 @@
-"""Sort surface points that the sun may reach into tiles, and test them for each hour."""
+"""Sort the surface points that pixels show into tiles, and test at each hour which are sunlit."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SunPoints:
     targets: int
 
     def direct(self, toward: Array) -> NDArray[np.float32]:
-        """Return the sums for a sun in direction `toward` [3] in room axes, [targets]."""
+        """Return each target's sum for a sun in direction `toward` [3] in room axes, [targets]."""
         total = np.zeros(self.targets)
         if toward[2] <= 0.0:
             return total.astype(np.float32)
@@ -190,9 +190,10 @@ def sun_points(
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
-    """Sort points into compact tiles: by inside or outside, by face, then along a Z-shaped curve.
+    """Return surface points as `SunPoints`, sorted into compact tiles for fast shadow tests.
 
-    position : [m, 3]; axis, sign, weight, target : [m].
+    position : [m, 3] in room axes; axis, sign : of the surface's normal [m]; weight : factor on a
+    point's light [m]; target : index of the sum, below `targets`, to which a point adds [m].
     """
     inside = _inside(scene, position)
     low, high = position.min(axis=0), position.max(axis=0)

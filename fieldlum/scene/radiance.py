@@ -33,8 +33,8 @@ _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 class Face:
     """A visible rectangle of a box.
 
-    axis, sign : of its normal; at_m : its coordinate on that axis; low_m, high_m : its extent on
-    the other two axes.
+    box : index of the box; axis, sign : of the normal; at_m : coordinate on that axis; low_m,
+    high_m : extent on the other two axes.
     """
 
     box: int
@@ -62,7 +62,7 @@ class Face:
 
 
 def faces(scene: BoxScene) -> list[Face]:
-    """Return all faces that are not completely inside or against other boxes."""
+    """Return all faces that can be seen: not completely inside or against other boxes."""
     visible = []
     for k in range(len(scene.boxes)):
         for axis in range(3):
@@ -113,7 +113,8 @@ def _polygon(name: str, material: str, corners: Array) -> str:
 def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
     """Return the room as Radiance text in room axes.
 
-    Face k has the material ``f<k>``, pane k the material ``g<k>``.
+    visible : the faces to write, by default all `faces`. Face k has the material ``f<k>``, pane k
+    the material ``g<k>``.
     """
     parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
     for k, face in enumerate(visible if visible is not None else faces(scene)):
@@ -154,9 +155,10 @@ def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
 
 
 def trace(octree_path: Path, origins: Array, directions: Array, extra: Sequence[str] = ()) -> Array:
-    """Return the radiance of rays [n, 3] by rtrace in W/sr/m2, [n].
+    """Return the radiance that rtrace finds along n rays, direct light only, in W/sr/m2, [n].
 
-    Colours are weighted by Radiance's own luminance weights.
+    origins : [n, 3] or [3]; directions : [n, 3]; extra : more options of rtrace. Colours are
+    weighted by Radiance's own luminance weights.
     """
     import pyradiance
 
@@ -224,11 +226,11 @@ def iter_traced(
     chunk: int,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
-    """Yield `iter_sun_patches` of a room of kind "radiance", by one rtrace -ab 0 for each hour.
+    """Yield sun patches of a room of kind "radiance", by one rtrace -ab 0 for each hour.
 
-    World axes: x east, y north.
-
-    suns : [n, 3]; normal_lx : [n], lx.
+    suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
+    normal to the sun; chunk : hours in each result. Raises InputError for a missing or invalid room
+    file.
     """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, PATCH_RAYS)
     with _room_octree(room) as base:

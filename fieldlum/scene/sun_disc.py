@@ -31,7 +31,7 @@ class SunPatches:
 
 
 def disc_rays(toward: Array, rings: int = 4) -> Array:
-    """Return directions over the sun disc, of equal areas, [61, 3] for four rings."""
+    """Return unit vectors to equal areas of the sun disc around `toward` [3]; 61 for 4 rings."""
     radius, angle = [0.0], [0.0]
     for ring in range(1, rings + 1):
         count = 6 * ring

@@ -132,7 +132,7 @@ def may_block(
 ) -> NDArray[np.bool_]:
     """Return which boxes [b, 3] (m) may be between a point of a tile [t, 3] and the light, [t, b].
 
-    It may be too many boxes, never too few.
+    toward : [3] direction of the light. The result may contain too many boxes, never too few.
     """
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
     near, far = np.where(d > 0, low, high) / d, np.where(d > 0, high, low) / d

@@ -1,4 +1,4 @@
-"""The view of each panorama pixel in a box room: matt surfaces, through glass, mirrored in it."""
+"""Trace what each panorama pixel of a box room shows: surfaces, sky through glass, reflections."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SceneView:
     plain: NDArray[np.float32]
 
     def sun_points(self, pixels: NDArray[np.intp] | None = None) -> SunPoints:
-        """Return the points that take the sun, of all pixels or of some flat `pixels` [k]."""
+        """Return the surface points of all pixels or of flat `pixels` [k]; targets are pixels."""
         weight = self.weight * self.scene.reflectance[self.box] / np.pi
         count = 2 * self.height**2
         if pixels is None:
@@ -61,7 +61,8 @@ class SceneView:
 def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Array]:
     """Return pixel index [m] and world direction [m, 3] of sub x sub rays in each pixel.
 
-    The rays of a pixel have equal solid angles.
+    The panorama has `height` rows and `heading_deg` at its centre column. The rays of a pixel have
+    equal solid angles.
     """
     width = 2 * height
     fine = (np.arange(height * sub) + 0.5) / sub
@@ -77,9 +78,10 @@ def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.in
 
 @lru_cache(maxsize=2)
 def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView:
-    """Trace the panorama of a box room from its camera.
+    """Trace the panorama of a box room from its camera, with sub x sub rays for each pixel.
 
-    Raises InputError for an impossible room.
+    height : rows of the panorama; heading_deg : of its centre column. Raises InputError for an
+    impossible room.
     """
     scene = build(room)
     pixel, world = pixel_rays(height, heading_deg, sub)
