@@ -28,7 +28,7 @@ _SAME_HEADING_DEG = 0.05
 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
-    """Return a fit as a scene, with its room relative to true north."""
+    """Return a fit as a `Scene`, its room relative to true north; verdict: reason for `chosen`."""
     azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
     room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
     return Scene(
@@ -120,8 +120,8 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
 def earlier(light: Light, minutes: float, data: Dataset) -> Light:
     """Return the light with times and sun `minutes` earlier; irradiance and sky do not change.
 
-    The sun's columns of the captures are moved by the sun's motion in that time, so that a
-    rendering keeps its own formula of the sun.
+    Recorded sun angles are not computed again, but shifted by the sun's motion in that time: a
+    rendering keeps its own formula of the sun. data: the captures, for their site.
     """
     if minutes == 0.0:
         return light
@@ -142,7 +142,8 @@ def in_scene(
     """Return the captures as the option ``--scene`` demands, and the patch mode for training.
 
     option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
-    to the pairs, if it exists. For a csv without patches whose site has a box `[room]`, patches are
+    to the csv `pairs`, if it exists. patch: the requested mode; it becomes "none" if the scene
+    chose no patches. For a csv without patches whose site has a `[room]` with windows, patches are
     computed. Raises InputError for a folder without a scene.
     """
     beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"

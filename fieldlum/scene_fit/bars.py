@@ -1,4 +1,4 @@
-"""Find bars and transoms: follow captured sun patches back to the window."""
+"""Find bars and transoms of windows from captured sun patches and from pictures of the windows."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ _LIT_SHARE = 0.8
 
 @dataclass(frozen=True)
 class WindowPicture:
-    """The transmitted share of the sun at cells of a window's middle plane.
+    """A picture of a window in its middle plane: the share of light that each cell lets through.
 
-    value, weight: [z, u]; u_m, z_m: edges of the cells [m].
+    value: 1 for clear glass, 0 for a bar [z, u]; weight: statistical weight, 0 without data [z, u];
+    u_m, z_m: edges of the cells along the wall and in height [m].
     """
 
     value: Array
@@ -46,7 +47,7 @@ class WindowPicture:
     def profile(self, axis: int) -> Array:
         """Return the weighted mean over z (axis 0) as [u], or over u (axis 1) as [z].
 
-        NaN without sun.
+        NaN where no cell has data.
         """
         weight = self.weight.sum(axis=axis)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -56,9 +57,10 @@ class WindowPicture:
 def window_picture(
     evidence: SceneEvidence, guess: Guess, number: int, albedo: Array
 ) -> WindowPicture:
-    """Return what window `number` transmits, by following sunlit pixels back to the window.
+    """Return the share of the sun that each cell of a window lets through, from sunlit pixels.
 
-    albedo: of each surface [s].
+    These are followed back to the window; the guess's bars are ignored. number: index of the window
+    from 0; albedo: of each surface [6 + solids].
     """
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
@@ -100,7 +102,7 @@ def window_picture(
 
 
 def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
-    """Return the brightness of window `number` as the camera sees it, over that of its panes."""
+    """Return window `number` as the camera sees it: luminance over that of its panes."""
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
     along = 1 - axis
@@ -125,10 +127,7 @@ def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
 
 
 def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:
-    """Return vertical and horizontal bars where the picture is darker than nearby.
-
-    Nearby means within a metre around.
-    """
+    """Return vertical and horizontal bars at the picture's dips below its median over a metre."""
     middle = guess.thickness_m / 2.0
     half = min(START_DEPTH_M, 0.8 * middle)
     depth = (middle - half, middle + half)

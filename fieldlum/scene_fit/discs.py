@@ -58,7 +58,7 @@ class PoseFit:
 
     @property
     def u(self) -> dict[str, float]:
-        """Return standard uncertainties by name."""
+        """Return standard uncertainties by the names of `NAMES`, in deg, min and 1."""
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:

@@ -47,11 +47,13 @@ _WINDOW_MARGIN_DEG = 4.0
 
 @dataclass(frozen=True)
 class SceneEvidence:
-    """Sunny hours [n] at pixels [m] of the captures.
+    """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
 
-    log_seen, below [n, m]: ln of the captured luminance, and the light below any patch [cd/m2];
-    direct_lx [n]; weights [m], of sum 1; rays [r, 3] in stated world axes, pixel [r]; days [n];
-    clock [c, n, 2]: altitude and azimuth if the stated time were -20 ... 20 min late. view: what
+    log_seen: ln of the captured luminance, and below: the light without direct sun, cd/m2 [n, m];
+    direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1 [m];
+    rays: directions in stated world axes [r, 3]; pixel: of each ray [r]; days [n]; clock: altitude
+    and azimuth of the sun if the stated time were -20 ... 20 min late [c, n, 2]; rows: indices of
+    the hours in the captures [n]; pixels: flat indices in the panorama of `shape` [m]. view: what
     the camera sees of the windows, the same at all hours.
     """
 
@@ -77,7 +79,7 @@ class SceneEvidence:
         return np.pi / self.shape[0] / SUB
 
     def hours(self, index: NDArray) -> SceneEvidence:
-        """Return the evidence of some hours, by their indices [k]."""
+        """Return the evidence of the hours with the indices `index` [k]."""
         return replace(
             self,
             log_seen=self.log_seen[index],
@@ -89,16 +91,16 @@ class SceneEvidence:
         )
 
     def thinned(self, every: int) -> SceneEvidence:
-        """Return the evidence of every n-th pixel."""
+        """Return the evidence of every n-th pixel, n = `every`, also in the windows' picture."""
         thin = self.at_pixels(np.arange(0, len(self.pixels), every))
         return replace(thin, view=self.view.thinned(every))
 
     def coarse(self) -> SceneEvidence:
-        """Return the evidence of about `COARSE_PIXELS`."""
+        """Return the evidence thinned to about 1 000 pixels (`COARSE_PIXELS`)."""
         return self.thinned(max(1, round(len(self.pixels) / COARSE_PIXELS)))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """Return the evidence of some pixels, by their indices [k]."""
+        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1."""
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -114,7 +116,7 @@ class SceneEvidence:
         )
 
     def suns_room(self, guess: Guess) -> NDArray[np.float32]:
-        """Return directions to the sun in room axes, by the guess's north and clock, [n, 3]."""
+        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
         at = guess.clock_min + _CLOCK_REACH_MIN
         low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
         share = at - low
@@ -123,7 +125,7 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return the irradiance of pixels per lx of the sun [n, m], and where the rays end."""
+        """Return pixels' direct irradiance per lx of normal sun [n, m], and where the rays end."""
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
@@ -137,9 +139,9 @@ class SceneEvidence:
         return self.direct_lx[:, None] * shine / np.pi
 
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
-        """Return the mean of `misfit` over hours, computed from sunlit entries.
+        """Return the mean of `misfit` over the hours for the guess's patches, from lit entries.
 
-        albedo: by surface [s].
+        albedo: of each surface [6 + solids].
         """
         ends = self._ends(guess)
         lit = lit_entries(guess, ends, self.suns_room(guess))
@@ -162,7 +164,10 @@ class SceneEvidence:
     def misfit_of_lit(
         self, hour: NDArray[np.intp], ray: NDArray[np.intp], shine: NDArray[np.float32]
     ) -> float:
-        """Return the mean misfit for a list of pairs of hour and ray [k] that the sun reaches."""
+        """Return the mean of `misfit` over the hours, if the sun reaches k pairs of hour and ray.
+
+        hour, ray: indices [k]; shine: irradiance per lx of normal sun times albedo [k].
+        """
         count = len(self.pixels)
         total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)
         lit = np.flatnonzero(total)
@@ -173,7 +178,7 @@ class SceneEvidence:
 
     @cached_property
     def dark_misfit(self) -> float:
-        """Return the mean misfit without any patch."""
+        """Return the misfit without any sun patch, averaged over the hours."""
         return float((self.dark_loss @ self.weights).mean())
 
     @cached_property
@@ -182,17 +187,17 @@ class SceneEvidence:
         return _saturated(np.log(self.below) - self.log_seen)
 
     def loss(self, entry: NDArray[np.intp], patch: Array) -> Array:
-        """Return the saturated squared log error of entries [k] (flat indices) with patches [k]."""
+        """Return the saturated squared log error of flat entries [k] with patches [k] cd/m2."""
         return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
 
     def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
-        """Return the mean albedo of what a pixel's rays end on, [m]."""
+        """Return the mean albedo of what each pixel's rays end on, [m]; albedo: of surfaces [s]."""
         value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
         hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
     def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
-        """Return the evidence with the light below estimated again, from known patches [n, m]."""
+        """Return the evidence with the light below estimated again, given patches [n, m] cd/m2."""
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, LEAST_CDM2)
         known = np.zeros_like(seen)
@@ -210,16 +215,17 @@ class SceneEvidence:
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def misfit(self, patch: Array) -> Array:
-        """Return the share of the pixels that a patch [n, m] leaves wrong in each hour, [n].
+        """Return the share of the pixels that patches [n, m] cd/m2 leave wrong in each hour, [n].
 
-        It is the mean of squared log errors that saturate.
+        It is the weighted mean of squared log errors that saturate at 1.
         """
         return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
-        """Return the albedo of each surface, 0 to 1, [6 + solids].
+        """Return the albedo of each surface that explains its sun patches, 0 to 1, [6 + solids].
 
-        It is the median over entries that a patch dominates, or `start` for too few entries.
+        It is the median over hours and pixels that a patch dominates; for fewer than 30 of these,
+        the value of `start` [6 or more] or the solid's own.
         """
         unit, ends = self.unit(guess)
         first = np.full(len(self.pixels), -1)
@@ -251,10 +257,11 @@ def require_box(room: Room) -> None:
 
 
 def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) -> SceneEvidence:
-    """Collect the evidence of captures with a stated box room.
+    """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
-    Raises InputError for a room that is not a box or has no window, NotEnoughDataError for fewer
-    than six captures with direct sun on a window.
+    room: the stated box; pixels: number of pixels to draw. Raises InputError for a room that is not
+    a box or has no window, NotEnoughDataError for fewer than six captures with direct sun on a
+    window.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)

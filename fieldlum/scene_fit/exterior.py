@@ -1,4 +1,4 @@
-"""What shades a window: a facade opposite, a canopy, a blind, an upper edge that is not level."""
+"""Propose what shades a window: a facade opposite, a canopy, a blind, an arched or slanted top."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Side = Literal["all", "low", "high"]
 
 
 def propose_exterior(guess: Guess) -> list[Solid]:
-    """Return facades and canopies in front of each window, on a coarse grid."""
+    """Return boxes as facades and canopies in front of each window, on a coarse grid of sizes."""
     proposals: list[Solid] = []
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
@@ -92,9 +92,10 @@ def is_outside(guess: Guess, solid: Solid) -> bool:
 
 
 def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]:
-    """Return the faces and the place of a solid outside as parameters without a prior.
+    """Return the six faces and three shifts of a solid outside as parameters without a prior.
 
-    Its albedo is not a parameter, because no sun patch inside depends on it.
+    number: index of the solid from 0; first_step [m]. Its albedo is not a parameter, because no sun
+    patch inside depends on it.
     """
 
     def parameter(name: str, move: Callable[[Solid, float], Solid]) -> Parameter:
@@ -131,7 +132,7 @@ def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]
 
 
 def propose_shapes(guess: Guess) -> list[Guess]:
-    """Return the guess with an arched or slanted upper edge of one window, on a coarse grid."""
+    """Return guesses in which one window has an arched or slanted upper edge, on a coarse grid."""
     proposals: list[Guess] = []
     for number, rect in enumerate(guess.windows):
         half, height = (0.5 * (rect.u_m[1] - rect.u_m[0]), rect.z_m[1] - rect.z_m[0])

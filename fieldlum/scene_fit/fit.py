@@ -1,8 +1,8 @@
 """Fit a scene to captures: from the stated box to north, clock, edges, bars and furniture.
 
-Every third sunny hour is held out of the search. An element remains only if it lowers the misfit of
-these hours too. The reported misfits (no patch, stated box, fitted scene) are those of the held-out
-hours.
+About a third of the sunny hours is held out of the search, as blocks of sun directions. An element
+remains only if it lowers the misfit of these hours too. The reported misfits (no patch, stated box,
+fitted scene) are those of the held-out hours.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 class SceneFit:
     """A fitted scene.
 
-    stated, heading_deg: the room and the captures' heading that the fit started at.
-    room: the fitted box in the stated world axes; `north_deg` and `clock_min` say how north and
-    clock differ from those stated. u: standard uncertainties by parameter name. before and after:
-    values by parameter name. albedo [6 + solids]. room_draws: see `posterior.Posterior`.
+    stated, heading_deg: the room and the captures' heading that the fit started at. room: the
+    fitted box in the stated world axes; `guess.north_deg` and `guess.clock_min` are the corrections
+    of north and clock. u: standard uncertainties by parameter name. before and after: values by
+    parameter name. albedo: of each surface [6 + solids]. hours: number of sunny hours. room_draws:
+    see `posterior.Posterior`.
     """
 
     stated: Room

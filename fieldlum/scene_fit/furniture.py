@@ -49,7 +49,11 @@ FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 
 @dataclass(frozen=True)
 class PixelDepths:
-    """The depth that explains each of m pixels best: its point, face, albedo and gain."""
+    """The surface, nearer than the guess's, that explains the light of each of m pixels best.
+
+    position_m: in room axes [m, 3]; face: index in `FACES` [m]; albedo [m]; gain: decrease of the
+    pixel's misfit, 0 if no nearer surface is better [m].
+    """
 
     position_m: Array
     face: NDArray[np.intp]
@@ -58,10 +62,10 @@ class PixelDepths:
 
 
 def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
-    """Try depths, faces and albedos for each pixel separately; albedo: of each surface [s].
+    """Find for each pixel the nearer surface that explains its sunlit and dark hours best.
 
-    Each pixel has its own pattern of sunlit and dark hours. If a surface at another depth explains
-    the pattern better than the guess, an object is missing in the guess.
+    Depths along the ray, faces and albedos are tried for each pixel separately. If one is better
+    than the guess, an object is missing in the guess. albedo: of each surface [6 + solids].
     """
     order = np.argsort(evidence.pixel, kind="stable")
     first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
@@ -180,10 +184,11 @@ def _clusters(
 def propose_columns(
     guess: Guess, stated: Guess, parameters: Sequence[Parameter]
 ) -> list[tuple[Parameter, Guess]]:
-    """Return rooms with a column where a window ends far inside its stated end.
+    """Return guesses with a column next to a window that ends far inside its stated end.
 
-    Each with the parameter of the end, which is back at the stated place: from the camera, the
-    column hides what is between. It is tried at several distances from the window.
+    In each, the window's end is back at the stated place, and a column hides the difference from
+    the camera, at several distances from the window. With each guess, return the parameter of that
+    end.
     """
     by_name = {p.name: p for p in parameters}
     proposals: list[tuple[Parameter, Guess]] = []
@@ -229,11 +234,11 @@ def _distinct(solids: Sequence[Solid]) -> list[Solid]:
 
 
 def solid_parameters(number: int) -> list[Parameter]:
-    """Return faces, place and albedo of a solid inside as parameters without a prior.
+    """Return place, faces, top and albedo of a solid inside as parameters without a prior.
 
-    A solid is on the floor, or is a table's top of constant thickness. The distance of a box at
-    any height would be undetermined, because a near high box hides the same pixels as a far low
-    box.
+    number: index of the solid from 0. A solid is on the floor, or is a table's top of constant
+    thickness. The distance of a box at any height would be undetermined, because a near high box
+    hides the same pixels as a far low box.
     """
 
     def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:

@@ -52,10 +52,10 @@ class WindowRect:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A bar within a window's wall, vertical if `upright`, else horizontal.
+    """A bar in a window, vertical if `upright`, else horizontal.
 
-    span_m: extent across the bar's length, in u or in z. depth_m: extent outwards from the wall's
-    inner face.
+    window: index of its window from 0. span_m: extent across the bar's length, along the wall or in
+    height. depth_m: extent outwards from the wall's inner face.
     """
 
     window: int
@@ -98,7 +98,7 @@ class Guess:
 
     @property
     def turn(self) -> Array:
-        """Return the room's axes in the stated world axes as rows: room = turn @ world, [3, 3]."""
+        """Return the rotation from stated world axes to room axes: room = turn @ world, [3, 3]."""
         return _turn(self.wall_azimuth_deg)
 
     @property
@@ -177,10 +177,10 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 
 
 def room_of(guess: Guess, stated: Room) -> Room:
-    """Return the guess as a `[room]`: bars become obstructions within the wall.
+    """Return the guess as a `Room`: bars and solids become obstructions.
 
-    The wall's azimuth is relative to the stated north: north_deg is not applied, see
-    `Guess.north_deg`.
+    stated: the room from which other fields are taken, also the walls' azimuth; north_deg is not
+    applied, see `Guess.north_deg`.
     """
     windows = tuple(_window(guess, rect) for rect in guess.windows)
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)

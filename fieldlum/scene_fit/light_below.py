@@ -70,7 +70,7 @@ def _trust(patch: Array, seen: Array) -> Array:
 
 
 def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights: Array) -> Array:
-    """Return the light below patches, with a separate level for each hour, [n, m].
+    """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
     below, seen, patch [n, m] cd/m2; directions [m, 3] unit vectors; weights [m]. The few features
     of sky and sun do not determine how bright the room is under a sun that no other hour has.

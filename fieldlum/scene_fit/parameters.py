@@ -27,7 +27,11 @@ SUN_DEG_PER_MIN = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A number of the scene: how it changes, its first and last step, and the sd of its prior."""
+    """A number of the scene that a search changes, in m, degrees or minutes.
+
+    read(guess) returns its value; change(guess, by) returns a guess in which it is larger by `by`.
+    first_step, last_step: of the search; sd: standard deviation of its prior, inf without one.
+    """
 
     name: str
     read: Callable[[Guess], float]
@@ -46,6 +50,7 @@ def room_parameters(
 ) -> list[Parameter]:
     """Return north, clock, level, sizes, camera, wall thickness and window edges as parameters.
 
+    with_wall: include the walls' azimuth; clock_sd_min: standard deviation of the clock's prior.
     The camera's height is not a parameter: it is the known length that sets the scale.
     """
     size, camera = guess.size_m, guess.camera_m
@@ -144,7 +149,7 @@ def _window_parameters(number: int) -> list[Parameter]:
 
 
 def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
-    """Return arch and slant of a window's upper edge as parameters without a prior."""
+    """Return arch and slant of a window's upper edge as parameters; none if it is level."""
 
     def changed(name: str) -> Change:
         def change(g: Guess, by: float) -> Guess:

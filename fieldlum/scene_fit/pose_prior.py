@@ -31,7 +31,7 @@ _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 
 @dataclass(frozen=True, slots=True)
 class MeasuredDiscs:
-    """Centres [n] of sun discs in merged panoramas; see `discs.fit_pose`."""
+    """Centres of n sun discs in panoramas, by the stated heading, and their uncertainty [n] deg."""
 
     altitude_deg: Array
     azimuth_deg: Array
@@ -44,9 +44,9 @@ class MeasuredDiscs:
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """A normal distribution of the pose, in the order of `search.POSE_NAMES`.
+    """A normal distribution of the pose: north, tilt and roll [deg], and clock [min].
 
-    values [4], covariance [4, 4].
+    values: the mean [4]; covariance [4, 4].
     """
 
     values: Array
@@ -65,7 +65,7 @@ class PosePrior:
         return replace(guess, **fields)
 
     def drawn(self, rng: np.random.Generator) -> PosePrior:
-        """Return the prior with values that are drawn from it."""
+        """Return the same prior around a mean that is drawn at random from it."""
         values = rng.multivariate_normal(self.values, self.covariance, method="cholesky")
         return replace(self, values=values)
 
@@ -120,7 +120,7 @@ def pose_of(
 
 
 def prior_of(pose: PoseFit) -> PosePrior:
-    """Return the pose as a prior of the search."""
+    """Return the fitted pose as a prior of the search: north, tilt, roll and clock."""
     rows = [NAMES.index(name) for name in _FITTED]
     covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([LEAST_U_DEG**2] * 3 + [0.0])
     return PosePrior(pose.values[rows], covariance)

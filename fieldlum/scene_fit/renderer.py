@@ -1,9 +1,9 @@
-"""Direct sun on the surfaces of a guessed scene, at sampled pixels and hours: a few milliseconds.
+"""Compute direct sun on the surfaces of a guessed scene, at sampled pixels, in milliseconds.
 
-`fieldlum.scene` renders a complete panorama of one room exactly. A search needs thousands of
-scenes at a few thousand pixels, so this renderer knows only boxes: a ray from the camera ends on
-the shell of the room or on a solid; from there the sun is seen if the line towards it passes the
-inner and the outer rectangle of a window, misses its bars and misses all solids.
+`fieldlum.scene` renders a complete panorama of one room exactly. A search needs thousands of scenes
+at a few thousand pixels, so this renderer knows only boxes: a ray from the camera ends on the shell
+of the room or on a solid; from there the sun is seen if the line towards it passes the inner and
+the outer rectangle of a window, misses its bars and misses all solids.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class RoomRays:
-    """Rays from the camera in room axes: directions and one over them, each [3, r], and the eye.
+    """Rays from the camera in room axes.
 
-    spread: angle between neighbouring rays [rad].
+    eye_m: the camera [3]; direction, and inverse: one over each component [3, r]; spread: angle
+    between neighbouring rays [rad].
     """
 
     eye_m: Float32
@@ -60,14 +61,14 @@ class RoomRays:
 
 
 def camera_rays(guess: Guess, rays_world: Float32, spread: float = 0.0) -> RoomRays:
-    """Return rays [r, 3], stated world axes, as the guess's camera sends them."""
+    """Return the picture's rays [r, 3], in stated world axes, as rays of the guess's camera."""
     rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).T  # [3, r]
     rays = np.where(np.abs(rays) < _SMALLEST, np.float32(_SMALLEST), rays).astype(np.float32)
     return RoomRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays, spread)
 
 
 def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces:
-    """Return where rays [r, 3] from the camera end, world axes as stated.
+    """Return where rays [r, 3] of the picture, in stated world axes, end in the guess.
 
     spread: angle between neighbouring rays [rad]; 0 gives patches with hard edges.
     """
@@ -112,7 +113,7 @@ def _ends(
 def ends_on_solid(
     solid: Solid, number: int, rays: RoomRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Surfaces]:
-    """Return which rays end on a solid before `nearest` [r], and where; `number` of the solid."""
+    """Return indices of the rays that end on solid `number` before `nearest` [r] m, and where."""
     rows, enters, axis = entries(solid, rays, nearest)
     surface = np.full(len(rows), SHELL + number, np.int16)
     return rows, _ends(rays, rows, enters, axis, surface)
@@ -121,7 +122,7 @@ def ends_on_solid(
 def entries(
     solid: Solid, rays: RoomRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Float32, NDArray[np.int8]]:
-    """Return which rays enter a solid before `nearest` [r], at which distance and by which axis."""
+    """Return rays that enter a solid before `nearest` [r] m: index, distance and face axis, [k]."""
     near = np.zeros_like(nearest)
     far = nearest
     axis = np.full(len(nearest), -1, np.int8)
@@ -207,7 +208,7 @@ class LitEntries:
 
 
 def lit_entries(guess: Guess, ends: Surfaces, suns_room: Float32) -> LitEntries:
-    """Return which ray ends the suns [n, 3] (room axes) reach through a window."""
+    """Return which of the rays' `ends` the suns [n, 3] (room axes) reach through a window."""
     parts = [
         _through(guess, number, rect, ends, suns_room) for number, rect in enumerate(guess.windows)
     ]
@@ -329,9 +330,9 @@ def unit_patches(
 ) -> Float32:
     """Return irradiance of the pixels' surfaces per lx of the sun on its normal, [n, m].
 
-    pixel [r]: which of the m pixels a ray belongs to; sub x sub rays make a pixel. tone [r]: a
-    factor of each ray, such as albedo. Times illuminance, times albedo over pi, this is the
-    luminance of the sun patch.
+    ends: of the r rays; suns_room: in room axes [n, 3]. pixel [r]: which of the m pixels a ray
+    belongs to; sub x sub rays make a pixel. tone [r]: a factor of each ray, such as albedo. Times
+    illuminance, times albedo over pi, this is the luminance of the sun patch.
     """
     lit = lit_entries(guess, ends, suns_room)
     strength = lit.strength if tone is None else lit.strength * tone[lit.ray]

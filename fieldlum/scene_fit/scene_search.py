@@ -78,7 +78,7 @@ SHADE_GAIN = 0.02
 
 @dataclass(frozen=True)
 class Misfits:
-    """Share [n] of wrong pixels near sun patches, in n hours held out of the search."""
+    """Shares of wrong pixels in n held-out hours: without patches, stated and fitted room [n]."""
 
     none: Array
     stated: Array
@@ -86,7 +86,7 @@ class Misfits:
     days: NDArray[np.datetime64]
 
     def mean(self) -> dict[str, float]:
-        """Return the mean share over the hours: no sun patches, stated room, fitted room."""
+        """Return the mean share over the hours, with the keys "none", "stated" and "fitted"."""
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
@@ -122,10 +122,10 @@ class SceneSearch:
         return self.evidence.hours(self.fit_hours)
 
     def windows(self, guess: Guess) -> list[Guess]:
-        """Search edges and bars in the picture of the windows alone, from several azimuths.
+        """Search edges and bars in the picture of the windows alone; return three guesses.
 
-        The picture and the tape measure leave the walls' azimuth open by 2 or 3 degrees: each
-        azimuth is a room of its own until `contents` has found what else is in it.
+        Each has walls of another azimuth, because the picture and the tape measure leave it open by
+        2 or 3 degrees; `contents` chooses among them.
         """
         turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
         starts = [turned(guess, turn_deg) for turn_deg in RESTART_TURNS_DEG]
@@ -150,7 +150,7 @@ class SceneSearch:
         return found
 
     def contents(self, starts: Sequence[Guess], step: Callable[[int], None]) -> Guess:
-        """Return the best of several rooms with their shades and bars, and the furniture in it.
+        """Search shades and bars from each guess; return the best one with furniture added.
 
         Rooms with differently turned walls cost the same until they have bars. step: called with
         the number of searches done.
@@ -178,7 +178,7 @@ class SceneSearch:
         return guess
 
     def shaded(self, guess: Guess) -> Guess:
-        """Add blinds, facades, canopies and arches while they take enough misfit away."""
+        """Add up to two blinds, facades, canopies or arches, if each lowers the misfit enough."""
         coarse = self.objective(self.fit_evidence.coarse())
         for _ in range(MAX_SHADES):
             trials = [self._covered(guess, coarse), self._faced(guess), self._shaped(guess, coarse)]
@@ -219,9 +219,9 @@ class SceneSearch:
         return min(tries, key=lambda pair: pair[1])[0]
 
     def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
-        """Find bars in the picture of each window; search their place, width and depth.
+        """Find bars in each window from its sun patches; search their place, width and depth.
 
-        fine: as in `pattern_search`.
+        Blinds (wider than `MAX_BAR_M`) remain. fine: factor on the last steps of the search.
         """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
@@ -322,14 +322,11 @@ class SceneSearch:
         return guess
 
     def albedo_with_solids(self, guess: Guess) -> Array:
-        """Return the albedos of shell and solids, [6 + solids].
-
-        Those of solids are searched numbers.
-        """
+        """Return the albedos of the shell's six surfaces and of the solids, [6 + solids]."""
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
 
     def relight(self, guess: Guess) -> None:
-        """Estimate the light below the patches again, after the patches changed."""
+        """Replace albedos and the light below the patches by estimates with the guess's patches."""
         self.albedo = self.evidence.albedos(guess, self.albedo)
         albedo = self.albedo_with_solids(guess)
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
@@ -338,8 +335,8 @@ class SceneSearch:
         """Return the best of several searches from other clocks and displaced rooms.
 
         Bars and furniture are known by now, and may close the valley in which the first search
-        stopped. `valley` becomes the standard deviation of each number over results of nearly equal
-        cost, which the captures cannot separate.
+        stopped. The attribute `valley` becomes the standard deviation of each parameter over
+        results of nearly equal cost, which the captures cannot separate.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.coarse())
@@ -359,19 +356,19 @@ class SceneSearch:
         return best
 
     def settled(self, guess: Guess) -> Guess:
-        """Search all numbers together in small steps, at few pixels."""
+        """Search all parameters together in small steps, at few pixels."""
         objective = self.objective(self.fit_evidence.coarse())
         return pattern_search(objective, guess, self.all_parameters(guess), coarse=0.25)[0]
 
     def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
-        """Search all numbers together in small steps and along principal axes, in hours [k]."""
+        """Search all parameters together in small steps and along principal axes, in hours [k]."""
         objective = self.objective(self.evidence.hours(hours))
         parameters = self.all_parameters(guess)
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
         return principal_search(objective, guess, parameters)[0]
 
     def all_parameters(self, guess: Guess) -> list[Parameter]:
-        """Return the numbers of the room, its windows' shapes, its bars and its solids."""
+        """Return the parameters of the room, its windows' shapes, its bars and its solids."""
         parameters = [*self.parameters, *self._shape_parameters(guess), *bar_parameters(guess)]
         for number, solid in enumerate(guess.solids):
             outside = is_outside(guess, solid)

@@ -40,7 +40,7 @@ class GuessCost(Protocol):
 
     @property
     def pose(self) -> PosePrior | None:
-        """Return the prior that replaces those of `POSE_NAMES`, as in `Objective`."""
+        """Return the prior of north, level and clock by sun discs; None without discs."""
         ...
 
     def __call__(self, guess: Guess) -> float:
@@ -52,7 +52,9 @@ class GuessCost(Protocol):
 class Objective:
     """Misfit plus prior of a guess, for some evidence.
 
-    pose: replaces the priors of `POSE_NAMES`. count: number of evaluations so far.
+    start: the stated guess; albedo: of each surface [6 or more]; prior_unit: cost of one standard
+    deviation of one parameter; pose: replaces the priors of `POSE_NAMES`; count: number of
+    evaluations so far.
     """
 
     evidence: SceneEvidence
@@ -85,7 +87,7 @@ class Objective:
         return self.evidence.misfit(self.evidence.patches(guess, self._albedo(guess)))
 
     def residuals(self, guess: Guess) -> Array:
-        """Return numbers [n m + q] whose squares add up to the misfit."""
+        """Return numbers whose squares add up to the misfit, [n m + q]; q pixels show windows."""
         evidence = self.evidence
         patch = evidence.patches(guess, self._albedo(guess))
         error = np.log(evidence.below + patch) - evidence.log_seen  # [n, m]
@@ -135,11 +137,12 @@ def pattern_search(
     coarse: float = 1.0,
     fine: float = 1.0,
 ) -> tuple[Guess, float]:
-    """Return the best guess and its cost.
+    """Search the guess of least cost from a start; return it and its cost.
 
     Each parameter is stepped up or down while the cost falls. Its step is halved when neither
     direction lowers the cost. Steps begin at `coarse` times the first step and end at `fine` times
-    the last one. Clock and north also move together, along the valley between them.
+    the last one. Parameters that compensate for each other are also moved together
+    (`compound_moves`).
     """
     moves = [(p.name, p.change, coarse * p.first_step, fine * p.last_step) for p in parameters]
     for name, change, first, last in compound_moves(guess, parameters, objective.pose):
@@ -199,9 +202,10 @@ def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
 def search_moves(
     objective: GuessCost, guess: Guess, moves: Sequence[tuple[str, Change, float, float]]
 ) -> tuple[Guess, float]:
-    """Return the best guess by some moves, and its cost.
+    """Search the guess of least cost by some moves from a start; return it and its cost.
 
-    A move has a name, a change, a first and a last step.
+    A move has a name, a function change(guess, by), a first and a last step. A step is halved when
+    neither direction lowers the cost; the search ends when all are below the last step.
     """
     best, cost = guess, objective(guess)
     step = {name: first for name, _, first, _ in moves}
@@ -292,7 +296,7 @@ _AIMED = {
 
 
 def aimed(change: Change) -> Change:
-    """Return a change after which the camera sees windows, bars and furniture where it did."""
+    """Return `change` extended so that the camera sees windows, bars and furniture where it did."""
 
     def follow(guess: Guess, by: float) -> Guess:
         moved = change(guess, by)
@@ -372,7 +376,7 @@ def _along_discs(pose: PosePrior) -> Change:
 
 
 def along_valley(guess: Guess, by_min: float) -> Guess:
-    """Return the guess at a later clock, with north turned so that patches at noon do not move."""
+    """Return the guess at a clock `by_min` later, with north turned so that noon patches stay."""
     clock = float(np.clip(guess.clock_min + by_min, -19.0, 19.0))
     moved = clock - guess.clock_min
     north = guess.north_deg - SUN_DEG_PER_MIN * moved

@@ -27,7 +27,7 @@ Array = NDArray[np.floating]
 
 @dataclass(slots=True)
 class SolidCost:
-    """Misfit and prior of a scene in which only the last solid changes.
+    """Cost function (misfit plus prior) of guesses that differ only in their last solid.
 
     The rest is rendered once: a solid removes light from the entries that it hides or shades, adds
     its own sunlit faces, and hides panes. This costs a fifth of `search.Objective`.
@@ -65,7 +65,7 @@ class SolidCost:
 
     @property
     def without(self) -> float:
-        """Return the misfit without the solid."""
+        """Return the misfit (patches and windows' picture, no prior) without the solid."""
         patches = self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
         return patches + self._view_misfit
 

@@ -25,9 +25,9 @@ class StatedRoom:
 
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
-        """Return the clocks from which searches start.
+        """Return how late the clock is assumed at the start of each search, [min].
 
-        There are several if the clock is not known to a minute.
+        There are several if the clock's standard uncertainty is over a minute.
         """
         clock = 0.0 if self.pose is None else float(self.pose.values[3])
         return START_CLOCKS_MIN if self.is_clock_open else (clock,)
@@ -38,7 +38,7 @@ class StatedRoom:
         return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess at another clock, with the pose that belongs to it."""
+        """Return the guess at another clock, with the north or pose that compensates for it."""
         if self.pose is not None:
             return self.pose.at_clock(guess, clock_min)
         moved = clock_min - guess.clock_min

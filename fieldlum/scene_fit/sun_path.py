@@ -13,7 +13,7 @@ SKY_TURN_DEG_PER_MIN = 0.25
 
 
 def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -> Array:
-    """Return the sun's directions `minutes` earlier, [n, 3].
+    """Return the sun's directions `minutes` earlier (negative: later), [n, 3].
 
     sun_direction : [n, 3] unit vectors (x east, y north, z up). The sun turns about the celestial
     pole from east to west; Rodrigues' rotation formula is exact for this.

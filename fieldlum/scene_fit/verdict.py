@@ -98,7 +98,7 @@ def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
 
 
 def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return a mask [n] of the hours with direct sun on a window's plane."""
+    """Return a mask [n] of the hours with direct sun over 1 000 lx on a window's plane."""
     normals = facades_of(room).normals
     facing = np.maximum(data.light.sun_direction @ normals.T, 0.0).max(axis=1)
     onto = facing * data.light.direct_lx
@@ -107,7 +107,7 @@ def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
 
 
 def outside_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return the sunny hours of every third block of sun directions, [n].
+    """Return a mask [n] of the hours to hold out: sunny, in every third block of sun directions.
 
     Raises NotEnoughDataError for fewer blocks than three.
     """

@@ -1,4 +1,4 @@
-"""What the camera sees of the windows: bright panes against dark walls, where edges are."""
+"""Compare a guess with the picture of the windows: bright panes against dark walls show edges."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ MAX_ROOM_SHARE = 0.5
 
 @dataclass(frozen=True)
 class WindowView:
-    """The mean picture near the windows.
+    """The median picture of q pixels near the windows, and the rays that sample it.
 
-    seen [q]: luminance relative to the hour's mean pane; row [q]: of the picture, from 0;
-    weights [q]: solid angles as in `SceneEvidence`; rays [r, 3] in stated world axes; pixel [r]: of
-    the q; per_pixel: number of rays.
+    seen: luminance over the hour's mean pane [q]; row: of the picture, from 0 [q]; weights: share
+    of the solid angle that the camera sees, 0 if the room is too bright to show edges [q]; rays in
+    stated world axes [r, 3]; pixel: index below q of each ray [r]; per_pixel: number of rays.
     """
 
     seen: Array
@@ -51,7 +51,7 @@ class WindowView:
     per_pixel: int
 
     def thinned(self, every: int) -> WindowView:
-        """Return the view at every n-th pixel, with the weight of all."""
+        """Return the view at every n-th pixel, `every` being n, with the same sum of weights."""
         keep = np.arange(0, len(self.seen), every)
         place = np.full(len(self.seen), -1)
         place[keep] = np.arange(len(keep))
@@ -72,10 +72,10 @@ class WindowView:
         return replace(self, weights=self.weights * share / max(share.mean(), 1e-12))
 
     def errors(self, guess: Guess) -> Array:
-        """Return the error of each pixel as a share of the panes' luminance, [q].
+        """Return predicted minus seen luminance of each pixel over that of its panes, [q].
 
-        A pixel shows panes, reveals and the room in shares that the guess has. The luminance of
-        the panes by rows, of sill, head, jambs and room are those that explain the picture best.
+        A pixel mixes panes, reveals and the room in the shares that the guess has, with the
+        `levels` that explain the picture best.
         """
         return self._errors(self.shares(guess))
 
@@ -86,7 +86,11 @@ class WindowView:
         return (shown - self.seen) / np.maximum(pane, _LEAST_PANE)
 
     def levels(self, share: Array) -> Array:
-        """Return the luminance of the panes by rows, then of sill, head, jambs and room."""
+        """Return the luminances that explain the picture best, for pixels with the shares [q, 5].
+
+        They are that of the panes in each picture row, then of sill, head, jambs and room, [rows +
+        4], as shares of the mean pane's luminance. share: see `shares`.
+        """
         pane, rest = share[:, 0], share[:, 1:]
         rows = int(self.row.max()) + 1
         size = rows + len(_LEVELS)
@@ -105,11 +109,11 @@ class WindowView:
         return np.linalg.solve(normal + 1e-9 * np.eye(size), right)
 
     def shares(self, guess: Guess) -> Array:
-        """Return the shares of panes, sill, head, jambs and room (with bars) in a pixel, [q, 5]."""
+        """Return the share of each pixel that shows pane, sill, head, jamb, room or bar, [q, 5]."""
         return self.shares_of(self.kinds(guess))
 
     def kinds(self, guess: Guess) -> NDArray[np.int8]:
-        """Return what each ray sees, `PANE` ... `BAR`, [r]."""
+        """Return what each ray sees, `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR` (also room), [r]."""
         ends = surfaces(guess, self.rays)
         into = np.flatnonzero(ends.surface == OUTSIDE)
         turn = guess.camera_turn.T.astype(np.float32)
@@ -118,7 +122,7 @@ class WindowView:
         return kind
 
     def shares_of(self, kind: NDArray[np.int8]) -> Array:
-        """Return the shares of what the rays see in each pixel, [q, 5]."""
+        """Return the share of each pixel's rays that see `PANE` ... `BAR`, [q, 5]; kind: [r]."""
         count = len(self.seen)
         counts = np.bincount(self.pixel * (BAR + 1) + kind, minlength=count * (BAR + 1))
         return counts.reshape(count, BAR + 1) / self.per_pixel
@@ -133,18 +137,18 @@ class WindowView:
         return np.sqrt(self.weights) * error / np.sqrt(error**2 + WIDTH**2)
 
     def misfit(self, guess: Guess) -> float:
-        """Return the share of all pixels that the guess's windows leave wrong."""
+        """Return the share of all seen pixels that the guess's windows leave wrong."""
         return float((self.residuals(guess) ** 2).sum())
 
     def misfit_of(self, kind: NDArray[np.int8]) -> float:
-        """Return the same from what each ray sees, [r]."""
+        """Return the share of all seen pixels that are wrong, if each ray sees `kind` [r]."""
         if not self.weights.any():
             return 0.0
         return float((self._saturated(self._errors(self.shares_of(kind))) ** 2).sum())
 
 
 def window_view(data: Dataset, guess: Guess) -> WindowView:
-    """Return the captures' mean picture near the windows of a stated guess."""
+    """Return the captures' median picture near the windows of a guess; empty if none is in view."""
     from fieldlum.scene.view import pixel_rays
 
     height, width = data.shape
