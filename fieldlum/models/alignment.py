@@ -89,8 +89,8 @@ def align(
 ) -> None:
     """Turn the captures' maps, masks [n, H, W] and counts to the common pose, in place.
 
-    Interpolation blurs sharp edges, such as a window's. Pixels that would have less than half
-    weight by this uncertainty have none.
+    counts: weight of each pixel [H, W] in a capture, None for 1. Interpolation blurs sharp edges,
+    such as a window's: the uncertainty lowers a pixel's weight, to 0 if it would be below a half.
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]

@@ -103,7 +103,7 @@ def light_features(light: Light) -> NDArray[np.float64]:
     """Return the features by which hours are compared, [n, 5].
 
     These are the sun's direction (three values, weighted by the sun's share of the light), that
-    share, and the clearness of the sky.
+    share, and the logarithm of diffuse irradiance.
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -112,7 +112,7 @@ def light_features(light: Light) -> NDArray[np.float64]:
 
 
 def outside(light: Light) -> NDArray[np.float64]:
-    """Return the scale of an hour's light, its global horizontal irradiance [n] W/m2."""
+    """Return the light outside by which maps are scaled: global horizontal irradiance, [n] W/m2."""
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
     return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
 

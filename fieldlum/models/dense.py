@@ -41,7 +41,7 @@ PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache
 class DenseFitted:
     """A trained network with everything that its prediction needs.
 
-    held_out_mse: see `Fitted`, [n].
+    held_out_mse: log10 MSE of each training map by a fit without its day [n], None if unknown.
     """
 
     name = "dense"

@@ -117,8 +117,8 @@ def parameter_count(net: nn.Module) -> int:
 class Canvas:
     """Inputs of P pixels that do not depend on the hour.
 
-    fixed: x, y and average of each pixel [P, 3]; sky_patch: nearest sky patch, -1 below the horizon
-    [P].
+    fixed: x, y and encoded mean luminance of each pixel, 0 to 1 [P, 3]; sky_patch: index of the
+    nearest sky patch, -1 below the horizon [P].
     """
 
     fixed: Tensor
@@ -166,7 +166,7 @@ class HourInputs:
 
 
 def hours(light: Light, shape: Shape) -> HourInputs:
-    """Return the inputs of all hours."""
+    """Return the network's inputs of the hours of `light`, scaled to 0 to 1."""
     from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,

@@ -95,9 +95,10 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
-    """Return the indices of the validation pixels [b].
+    """Return the indices, below `total`, of the values that validation uses, [b].
 
-    In the short schedule they are a fixed random part of all pixels.
+    A value is one pixel in one hour. The paper's schedule uses all of them, the short one a fixed
+    random part.
     """
     if plan.schedule == "paper" or total <= SHORT_VALIDATION_PIXELS:
         return torch.arange(total)

@@ -55,7 +55,7 @@ class PairPictures:
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
 ) -> PairPictures:
-    """Read maps and patches; a disc that a picture stores separately remains separate."""
+    """Read maps and sun patches of pairs. Raises InputError if sizes or headings differ."""
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
@@ -134,8 +134,9 @@ def fill_gaps(
 ) -> tuple[NDArray[np.bool_], int]:
     """Fill single missing values with the pixel's median, in place; return seen pixels and a count.
 
-    maps, has_value: [n, H, W]; seen pixels: [H, W]. A pixel that is missing in a fifth of the maps
-    counts as not seen.
+    maps, has_value: [n, H, W]; seen pixels: [H, W]; count: of filled values. A pixel that is
+    missing in a fifth of the maps counts as not seen and gets 0. Raises NotEnoughDataError if no
+    pixel is seen.
     """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():

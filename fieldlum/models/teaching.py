@@ -20,7 +20,7 @@ _DOUBTFUL = 0.1  # not measured
 
 
 def weight_of(relative_u: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return the weights, 0 to 1, of values with relative standard uncertainties."""
+    """Return 1 / (1 + u^2 / 0.01), the weight of values with relative standard uncertainty u."""
     return 1.0 / (1.0 + relative_u**2 / _HALF)
 
 
@@ -45,7 +45,7 @@ def joined_counts(
 
     has_value [n, H, W]: a missing value has weight 0. The weights of each pixel are divided by
     their maximum: an uncertainty that is common to all captures (the camera's scale) does not make
-    one capture better than another.
+    one capture better than another. A pixel without weight in most captures gets at least 0.1.
     """
     if all(counts is None for counts in each) and has_value.all():
         return None

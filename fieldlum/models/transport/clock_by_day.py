@@ -41,22 +41,22 @@ _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; 
 class ClockByDay:
     """Days [k] with enough direct sun, and how late their stated times are [k] min.
 
-    An offset that all days have is in them, because no setting explains it better: see
-    `train.setting.with_right_clock`.
+    An offset common to all days is included, because offsets are only searched if no other setting
+    explains it better (`train.setting.with_right_clock`).
     """
 
     days: NDArray[np.datetime64]
     late_min: Array
 
     def at(self, days: NDArray[np.datetime64]) -> Array:
-        """Return the offset of captures on `days`, [n] min; the median without enough sun."""
+        """Return how late captures on `days` are, [n] min; the median for days that are unknown."""
         known = dict(zip(self.days.tolist(), self.late_min.tolist(), strict=True))
         middle = float(np.median(self.late_min))
         return np.array([known.get(day, middle) for day in days.tolist()])
 
 
 def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
-    """Return the offsets of a clock that differs between days; None where one clock is as good.
+    """Return how late the clock was on each day; None where one clock for all days is as good.
 
     It needs patches and a box room. Held-out days decide: with the offsets corrected, they must be
     better by a tenth and by one standard error.

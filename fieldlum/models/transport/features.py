@@ -1,4 +1,4 @@
-"""Arrange captures for the solver: pixels in rows, patches in columns."""
+"""Arrange captures as arrays [hours, seen pixels] for the solver, with features of their light."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half w
 
 @dataclass(frozen=True, slots=True)
 class StateColumns:
-    """The states of the room in the captures.
+    """The states of the room (lamps, blinds) that captures are marked with, as columns of features.
 
     always: whether a lamp is on in all captures.
     """
@@ -55,7 +55,7 @@ class StateColumns:
     changed: tuple[str, ...] = ()  # states that change the response to daylight
 
     def add(self, features: Features, light: Light) -> Features:
-        """Return `features` with the columns of these states."""
+        """Return `features` with a column for each of these states, from the marks in `light`."""
         if not (self.always or self.lamps or self.changed):
             return features
         states = light.states or ("",) * len(light)
@@ -72,7 +72,7 @@ USUAL = StateColumns()  # lamps off, blinds up
 
 
 def state_columns(light: Light) -> StateColumns:
-    """Return the room's states that mark the captures."""
+    """Return the states that captures are marked with, those that add light and all others."""
     parts = sorted({part for text in light.states or () for part in parse_state(text)})
     lamps = tuple(part for part in parts if part.startswith(ADDED))
     return StateColumns(False, lamps, tuple(part for part in parts if part not in lamps))
@@ -91,9 +91,9 @@ class PatchDescriptor:
     def add(
         self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
     ) -> Features:
-        """Return `features` with these cells; patch [n, H, W] cd/m2.
+        """Return `features` with the direct flux in each cell, normalised.
 
-        Open_sky [H, W] marks windows.
+        patch [n, H, W] cd/m2; open_sky [H, W] marks windows, which do not count.
         """
         cells = patch_cells(patch, open_sky)  # [n, c]
         unit = light.total_lx[:, None] * self.cells_norm  # [n, 1]
@@ -111,12 +111,16 @@ def _summed(picture: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
-    """Return the solid angle of each cell, [c]."""
+    """Return the solid angle of each cell into which a map is divided, [c] sr."""
     return _summed(equirect_solid_angles(height, width).astype(np.float32)).ravel()
 
 
 def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return each cell's direct flux in view [lx], over the root of its solid angle, [n, c]."""
+    """Return each cell's integral of the patches over the root of its solid angle, [n, c].
+
+    The integral is over solid angle [lx]. patch: [n, H, W] cd/m2; open_sky: [H, W] marks windows,
+    which do not count.
+    """
     height, width = patch.shape[1:]
     omega = equirect_solid_angles(height, width).astype(np.float32)
     weights = np.where(open_sky, np.float32(0.0), omega)  # [H, W]
@@ -129,7 +133,7 @@ def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDA
 
 
 def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> Array:
-    """Return the direct flux in view, [n] lx."""
+    """Return patches [n, H, W] cd/m2 integrated over solid angle except windows, [n] lx."""
     root = np.sqrt(cell_areas_sr(*patch.shape[1:]))
     return np.asarray(patch_cells(patch, open_sky) @ root, float)
 
@@ -137,10 +141,10 @@ def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> 
 def describe_patches(
     patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
 ) -> PatchDescriptor:
-    """Choose the norm of the descriptor: the 75th percentile over sunny hours.
+    """Return the descriptor that makes the cells of a typical sunny hour about one.
 
-    It is at least a tenth of the largest value. patch: [n, H, W] cd/m2; open_sky: [H, W] marks
-    windows.
+    Its norm is the 75th percentile over sunny hours, at least a tenth of the largest. patch: [n, H,
+    W] cd/m2; open_sky: [H, W] marks windows.
     """
     cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
@@ -246,7 +250,7 @@ class TrainingArrays:
 
     @property
     def sureness(self) -> Array:
-        """Weight of each hour: 1 if its light was steady, [n]."""
+        """Weight of each hour, 1 for steady light and less for unsteady light, [n]."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
@@ -269,7 +273,7 @@ class TrainingArrays:
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
-    """Return the seen pixels as rows, with the windows among them and the features of the light."""
+    """Return captures as `TrainingArrays`: seen pixels, windows among them, and light."""
     height, width = data.shape
     rays = equirect_rays(height, width, data.heading_deg)[data.seen]
     luminance = data.luminance_cdm2[:, data.seen]
@@ -370,12 +374,11 @@ def computed_light(
 
 
 def pixel_scale(arrays: TrainingArrays, per: NDArray[np.floating] | None = None) -> Array:
-    """Return each pixel's mean light per unit of total light, over hours without sun on it, [P].
+    """Return each pixel's mean light per lx of total light, over hours without sun on it, [P].
 
-    per [n, P]: another unit than total light.
-
-    A pixel with fewer than three such hours gets its value from these, limited to the range of
-    other pixels; with no such hour it gets the median of all pixels.
+    per [n, P]: a light to divide by instead of the total light [n]. A pixel with fewer than three
+    such hours gets its value from these, limited to the range of other pixels; with no such hour it
+    gets the median of all pixels.
     """
     total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)

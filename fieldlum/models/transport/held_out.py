@@ -32,8 +32,8 @@ FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the pape
 class HeldOutFit:
     """Each hour as predicted by a fit without its day.
 
-    luminance: [n, P] cd/m2; error: log10 error above the floor of 1 cd/m2 [n, P]; scale: usual
-    light of each pixel; sureness: weight of the hours [n].
+    luminance: [n, P] cd/m2; error: log10 error above the floor of 1 cd/m2 [n, P]; scale: mean
+    luminance per lx of total light [P]; sureness: weight of the hours [n].
     """
 
     luminance: Array
@@ -48,7 +48,7 @@ class HeldOutFit:
 
     @property
     def judged(self) -> Array:
-        """Errors for choices, [n]: `per_hour`, with less weight for unsteady light."""
+        """Mean squared error of each hour, weighted so that unsteady light counts less, [n]."""
         return self.per_hour * self.sureness / self.sureness.mean()
 
 

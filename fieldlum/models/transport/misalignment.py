@@ -52,16 +52,16 @@ class Evidence:
     gains: tuple[float, float]  # of the stated and of the computed patches
 
     def given(self, right_px: float = 0.0, down_px: float = 0.0) -> Array:
-        """Return the stated patches, moved [px], [n, m]."""
+        """Return the stated patches at the pixels, moved right and down [px], [n, m] cd/m2."""
         assert self.data.patch_cdm2 is not None
         return moved(self.data.patch_cdm2[self.rows], self.pixels, right_px, down_px)
 
     def computed(
         self, turn_deg: float = 0.0, fast_min: float = 0.0, *, full_maps: bool = False
     ) -> Array:
-        """Return the room's patches, if it were turned and the clock were fast, [n, m].
+        """Return computed patches for room and camera turned clockwise and a fast clock, [n, m].
 
-        With `full_maps`, return complete maps [n, H, W].
+        They are in cd/m2; with `full_maps`, complete maps [n, H, W].
         """
         points = self.everywhere if full_maps else self.points
         assert points is not None
@@ -79,7 +79,7 @@ class Evidence:
         )
 
     def walled(self, turn_deg: float) -> Array:
-        """Return the room's patches if only the room were turned, [n, m].
+        """Return computed patches if only the room were turned clockwise, [n, m] cd/m2.
 
         Sun and camera stay, and everything in the room moves across the picture.
         """
@@ -87,7 +87,7 @@ class Evidence:
         return moved(self.computed(turn_deg, full_maps=True), self.pixels, right_px, 0.0)
 
     def light(self, patch: Array, gain: float) -> Array:
-        """Return ln L with a patch [n, m]."""
+        """Return ln of the light without patches plus `gain` times patches [n, m], [n, m]."""
         return np.log(self.background + gain * patch)
 
     def misfit(self, patch: Array, gain: float) -> Array:

@@ -98,7 +98,7 @@ class Transport:
         """Predict maps of the hours of `light` without the sun's disc, [n, H, W].
 
         patch_cdm2 [n, H, W]: direct sun on surfaces without the disc; required if and only if the
-        model was fitted with patches. The memory needed does not grow with n. Raises InputError for
+        model was fitted with patches. Only the result's memory grows with n. Raises InputError for
         patches that are missing or of another size.
         """
         self._check(light, patch_cdm2)
@@ -281,9 +281,10 @@ def fit(
 
 
 def held_out_errors(data: Dataset, seed: int = 0) -> Array:
-    """Return the squared log10 error of each capture without its day, [n], by a plain recipe.
+    """Return the mean squared log10 error of each capture by a fit without its day, [n].
 
-    It is for comparing two descriptions of the same captures, in a tenth of the time of `fit`.
+    It serves to compare two descriptions of the same captures, by a plain recipe in a tenth of the
+    time of `fit`. Captures in unsteady light count less.
     """
     with_patch = data.patch_cdm2 is not None
     arrays = training_arrays_of(data, with_patch=with_patch)

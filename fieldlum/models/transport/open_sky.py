@@ -33,7 +33,7 @@ class OpenSky:
     directions: Array  # [k, 3]
 
     def luminance(self, light: Light) -> NDArray[np.float32]:
-        """Return the luminance of the sky behind these pixels, [n, k] cd/m2."""
+        """Return the luminance of the sky seen through the glass of these pixels, [n, k] cd/m2."""
         return light.sky_at(self.directions) * self.share
 
     def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -84,11 +84,11 @@ class Physics:
         )
 
     def features(self, sunlight: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the part of `sunlight` that compares hours, [n, 48]."""
+        """Return the first 48 modes of `sunlight` [n, k], by which hours are compared, [n, 48]."""
         return sunlight[:, :MODES]
 
     def sunlight(self, light: Light) -> NDArray[np.float32]:
-        """Return the coarse bounced sunlight of each hour, per unit of total light, [n, k]."""
+        """Return bounced sunlight over total light as coefficients of the k modes, [n, k]."""
         points = self._points
         toward = points.scene.to_room(light.shown_sun_direction)
         beam = light.direct_lx / light.total_lx / self.norm
@@ -106,7 +106,7 @@ class Physics:
     ) -> NDArray[np.float32]:
         """Return the computed light of surfaces, without direct sun on them, [n, P] cd/m2.
 
-        sunlight: of `light` [n, k]; seen [H, W]: the P pixels.
+        sunlight: result of `sunlight` for `light` [n, k]; seen [H, W]: mask of the P pixels.
         """
         unit = (light.total_lx * self.norm).astype(np.float32)[:, None]
         sky = _outdoors(light) @ self.sky_modes.T  # [n, s]

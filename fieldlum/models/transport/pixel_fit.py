@@ -106,12 +106,12 @@ class PixelFit:
 
 
 def light_arrays(arrays: TrainingArrays, recipe: Recipe) -> TrainingArrays:
-    """Return the arrays to which the light is fitted; the recipe decides about patches."""
+    """Return the arrays to which light is fitted: without patches if the recipe excludes them."""
     return replace(arrays, patch=None) if recipe.below else arrays
 
 
 def with_patches(surface: Array, arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Array:
-    """Return fitted light with the patches that were not used in the fit added, [n, P]."""
+    """Return fitted light [n, P], plus the patches over `unit` if the recipe excluded them."""
     return surface + arrays.patch / unit if recipe.below and arrays.patch is not None else surface
 
 
@@ -214,13 +214,17 @@ def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Ar
 
 
 def with_computed(surface: Array, gains: Array, columns: Columns) -> Array:
-    """Return the surface part with the computed light that belongs to it, [n, P]."""
+    """Return F b (`surface`) plus the computed light of surfaces times its gains [P, k], [n, P]."""
     count = columns.surface
     return surface + np.einsum("knp,pk->np", columns.values[:count], gains[:, :count])
 
 
 def compose(surface: Array, least: Array, gains: Array, columns: Columns) -> Array:
-    """Return the surface part, at least `least`, plus columns with gains of at least 0, [n, P]."""
+    """Return F b (`surface`), at least `least` [P], plus patches and window sky, [n, P].
+
+    F b includes the computed light of surfaces. gains: of all columns [P, k]; negative ones of
+    patches and sky count as 0.
+    """
     found = np.maximum(with_computed(surface, gains, columns), least)
     other = slice(columns.surface, None)
     return found + np.einsum("knp,pk->np", columns.values[other], np.maximum(gains[:, other], 0.0))
@@ -243,7 +247,7 @@ def fit_pixels(
     recipe: Recipe,
     tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> PixelFit:
-    """Fit all pixels in chunks, so that the memory is bounded."""
+    """Fit all pixels in chunks, so that the memory is bounded; tick: called with done and total."""
     count, r = arrays.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
     taught = light_arrays(arrays, recipe)

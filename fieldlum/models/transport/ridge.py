@@ -28,9 +28,10 @@ MOST_THREADS = 8  # limits the memory; chosen
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Covariates of each pixel, values [k, n, P]; their gains have a Gaussian prior, [k].
+    """Covariates of each pixel, and the Gaussian prior of their gains.
 
-    surface: the number of leading covariates that are light of the surface itself.
+    values: [k, n, P]; mean, variance: of the prior [k]; surface: the number of leading covariates
+    that are light of the surface itself.
     """
 
     values: NDArray[np.floating]
@@ -43,7 +44,7 @@ class Columns:
 
 
 def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield slices over `count` pixels."""
+    """Yield slices of at most `size` pixels that together cover `count` pixels."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
 
@@ -77,8 +78,9 @@ def normal_matrices(
 ) -> tuple[Array, Array]:
     """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
 
-    x is the deviation from the prior mean. target, weights: [n, P]. The block that all pixels share
-    is one matrix product of weights and `pair_products`.
+    x is the deviation from the prior mean. features: [n, r]; target, weights: [n, P]; noise:
+    variance at weight 1. The block that all pixels share is one matrix product of weights and
+    `pair_products`.
     """
     count, r, k = target.shape[1], features.shape[1], len(columns.mean)
     both, i, j = products or pair_products(features)
@@ -110,7 +112,7 @@ def solve(
     noise: float,
     products: tuple | None = None,
 ) -> tuple[Array, Array]:
-    """Return b [P, r] and gains [P, k] of every pixel."""
+    """Return coefficients b [P, r] and gains [P, k] of every pixel, by `normal_matrices`."""
     r = features.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     found = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]

@@ -195,7 +195,7 @@ def _with_seen_sky(
 
 
 def plain_held_out(drawn: TrainingArrays, kernel: Kernel) -> HeldOutFit:
-    """Return held-out days by a plain recipe without the room's physics."""
+    """Return held-out days at the pixels `drawn` by a plain recipe without the room's physics."""
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
     return _choose_kernel(drawn, kernel, recipes, None).held
 

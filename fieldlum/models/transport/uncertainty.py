@@ -125,23 +125,27 @@ class Uncertainty:
         gain: NDArray[np.float32],
         dark: NDArray[np.floating],
     ) -> NDArray[np.floating]:
-        """Return the variance of log10 L due to displaced sun patches [m, H, W], [m, P]."""
+        """Return the variance of log10 L due to displaced sun patches [m, H, W], [m, P].
+
+        gain: of the patch [P]; dark: luminance without the patch [m, P].
+        """
         slip_px = self.slip_deg * patch.shape[1] / 180.0
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
-        """Return a mask [m] of hours whose expected log10 MSE from displaced patches is small."""
+        """Return a mask [m] of hours whose log10 MSE `off` by displaced patches is small enough."""
         return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
-        """Return a mask [m] of hours that are near enough to the captures."""
+        """Return a mask [m] of hours near enough to captures, by predictive variance [m]."""
         return variance <= NOVEL * self.novelty
 
     def factor(self, beam: Array, variance: Array) -> Array:
-        """Return the factor of each hour's class, [m], continuous between the classes' middles.
+        """Return the calibration factor on the standard deviation of each hour, [m].
 
-        Hours as near to captures as held-out days have the days' factor; hours as far as held-out
-        seasons have the seasons' factor.
+        It is continuous between overcast, intermediate and clear hours, by `beam` [m], the sun's
+        share of the light. Hours as near to captures as held-out days have the days' factor; hours
+        as far as held-out seasons have the seasons' factor.
         """
         factors, variances = (
             [np.interp(beam, MIDDLES, row) for row in np.log(a)]
@@ -156,7 +160,7 @@ class Uncertainty:
 
 
 def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
-    """Return the least and most of sun patches [n, H, W] within `slip_px` of each pixel.
+    """Return the least and largest luminance of patches [n, H, W] within `slip_px` of pixels.
 
     The distance is at least one pixel. The third value is the probability that a pixel in that
     range is on the other side of a displaced edge, because the range around a straight edge
@@ -225,8 +229,9 @@ def log_sd(
 ) -> NDArray[np.floating]:
     """Return the uncalibrated standard deviation of ln L, [m, P].
 
-    surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual
-    sd, and its increase with `doubt` about the sun [m].
+    surface_share, patch_share: surface unit and patch over L [m, P]; variance: predictive [m];
+    doubt: about the sun [m]; noise: each pixel's residual sd, and its increase with doubt [P];
+    patch_sd: relative sd of a patch.
     """
     kind = surface_share.dtype
     total = surface_share**2 * variance.astype(kind)[:, None]
@@ -256,7 +261,7 @@ def residual_noise(
 
 
 def sun_doubt(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the factor on each captured hour's sun noise, computed without its day, [n]."""
+    """Return the factor on sun noise of each captured hour, by a fit without its day, [n]."""
     if not recipe.second:
         return arrays.features.beam
     noise = np.full(len(arrays.light), SECOND_NOISE)

@@ -42,9 +42,9 @@ MOST_PATCHES = 80  # most sky patches that are used; chosen, limits the time
 
 @dataclass(frozen=True, slots=True)
 class SkyField:
-    """A log-normal field over the sky.
+    """A log-normal field over the sky: ratio of a real sky to Perez's, correlated by direction.
 
-    sd: of ln luminance; width: as a chord; noise: sd of a patch's mean.
+    sd: of ln luminance; width: correlation length on the unit sphere; noise: sd of a patch's mean.
     """
 
     sd: float
@@ -56,7 +56,7 @@ class SkyField:
         return self.sd**2 * np.exp((a @ b.T - 1.0) / self.width**2)
 
     def noisy(self, directions: Array) -> Array:
-        """Return the covariance of measured values at directions [k, 3], [k, k]."""
+        """Return the covariance of measured (noisy) ln luminance at directions [k, 3], [k, k]."""
         own = self.covariance(directions, directions)
         return own + self.noise**2 * np.eye(len(directions))
 
@@ -69,7 +69,7 @@ class SeenSky:
     field: SkyField
 
     def features(self, arrays: TrainingArrays) -> Features:
-        """Return the features of the captures under these skies."""
+        """Return the features of `arrays`, with these skies instead of Perez's."""
         root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
         unit = arrays.light.total_lx.astype(np.float32)[:, None]
         return replace(arrays.features, sky=self.luminance_cdm2 * root / unit)
