@@ -106,9 +106,10 @@ class Learning:
 def learning(
     site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None
 ) -> Learning:
-    """Return what a greedy choice needs, for about YEAR_HOURS hours, evenly spread over the year.
+    """Return kernel, weather and features of about YEAR_HOURS hours, for a greedy choice of hours.
 
-    kernel : of a trained model; by default a kernel for the room's facades.
+    The hours are spread evenly over the year's daylight. kernel : of a trained model; by default a
+    kernel for the room's facades.
     """
     lit = weather.daylight()
     year = lit[np.arange(0, len(lit), max(len(lit) // YEAR_HOURS, 1))]

@@ -60,12 +60,12 @@ def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
 
 
 def span(first: date, count: int) -> list[date]:
-    """Return `count` consecutive days."""
+    """Return `count` consecutive days, beginning with `first`."""
     return [first + timedelta(days=i) for i in range(count)]
 
 
 def season_date(year: int, which: int, site: Site) -> date:
-    """Return the local standard date of an equinox or a solstice."""
+    """Return the local standard date of an equinox or solstice; which: 0 March to 3 December."""
     return sun.standard_date(sun.season(year, which), site.timezone)
 
 
@@ -120,7 +120,7 @@ def set_days(
 
 
 def season_tag(day: date, site: Site) -> str:
-    """Return ``march-equinox`` and so on for days near such an event, else ""."""
+    """Return "march-equinox" and so on within a day of such an event, else ""."""
     for which, tag in enumerate(SEASON_TAGS):
         if abs((day - season_date(day.year, which, site)).days) <= 1:
             return tag

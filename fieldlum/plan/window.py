@@ -16,9 +16,9 @@ GRID = 6  # test points across and up a window; chosen, not measured
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask [n]: whether some ray of the sun passes some window; frame bars are ignored.
+    """Return a mask [n]: whether sun at these angles [deg] passes a window; bars are ignored.
 
-    Raises InputError for an impossible room.
+    Reveals and obstructions are not ignored. Raises InputError for an impossible room.
     """
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))
@@ -33,7 +33,7 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> N
 
 
 def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask [n]: whether the camera sees any part of the sun disc through a window.
+    """Return a mask [n]: whether the camera sees some of the sun disc at these angles [deg].
 
     Raises InputError for an impossible room.
     """
