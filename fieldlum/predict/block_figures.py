@@ -39,7 +39,7 @@ def unseen_bounds(
 
 
 def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
-    """Return the `HOUR_COLUMNS` of a block that the model determines, [k] each."""
+    """Return the `HOUR_COLUMNS` of a block, [k] each; `occupied` is 0 until it is known."""
     light, predicted = block.light, block.prediction
     return {
         "dni_wm2": light.dni_wm2,

@@ -93,10 +93,9 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
 
 
 def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
-    """Return the uncertainty of a fitted room.
+    """Return the uncertainty of the model's room by the draws of its scene fit.
 
-    None if the model was trained without a fitted scene. None means the uncertainty of a tape
-    measure.
+    None without a fitted scene or a room: then the uncertainty of a tape measure applies.
     """
     draws = config.scene.get("room_draws") if config.scene else None
     if not draws or room.setup.room is None:

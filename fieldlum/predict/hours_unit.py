@@ -47,10 +47,10 @@ class _HoursJob:
 
 @dataclass(frozen=True, slots=True)
 class HourFigures:
-    """Figures of the hours `rows` (first, end).
+    """Figures of the n hours `rows` (first, end) of a year, in d view directions.
 
-    hours: [n]; views: [n, d]; least, most: DGP bounds [n, d]; drawn: DGP in k drawn rooms [k, n,
-    d].
+    hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; least, most: bounds of DGP
+    by unseen parts of the view [n, d]; drawn: DGP in k drawn rooms [k, n, d].
     """
 
     rows: tuple[int, int]

@@ -37,7 +37,7 @@ class MapStore(Protocol):
         ...
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write the discs [n] lx and the trust [n], which completes the store."""
+        """Write `disc_lx` and `trusted` of the n hours, which completes the store."""
         ...
 
 
@@ -59,7 +59,7 @@ class FolderMapStore:
         describe(self._work, t_utc, room, {"site": site_name})
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write the discs [n] lx and the trust [n], and rename the store to its final name."""
+        """Write `disc_lx` and `trusted` of the n hours; rename the store to its final name."""
         add_hours(self._work, disc_lx, trusted)
         shutil.rmtree(self._path, ignore_errors=True)
         self._work.rename(self._path)
@@ -99,7 +99,7 @@ def describe(
 
 
 def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-    """Write the discs [n] lx and the trust [n] into a store."""
+    """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours into a store."""
     import xarray as xr
     import zarr
 

@@ -44,7 +44,7 @@ class BucketMapStore:
         self._store.begin(self._draft)
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Upload the discs [n] lx and the trust [n], then the root's zarr.json."""
+        """Upload `disc_lx` and `trusted` of the n hours, then the root's zarr.json."""
         add_hours(self._draft, disc_lx, trusted)
         for name in ("disc_lx", "trusted"):
             self._store.upload(self._draft, name)
