@@ -28,7 +28,7 @@ class Equirect:
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the directions of continuous (row, column) coordinates, [rows, columns, 3]."""
+        """Return unit vectors at continuous rows and columns, [rows, columns, 3]; y is ahead."""
         altitude = 90.0 - rows / self.height * 180.0
         azimuth = (columns / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
@@ -36,7 +36,7 @@ class Equirect:
     def weight(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the relative solid angle of samples, [rows, columns]."""
+        """Return the relative solid angle at continuous rows and columns, [rows, columns]."""
         return np.broadcast_to(
             np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
         )
@@ -94,20 +94,20 @@ class Fisheye:
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the directions of continuous (row, column) coordinates, [rows, columns, 3]."""
+        """Return unit vectors at continuous rows and columns, [rows, columns, 3]."""
         return lens_rays(self.geometry, columns[None, :], rows[:, None])
 
     def angles(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the angles from the axis, in rad, [rows, columns]."""
+        """Return the angles from the axis at continuous rows and columns, rad, [rows, columns]."""
         half = self.size / 2
         return np.hypot(columns[None, :] - half, rows[:, None] - half) * self.pixel_rad
 
     def weight(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the relative solid angle of samples, 0 outside the circle, [rows, columns]."""
+        """Return the relative solid angle at [rows, columns] coordinates, 0 outside the circle."""
         angle = self.angles(rows, columns)
         return np.where(
             angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0

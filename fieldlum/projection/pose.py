@@ -1,4 +1,4 @@
-"""Turns of directions: about the vertical, and of a camera that is not level."""
+"""Turn directions about the vertical, and rotate the axes of a camera that is not level."""
 
 from __future__ import annotations
 
