@@ -252,7 +252,7 @@ def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64]
 
 
 def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
-    """Read the visible mosaic of a raw frame. Raises InputError for everything else.
+    """Read the visible mosaic of a raw frame. Raises InputError if LibRaw cannot.
 
     lens_f_number : of a lens that the frame does not state; 0: the frame must.
     """
