@@ -39,7 +39,7 @@ class SessionArtefacts:
 
 
 def find(session: Session) -> SessionArtefacts:
-    """Return the newest model and the newest predicted year of a session."""
+    """Return the newest predicted year, and the model that predicted it, else the newest model."""
     from fieldlum.models import read_config
     from fieldlum.predict import read_annual
 

@@ -18,7 +18,7 @@ from fieldlum.session.files.quality_csv import read_quality
 
 
 def column(rows: Sequence[PairRow], name: str) -> NDArray[np.float64]:
-    """Return one number of each row, [n]."""
+    """Return the field `name` of each row as a number, [n]."""
     return np.array([getattr(row, name) for row in rows], float)
 
 

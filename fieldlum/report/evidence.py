@@ -146,9 +146,9 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
 def section(
     held: HeldOutMaps | None, scores: ScoresFile | None, names: Mapping[str, str] | None = None
 ) -> Section:
-    """Return the section on accuracy.
+    """Return the section on accuracy, from held-out maps and the scores of `train`.
 
-    names: name of a slot in the session, by the middle of its bracket, as training knows it.
+    names: name of a slot in the session by its name in `held`, the middle of its bracket.
     """
     table = _score_table(scores)
     rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()
