@@ -38,7 +38,7 @@ class BucketStore:
         return table.get("attributes", {})
 
     def is_made_from(self, digest: str) -> bool:
-        """Return whether a complete store of these inputs is at the URL."""
+        """Return whether a complete store with this digest of its inputs is at the URL."""
         attributes = self.attributes()
         return attributes is not None and attributes.get(_MADE_FROM) == digest
 

@@ -62,7 +62,11 @@ def build_known(cls: type[T], table: Mapping[str, Any], where: str) -> T:
 def content_of(
     table: Mapping[str, Any], newest: int, path: Path, expected: str, remedy: str
 ) -> Iterator[None]:
-    """Raise InputError for a newer format, and for what conversions of a file's content raise."""
+    """Turn errors within the `with` block that converts a file's content into InputError.
+
+    These are KeyError, TypeError, ValueError, AttributeError and ArithmeticError. Raises InputError
+    also for a format version above `newest`.
+    """
     check_format(table, newest, path)
     try:
         yield
