@@ -252,11 +252,10 @@ def _sparse(answer: bytes, rows: int, columns: int) -> Any:
 def representatives(
     keys: Sequence[NDArray[np.integer]], position: Array, weight: Array
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return one row for each set of equal keys, and the weight of the set.
+    """Group points by equal keys; return one point of each group and the group's total weight.
 
-    The row is that of the member nearest to the middle of the set.
-
-    keys : [m] each; position : [m, 3]; weight : [m].
+    The point is the index of the member nearest to the group's middle, [groups]. keys : [m] each;
+    position : [m, 3]; weight : [m].
     """
     code = np.zeros(len(position), np.int64)
     for key in keys:

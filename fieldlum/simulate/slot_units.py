@@ -51,7 +51,11 @@ def truth_units(
     quality: str,
     troubles: Troubles,
 ) -> list[WorkUnit]:
-    """Return the units of the slots `owed`, `SLOTS_A_UNIT` each."""
+    """Return units of work, `SLOTS_A_UNIT` slots each, that render the slots with indices `owed`.
+
+    light: as stated, for the sun patches; shining: as the room receives it; cache: folder of the
+    Radiance coefficients.
+    """
     root, coefficients = session.root.resolve(), cache.resolve()
     folder = Path(os.path.commonpath([root, coefficients]))
     name = root.relative_to(folder).as_posix()

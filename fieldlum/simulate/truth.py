@@ -69,7 +69,7 @@ class Rendering:
         return len(self.luminance_cdm2)
 
     def source(self, k: int) -> SunSource | None:
-        """Return the sun as the lens sees it; None if it is hidden or down."""
+        """Return the sun of moment k as the lens sees it; None if it is hidden or down."""
         if self.disc_lx[k] <= 0:
             return None
         angles = float(self.light.shown_altitude_deg[k]), float(self.light.sun_azimuth_deg[k])
@@ -150,10 +150,10 @@ class GroundTruth:
     def columns(
         self, outdoors: NDArray[np.float32], first_lx: NDArray[np.float32] | float = 0.0
     ) -> NDArray[np.float32]:
-        """Return the luminance of outdoors, and of pieces after all bounces, [columns, n].
+        """Return the luminance of sky and plain, then of pieces after all bounces, [columns, n].
 
-        outdoors: luminance of sky and plain [FIRST_PIECE, n]; first_lx: direct sun on the pieces
-        [p, n].
+        outdoors: luminance of sky and plain [FIRST_PIECE, n] cd/m2; first_lx: illuminance of the
+        pieces by direct sun [p, n].
         """
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)[:, None]
         first = self._outdoors @ outdoors + first_lx
@@ -163,7 +163,7 @@ class GroundTruth:
         return np.concatenate((outdoors, pieces))
 
     def pixels_cdm2(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the luminance of the pixels' surfaces, without direct sun, [H W, n]."""
+        """Return the luminance of pixels' surfaces without direct sun, [H W, n], by `columns`."""
         return self.to_pixels @ (self.from_points @ columns)
 
     @cached_property
