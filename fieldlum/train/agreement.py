@@ -58,8 +58,8 @@ PRICE = float(np.log1p(1.0 / _SOFT))  # cost of omitting a capture: that of a ca
 class LeftOut:
     """The captures `rows` [k], each predicted by the others.
 
-    inverse [k, k]: of their covariance with noise; weights [k, P pixels]: inverse times values;
-    error [k, P]: measured minus predicted; variance [k]: of the error.
+    inverse: of their covariance with noise [k, k]; weights: inverse times values [k, P]; error:
+    measured minus predicted [k, P]; variance: of the error [k]. P pixels.
     """
 
     rows: Rows
@@ -97,10 +97,7 @@ class Process:
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:
-        """Return the process with more values hidden by a mask [n, P].
-
-        These are predicted from the seen ones.
-        """
+        """Return the process with more values hidden by a mask [n, P], and predicted instead."""
         valid, rows = self.valid & ~hidden, np.flatnonzero(self.judged)
         process = self
         for _ in range(2):
@@ -116,7 +113,10 @@ class Process:
         return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))
 
     def lamp_light(self, rows: Rows, noise: float) -> float:
-        """Return the light of the lamp that is on in `rows`, median over pixels, per `LAMP_LX`."""
+        """Return the fitted light of a lamp in the captures `rows`, per `LAMP_LX` (pixel median).
+
+        It is negative if these captures are darker than the others. noise: relative variance.
+        """
         judged = np.flatnonzero(self.judged)
         lit = np.zeros(len(self.days))
         lit[rows] = LAMP_LX / self.total_lx[rows]
@@ -125,20 +125,20 @@ class Process:
         return float(np.median(weights @ self.y[judged]))
 
     def noisy(self, noise: float) -> Array:
-        """Return the covariance of measured values, [n, n]."""
+        """Return the covariance of measured values with the relative variance `noise`, [n, n]."""
         return self.covariance + np.diag(noise * self.spread)
 
     def left_out(self, rows: Rows, noise: float) -> LeftOut:
-        """Return how far the captures `rows` deviate from predictions by the others."""
+        """Return the captures `rows` as predicted by the others of them: errors and variances."""
         inverse = np.linalg.inv(self.noisy(noise)[np.ix_(rows, rows)])
         weights = inverse @ self.y[rows]  # [k, P]
         variance = 1.0 / np.diagonal(inverse)
         return LeftOut(rows, inverse, weights, weights * variance[:, None], variance)
 
     def factor(self, rows: Rows, noise: float) -> NDArray[np.float64]:
-        """Return the median over pixels of measured over predicted light, [n].
+        """Return measured over predicted light of each capture, median over pixels, [n].
 
-        The other days predict it.
+        The captures `rows` of other days predict it.
         """
         factor = np.ones(len(self.days))
         for day in np.unique(self.days):
@@ -151,7 +151,7 @@ class Process:
         return factor
 
     def squares(self, out: LeftOut) -> Array:
-        """Return squared deviations of single captures over their variance, [k, P]."""
+        """Return squared errors of left-out captures over their variance, 0 if hidden, [k, P]."""
         return np.where(self.valid[out.rows], out.error, 0.0) ** 2 / out.variance[:, None]
 
     def day_squares(self, out: LeftOut) -> dict[Any, float]:
@@ -177,7 +177,7 @@ def _trimmed(values: Array) -> float:
 
 
 def thinned(data: Dataset) -> Dataset:
-    """Return the captures at the pixels that are compared."""
+    """Return the captures at fewer pixels, by which they are compared with each other."""
     return data.thin(_THIN_HEIGHT)
 
 
@@ -257,7 +257,7 @@ class Typical:
 
 
 def typical(process: Process, rows: Rows) -> Typical:
-    """Return the usual deviations among the captures `rows`."""
+    """Return the usual deviations of the captures `rows` from what the others predict."""
     noise = _likely_noise(process, rows)
     out = process.left_out(rows, noise)
     squares = process.squares(out)
@@ -280,7 +280,7 @@ def _likely_noise(process: Process, rows: Rows) -> float:
 
 
 def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dict[Any, float]]:
-    """Return the deviations of each capture of `rows` [k] and of their days, over the limits."""
+    """Return how far the captures `rows` [k] and their days deviate; 1 is the limit."""
     out = process.left_out(rows, usual.noise)
     squares = process.squares(out) / usual.pixel
     count = max(1, round((1.0 - _TRIM) * squares.shape[1]))

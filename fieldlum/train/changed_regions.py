@@ -89,7 +89,7 @@ def _deviation(process: Process, rows: Rows, seen: Mask) -> tuple[Array, Array, 
 class MovedObject:
     """A region of the picture whose light changed by `factor` from a day on.
 
-    Its middle and size.
+    azimuth_deg, altitude_deg: its middle; size_sr: its solid angle.
     """
 
     day: Any

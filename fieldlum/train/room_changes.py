@@ -164,10 +164,10 @@ def _hours(data: Dataset) -> NDArray[np.float64]:
 
 
 def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]:
-    """Return the captures in which a lamp was on at times, [k], and those in which one is on.
+    """Return captures with a lamp that is on only at times [k], and all captures with a lamp.
 
-    hours [n]: local standard time. A lamp that is on in all captures is part of the room: then only
-    the second result has captures.
+    hours [n]: local standard time. A lamp that is on in all captures is part of the room: then the
+    first result is empty.
     """
     rows = np.flatnonzero(process.judged)
     if len(np.unique(process.days)) > _MOST_DAYS:
