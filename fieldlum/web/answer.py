@@ -45,8 +45,8 @@ PROGRAM = (
 class Moment:
     """State that decides whether there is time to compute.
 
-    seconds_to_slot: None without a coming slot. busy: a bracket is being taken, or time is
-    simulated and runs fast.
+    seconds_to_slot: None without a coming slot or a capture. busy: a bracket is being taken, or
+    time is simulated and runs fast. captured: number of complete slots.
     """
 
     seconds_to_slot: float | None
@@ -240,7 +240,7 @@ def read_answers(session: Session) -> list[JsonTable]:
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
-    """Return the last answer, how each direction moved, and what is being computed."""
+    """Return the last answer, the DGP of each direction in all answers, and the present step."""
     rows = read_answers(session)
     history = [
         {

@@ -66,7 +66,7 @@ class Snapshots:
         self._band: tuple[object, dict[str, float]] = (None, {})
 
     def state(self) -> JsonTable:
-        """Return what changes from minute to minute."""
+        """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
             journal, slots, now, rehearsal, states = self._present()
             latest, merged = self._latest(), self._merged()
