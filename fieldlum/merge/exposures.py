@@ -37,7 +37,7 @@ _REPORTED_DEVIATION, _REPORTED_SIGMA = 0.02, 3.0
 
 @dataclass(frozen=True, slots=True)
 class SampledFrames:
-    """The same pixels of every frame, and the measured exposure ratios of pairs of frames."""
+    """The same sampled pixels of every frame, and measured exposure ratios of pairs of frames."""
 
     samples: list[Sample]
     pairs: list[PairRatio]

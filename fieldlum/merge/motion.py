@@ -43,9 +43,9 @@ _WITNESSES = 2  # least number of agreeing frames; chosen
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """The frames' consensus at m pixels.
+    """The frames' consensus at m pixels, [m] each.
 
-    value_cdm2 [m]: value that most frames share. clear: whether frames outside the consensus are
+    value_cdm2: value that most frames share. clear: whether frames outside the consensus are
     excluded. sure: number of frames whose noise is small enough to confirm the value.
     """
 
