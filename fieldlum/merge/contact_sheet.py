@@ -21,7 +21,7 @@ _FONT_SCALE = 0.36
 
 
 def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
-    """Write the pages of all panoramas, coloured by log luminance from 1 to 10 000 cd/m2.
+    """Write panoramas as thumbnails to contact-1.png and so on, by log luminance 1 to 10 000 cd/m2.
 
     Flagged pixels are grey.
     """

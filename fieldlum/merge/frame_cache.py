@@ -49,7 +49,7 @@ class FrameStore:
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 
     def noisier(self, shot: float, read: float) -> None:
-        """Multiply the variances of raw frames' shot and read noise.
+        """Multiply the variances of raw frames by factors on their shot noise and read noise.
 
         This applies to stored frames and to later reads.
         """

@@ -33,8 +33,8 @@ _TOP_CODE = 250  # code above which a JPEG pixel is treated as saturated; chosen
 class JpegSignal:
     """A JPEG frame: codes [h, w, 3], and for each colour a table that converts codes to light z.
 
-    low_code, high_code: codes between which the response is well known. dark_end, bright_end:
-    whether this is the most, least exposed frame of the bracket.
+    low_code, high_code: codes between which the response is well known. dark_end: whether this is
+    the most exposed frame of the bracket; bright_end: whether it is the least exposed.
     """
 
     codes: NDArray[np.uint8]

@@ -43,7 +43,7 @@ def files_to_picture(
     heading_deg: float = 180.0,
     progress: Progress = quiet,
 ) -> tuple[MergeResult, dict[str, float]]:
-    """Merge files and write the picture; return the result and the illuminances.
+    """Merge files and write the picture; return the result and {"vertical_illuminance_lx": lx}.
 
     Raises InputError for a frame that cannot be merged, or if `out` ends neither in .exr nor in
     .hdr.

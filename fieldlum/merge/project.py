@@ -98,7 +98,7 @@ def _project(
 def view_through(
     sensor: SensorImage, lens: Lens, profile: CameraProfile, target: Target
 ) -> ProjectedImage:
-    """Return what one lens sees of the target, with its vignetting not yet corrected."""
+    """Return what one lens sees of the target, corrected for vignetting and stray light."""
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
     r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)

@@ -98,7 +98,7 @@ def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> 
 
 
 def read_sidecars(session: Session) -> list[Sidecar]:
-    """Return the readable sidecars of all panoramas, in order of time."""
+    """Return the readable sidecars of all panoramas that list frames, in order of time."""
     return [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
 
 

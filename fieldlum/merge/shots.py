@@ -97,7 +97,7 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
 
 
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
-    """Return the frames sorted by exposure, longest first, then by name.
+    """Return the frames sorted by heading, then by exposure, longest first, then by name.
 
     Raises InputError for frames of another camera, ISO, aperture or filter than the profile's.
     """

@@ -170,8 +170,9 @@ def load_pairs(
 ) -> Dataset:
     """Read a pairs.csv (or a session's) with all its pictures, in the order of time.
 
-    Rows with ok = 0 are not used. Sun columns are used as recorded. Raises InputError, naming the
-    line, for an unreadable cell; NotEnoughDataError if no row is usable.
+    Rows with ok = 0 or without irradiance are not used. Sun columns are used as recorded. Raises
+    InputError, naming the line, for an unreadable cell or implausible rows; NotEnoughDataError if
+    no row is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():

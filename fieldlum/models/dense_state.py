@@ -43,7 +43,7 @@ def keep(
 def restore(
     path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape, mark: str
 ) -> tuple[TrainingPlan, dict[str, Tensor]]:
-    """Continue from a checkpoint; return its plan and its best weights.
+    """Load a checkpoint into net, optimiser and run; return its plan and its best weights.
 
     Raises InputError for a checkpoint of another training, or with anything but tensors and
     numbers.

@@ -113,7 +113,10 @@ class Truth:
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
-    """Prepare a test set for `evaluate`."""
+    """Compute for `evaluate` what does not depend on the model: weights, and glare of some maps.
+
+    glare: also compute DGP and contrast of the true maps.
+    """
     n = len(data)
     asked = np.zeros(n, bool)
     if glare:
@@ -186,7 +189,7 @@ def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
 def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
     """Return the errors of log10 luminance for each map; weights: of the pixels [H, W].
 
-    Raises FloatingPointError for a value that is not finite.
+    Glare scores stay NaN. Raises FloatingPointError for a value that is not finite.
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map has values that are not finite")

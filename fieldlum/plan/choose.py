@@ -75,8 +75,8 @@ def even(
 ) -> Index:
     """Return indices [count] of hours spread evenly, ascending.
 
-    They are k-means medoids over sun position and sky (the paper's method); without weather, over
-    sun positions only.
+    They are k-means medoids over sun position and sky (the paper's method); without weather, sun
+    positions by `space_filling`.
     """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:

@@ -157,7 +157,7 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
 ) -> RankedHours:
-    """Rank the daylight hours of the next two weeks.
+    """Rank the daylight hours of the next two weeks, and return the best of them.
 
     Raises NotEnoughDataError if the sun does not rise in them.
     """

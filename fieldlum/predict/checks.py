@@ -127,7 +127,10 @@ def inputs_of(
     seed: int,
     label_shift_min: float = 0.0,
 ) -> dict[str, object]:
-    """Return everything on which a predicted year depends, as plain values."""
+    """Return everything on which a predicted year depends, as plain values.
+
+    Raises InputError for a missing weather file.
+    """
     from fieldlum.weather import SYNTHETIC
 
     synthetic = str(weather) == SYNTHETIC

@@ -239,8 +239,9 @@ def best_and_worst(
 ) -> tuple[DirectionYear, DirectionYear] | None:
     """Return the directions with the least and the most glare; None if no direction was seen.
 
-    A partly seen direction is ranked by the upper end of its interval for the least, and by its
-    lower end for the most glare: an unseen part never makes a direction a recommendation.
+    A partly seen direction is ranked by the upper end of its interval for the least, and by
+    `dgp_exceeded` (the unseen part dark) for the most glare: an unseen part never makes a direction
+    a recommendation.
     """
     judged = [row for row in rows if row.glare_class != NOT_SEEN]
     if not judged:

@@ -129,14 +129,14 @@ def run(
 
 
 def light_of(weather: Weather) -> Light:
-    """Return the light of the hours with the sun up."""
+    """Return the light of all hours of `weather`, with the sun's position."""
     from fieldlum.light import light_at
 
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
 
 
 def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
-    """Return `light` with the state of the lamps in each hour; see `run`."""
+    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`."""
     if not lamps:
         return light
     if lamps == "off":
@@ -146,7 +146,7 @@ def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
 
 
 def lamps_text(lamps: str) -> str:
-    """Return the text about the lamps in predict.json: "off", or the schedule."""
+    """Return the text on lamps for predict.json: `lamps` if "" or "off", else its schedule."""
     return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
 
 

@@ -38,7 +38,7 @@ def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
 def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
     """Return which view directions these lenses and headings can judge; "" if all.
 
-    For one lens without a turned head, the text names headings with which all directions are seen.
+    If the heading and its opposite would see all directions, the text names these two.
     """
     lenses = [lens.geometry for lens in profile.lens]
     headings = setup.headings or (setup.heading_deg,)

@@ -89,7 +89,7 @@ def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.
 def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64]:
     """Return the angle of radii, in rad: the inverse of `radius_of_angle`, in the same shape.
 
-    A radius beyond the reach of the mapping gives the largest angle.
+    A radius beyond the reach of a polynomial or equisolid mapping gives the largest angle.
     """
     r = np.asarray(radius, float)
     if lens.mapping == "equisolid":

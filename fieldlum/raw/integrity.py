@@ -33,7 +33,7 @@ def is_jpeg(path: Path) -> bool:
 
 
 def possible_frames(folder: Path) -> list[Path]:
-    """Return the files in a folder that can be frames, by name."""
+    """Return the files in a folder that can be frames, sorted by name."""
     files = (path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
     return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
 

@@ -62,7 +62,7 @@ def picture_png(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def luminance_scale_svg() -> str:
-    """Return the colour bar of all false-colour pictures."""
+    """Return the colour bar of all false-colour pictures as SVG text."""
     with styled():
         figure = Figure(figsize=(5.0, 0.28))
         axes = figure.add_axes((0, 0, 1, 1))
@@ -81,7 +81,7 @@ def luminance_scale_svg() -> str:
 
 
 def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
-    """Return rows of measured, predicted and their log10 difference, for maps [n, H, W].
+    """Return a PNG with rows of measured, predicted and their log10 ratio, for maps [n, H, W].
 
     As the paper's Figures 9 and 23.
     """
@@ -147,7 +147,7 @@ def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
 
 
 def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
-    """Return the panoramas of a day side by side. maps: [n, H, W]."""
+    """Return the panoramas of a day as PNG, up to four in a row. maps: [n, H, W] cd/m2."""
     n = len(maps)
     columns = min(4, n)
     with styled():
@@ -331,7 +331,7 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
 
 
 def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
-    """Plot the mean error [n] against the sun's altitude and azimuth (the paper's Figure 12)."""
+    """Plot each hour's error [n] against the sun's altitude and azimuth (the paper's Figure 12)."""
     with styled():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)

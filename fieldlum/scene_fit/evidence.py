@@ -125,7 +125,7 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return pixels' direct irradiance per lx of normal sun [n, m], and where the rays end."""
+        """Return pixels' direct irradiance per lx of the sun [n, m], and where their rays end."""
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
@@ -166,7 +166,7 @@ class SceneEvidence:
     ) -> float:
         """Return the mean of `misfit` over the hours, if the sun reaches k pairs of hour and ray.
 
-        hour, ray: indices [k]; shine: irradiance per lx of normal sun times albedo [k].
+        hour, ray: indices [k]; shine: irradiance per lx of the sun, times albedo [k].
         """
         count = len(self.pixels)
         total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)

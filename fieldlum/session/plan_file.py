@@ -1,4 +1,4 @@
-"""plan.csv: the planned slots. The file is never changed after it is written."""
+"""plan.csv: the planned slots. Later plans only add slots, and the earlier file is stored."""
 
 from __future__ import annotations
 

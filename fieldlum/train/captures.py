@@ -45,8 +45,8 @@ def how_many(
     """Return the error on held-out days by the number of captures, in the order of use.
 
     curve: number of captures, error, standard error over days. enough: the fewest captures whose
-    error is within one standard error of that of all captures. added_nothing: slots after these in
-    the order of use. fit_s: time of one fit [s], which decides about the first point. The result is
+    error is within one standard error of the smallest. added_nothing: slots after these in the
+    order of use. fit_s: time of one fit [s], which decides about the first point. The result is
     empty for too few captures, None if the budget ends before the last point.
     """
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:

@@ -26,8 +26,9 @@ class Fold:
 def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
     """Distribute days over folds in turn, so that each fold has days of every season.
 
-    If there is only one day, its hours are distributed. Neighbouring days are in different folds: a
-    fold tests days between captured ones, not seasons without captures.
+    If there is only one day, its hours are distributed; a single hour gives no fold. Neighbouring
+    days are in different folds: a fold tests days between captured ones, not seasons without
+    captures.
     """
     unique, which = np.unique(data.days, return_inverse=True)
     groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))

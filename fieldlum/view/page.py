@@ -38,7 +38,7 @@ def encode_luminance(luminance_cdm2: NDArray[np.float32]) -> str:
 
 
 def encode_uncertainty(picture: MeasuredPicture) -> str:
-    """Return u relative to the luminance, at a quarter of the size, as bytes; "" without u."""
+    """Return u over luminance at every fourth pixel, as codes in base64; "" without u."""
     if picture.u_cdm2 is None:
         return ""
     some = (slice(None, None, _U_STEP), slice(None, None, _U_STEP))

@@ -99,7 +99,7 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
 
 
 def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
-    """Return the luminances of the scale's ends [cd/m2]: 1 % and 99.9 % of all pixels.
+    """Return the ends of a scale [cd/m2]: 1 % of the darkest and 99.9 % of the brightest picture.
 
     They are rounded outwards to one digit, and at least a factor of ten apart.
     """

@@ -39,7 +39,7 @@ class Control:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def do(self, action: str, asked: Mapping[str, object]) -> str:
-        """Carry out one change and return what was done, as a sentence.
+        """Carry out a note, mark, extra bracket or pause; return what was done, as a sentence.
 
         Raises InputError for what cannot be done now; KeyError, TypeError, ValueError for a
         malformed request.

@@ -55,7 +55,7 @@ class JournalState:
     """State that follows from the journal so far.
 
     events: the latest ones for the page. away: devices that do not answer now, with the time since
-    when. running_since: time of the last `open` event without a `close`, or None.
+    when. opened: the last `open` event without a `close`, or None.
     """
 
     ledger: Ledger = field(default_factory=Ledger)

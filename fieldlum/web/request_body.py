@@ -9,7 +9,7 @@ from starlette.requests import Request
 
 
 async def json_body(request: Request, most_bytes: int) -> Mapping[str, Any]:
-    """Return the JSON object of a request; a long one is refused before it is read."""
+    """Return the JSON object of a request of at most `most_bytes`, else raise HTTPException."""
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415)
     data = b""

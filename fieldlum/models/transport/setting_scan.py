@@ -185,7 +185,7 @@ def _sigmas(gain: Array, groups: NDArray) -> float:
 
 
 def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
-    """Return the setting under which computed sun patches match the captured ones.
+    """Return which wrong north, clock, wall or camera would explain displaced sun patches.
 
     Sun patches are required; north, clock and wall also require a box room. Return None if too few
     hours have direct sun in view.

@@ -53,7 +53,7 @@ class DirectionYear:
 
 @dataclass(frozen=True, slots=True)
 class SkyToCapture:
-    """An hour whose sky would settle an open class, in local time; worth: relative gain."""
+    """An hour whose sky would settle an open class, in local time; worth: relative to others."""
 
     date: str
     hour: str
