@@ -3,7 +3,7 @@
 A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
 sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
 The kernel is the covariance that follows: linear in the sky vector, linear in the sun's share and
-smooth in its direction, zero for a sun behind all facades. `plan` uses it before any picture
+smooth in its direction; a sun behind all facades adds little. `plan` uses it before any picture
 exists, `models.transport` to learn from pictures.
 """
 
@@ -225,7 +225,7 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Return the features `sky`, `beam` and `direction` of each time, from irradiance alone."""
+    """Return the features `sky`, `beam` and `direction` of each time, without those of a room."""
     root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
     sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)

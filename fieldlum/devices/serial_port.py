@@ -80,7 +80,7 @@ def resolve(place: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SerialLine:
-    """Settings of a serial line."""
+    """Settings of a serial line: baud rate, data bits, parity and stop bits."""
 
     baud: int = 9600
     bits: int = 8

@@ -32,7 +32,7 @@ def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDAr
 
 
 def fisheye_solid_angles(size: int) -> NDArray[np.float64]:
-    """Return the solid angle of each pixel of an equidistant 180-degree picture, in sr, [N, N].
+    """Return the solid angle [sr] of each pixel of an equidistant 180-degree picture, [size, size].
 
     It is 0 outside the circle.
     """

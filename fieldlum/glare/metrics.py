@@ -50,7 +50,10 @@ def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
 
 
 def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return 8 log10(0.25 / Lb sum L2 omega / P2), [...] (CIE 117:1995); NaN without a source."""
+    """Return UGR, 8 log10(0.25 / Lb sum L2 omega / P2), [...] (CIE 117:1995).
+
+    It is NaN without a source. contrast : sum L2 omega / P2; background_cdm2 : Lb, cd/m2.
+    """
     total = np.asarray(contrast, float)
     ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
     return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
@@ -66,7 +69,7 @@ def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
 
 
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return 0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014).
+    """Return UGP, 0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014).
 
     It is NaN without a source. Arguments and result have one shape [...]; background_cdm2 : cd/m2.
     """

@@ -89,7 +89,7 @@ class Protection:
 
 
 def class_of(dgp_exceeded: float) -> str:
-    """Return the strictest class whose limit is not exceeded."""
+    """Return the EN 17037 class of a DGP exceeded in 5 % of the hours: high to none."""
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 
 

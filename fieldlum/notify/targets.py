@@ -22,10 +22,11 @@ _READABLE_BY_OTHERS = 0o077  # permission bits of group and others (POSIX)
 def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]:
     """Return the addresses in ``@FILE``, and a note about the file, "" if there is none.
 
-    option: value of ``--notify``. If it is empty, the environment's `variable` is used, which has
-    ``@FILE`` or addresses separated by blanks. A file has one address per line; empty lines and
-    lines that begin with # are skipped. Raises InputError for an option that is not ``@FILE``, and
-    for a file that cannot be read or is empty; no error contains an address.
+    option: value of ``--notify``; if it is empty, `variable`, the content of the environment
+    variable, is used, which is ``@FILE`` or addresses separated by blanks. A file has one address
+    per line; empty lines and lines that begin with # are skipped. Raises InputError for an option
+    that is not ``@FILE``, and for a file that cannot be read or is empty; no error contains an
+    address.
     """
     if not option and variable and not variable.startswith("@"):
         return tuple(variable.split()), ""
@@ -69,7 +70,8 @@ def _privacy_note(path: Path) -> str:
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
     """Return a function that sends one message to all targets, and returns whether all succeeded.
 
-    Raises InputError, naming the line, for a target that apprise does not understand.
+    Raises InputError without the package apprise and, naming the line, for a target that it does
+    not understand.
     """
     logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
     try:

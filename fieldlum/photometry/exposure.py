@@ -64,9 +64,9 @@ def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | 
     """Return the count at which a sensor saturates [DN]; None if the histogram has no spike there.
 
     counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
-    below that white level. Tested is the run of counts that ends at the highest count, but for a
-    few hot pixels. It is a spike if it has `_SPIKE_SHARE` of all pixels, and `_SPIKE_RATIO` times
-    the average of equal runs below it.
+    below that white level. The spike is the run of counts up to the highest count (without a few
+    hot pixels), if it has `_SPIKE_SHARE` of all pixels, and `_SPIKE_RATIO` times the average of
+    equal runs below it.
     """
     flat = np.maximum(counts.ravel(), 0)
     of_count = np.bincount(flat, minlength=1)

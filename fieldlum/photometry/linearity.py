@@ -14,8 +14,8 @@ T = TypeVar("T", bound=np.floating)
 def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
     """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x2 + ...
 
-    share: counts above black over those of the full scale, any shape. Dark counts, and noise below
-    zero, do not change.
+    share: x, counts above black over those of the full scale, any shape, limited to 0 to 1. The
+    factor of dark counts, and of noise below zero, is 1.
     """
     x = np.clip(share, 0.0, 1.0)
     factor: NDArray[T] = np.zeros_like(x)

@@ -16,10 +16,10 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray
 
 
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
-    """Return what is wrong with a curve, or "".
+    """Return what is wrong with a vignetting curve V(r), or "".
 
-    V(0) must be 1, 0 < V <= 1.05, and V must fall towards the edge. A curve that rises towards the
-    edge is a common error of sign: it darkens where it should brighten.
+    V(0) must be 1, 0 < V <= 1.05, and V at most 1 at the edge. A curve that rises towards the edge
+    is a common error of sign: it darkens where it should brighten.
     """
     v = vignetting_at(coefficients, np.linspace(0, 1, 201))
     if not np.isfinite(v).all() or abs(v[0] - 1) > 0.01:

@@ -65,7 +65,11 @@ class SimulatedCamera:
         )
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one frame; the clock advances by the overhead plus the shutter time."""
+        """Take one frame and return its file, `target` plus a suffix.
+
+        The clock advances by the overhead plus the shutter time. Raises DeviceError for a setting
+        that the camera does not have.
+        """
         dial_s = self._allowed(exposure)
         set_to = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
         opened = self._clock.now()
