@@ -1,4 +1,4 @@
-"""`fieldlum calibrate colour`."""
+"""`fieldlum calibrate colour`: fit luminance from camera R, G, B."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum calibrate lens`."""
+"""`fieldlum calibrate lens`: fit centre, circle, mapping and pose of a lens."""
 
 from __future__ import annotations
 

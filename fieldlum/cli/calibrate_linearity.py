@@ -1,4 +1,4 @@
-"""`fieldlum calibrate linearity`."""
+"""`fieldlum calibrate linearity`: fit how far raw counts are from proportional to light."""
 
 from __future__ import annotations
 

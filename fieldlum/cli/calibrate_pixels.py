@@ -1,4 +1,4 @@
-"""`fieldlum calibrate pixels`."""
+"""`fieldlum calibrate pixels`: list hot, dead and stuck pixels in the profile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum calibrate response`."""
+"""`fieldlum calibrate response`: fit JPEG codes to linear light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum calibrate scale`."""
+"""`fieldlum calibrate scale`: fit the absolute factor k to meter readings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum calibrate shutter`."""
+"""`fieldlum calibrate shutter`: fit the shutter's true times from merged sessions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum calibrate stray`."""
+"""`fieldlum calibrate stray`: fit the lens's stray light to readings of dark places."""
 
 from __future__ import annotations
 

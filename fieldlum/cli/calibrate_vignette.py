@@ -1,4 +1,4 @@
-"""`fieldlum calibrate vignette`."""
+"""`fieldlum calibrate vignette`: fit the loss of light towards the edge of a lens."""
 
 from __future__ import annotations
 

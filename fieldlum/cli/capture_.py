@@ -1,4 +1,4 @@
-"""`fieldlum capture`."""
+"""`fieldlum capture`: take the planned brackets and log irradiance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum doctor`."""
+"""`fieldlum doctor`: check devices, clock, disk and plan before a campaign."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum import`."""
+"""`fieldlum import`: import the frames of a card's folder and a logger's file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum log`."""
+"""`fieldlum log`: log irradiance without a camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum new`."""
+"""`fieldlum new`: ask questions about a site and write its SITE.toml."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ scene_option = click.option(
 
 
 def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:
-    """Return the click option --out; its help is `content`, such as "Model folder", "to write"."""
+    """Return the click option --out; its help is `content` "to write", such as "Plan to write"."""
     text = f"{content} to write." + (f" [default: {default}]" if default else "")
     return click.option("--out", type=PATH, required=required, help=text)
 

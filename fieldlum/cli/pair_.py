@@ -1,4 +1,4 @@
-"""`fieldlum pair`."""
+"""`fieldlum pair`: match panoramas with irradiance, sun and sun patches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum plan`."""
+"""`fieldlum plan`: choose the hours to capture and write the session."""
 
 from __future__ import annotations
 

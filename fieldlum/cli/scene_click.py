@@ -1,4 +1,4 @@
-"""`fieldlum scene click`."""
+"""`fieldlum scene click`: describe the room by clicking its corners on a panorama."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fieldlum simulate`."""
+"""`fieldlum simulate`: render a room by Radiance at the hours of a plan."""
 
 from __future__ import annotations
 

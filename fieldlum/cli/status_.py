@@ -1,4 +1,4 @@
-"""`fieldlum status`."""
+"""`fieldlum status`: show what a session has done and what is still to do."""
 
 from __future__ import annotations
 

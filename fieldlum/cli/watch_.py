@@ -1,4 +1,4 @@
-"""`fieldlum watch`."""
+"""`fieldlum watch`: show a session as a live page in the browser."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def _joined(*texts: str) -> str:
 
 
 def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
-    """Raise InputError for light while the sun is well down: the clock or the place is wrong."""
+    """Raise InputError for over 5 minutes of light with the sun well down: wrong clock or place."""
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > NIGHT_MINUTES:
         raise InputError(
