@@ -138,9 +138,9 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
 
 
 def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
-    """Return the index of the lens in whose circle the place is nearest to the centre.
+    """Return the index of the lens in whose image circle a place on the sensor is most central.
 
-    The distance counts relative to the circle's radius.
+    The distance from the centre counts relative to the circle's radius.
     """
     away = [
         np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px

@@ -154,7 +154,7 @@ def check_meter(uri: str) -> list[Finding]:
 
 
 def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
-    """Return the findings about an instrument's reading, status, guard and calibration."""
+    """Return findings on an instrument's reading, faults, checksum and age of calibration."""
     who = " ".join(part for part in (info.model or info.kind, info.serial) if part)
     reading = ", ".join(
         f"{name} {value:.0f}"

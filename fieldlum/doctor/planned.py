@@ -46,7 +46,7 @@ def check_profile(session: Session, today: date) -> list[Finding]:
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:
-    """Return the finding about the age of a camera profile."""
+    """Return a finding on a profile's age: fail if expired, warn if calibrated long ago, or ok."""
     name = profile.camera.name
     expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
     if expires and expires < today:

@@ -43,7 +43,7 @@ class ReferenceGlare:
 
 @lru_cache(maxsize=1)
 def reference_version() -> str:
-    """Return evalglare's own version line."""
+    """Return the version text that evalglare prints."""
     shown = subprocess.run(
         [radiance_program("evalglare"), "-v"],
         capture_output=True,

@@ -82,9 +82,9 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
 
 
 def sources_of(luminance_cdm2: Float) -> list[NDArray[np.int64]]:
-    """Return the flat pixel indices of each source of a panorama [H, W].
+    """Return the flat pixel indices of each glare source of a panorama [H, W] in cd/m2.
 
-    Sources without their peaks come first, then the peaks.
+    Sources without their peaks (pixels from 50 000 cd/m2 on) come first, then the peaks.
     """
     bright = luminance_cdm2 > SOURCE_CDM2
     if not bright.any():

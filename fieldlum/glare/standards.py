@@ -67,7 +67,7 @@ class Protection:
         return np.array([name != NOT_SEEN_CLASS for name in self.classes])
 
     def sentence(self, i: int) -> str:
-        """Return the result of one direction as a sentence."""
+        """Return the class and DGP of direction `i`, with their certainty, as a sentence."""
         value, name = self.dgp_exceeded[i], self.classes[i]
         if name == NOT_SEEN_CLASS:
             return "not seen: no lens saw enough of this direction"
