@@ -224,7 +224,7 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
 
 
 def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -> RawSignal:
-    """Read a raw frame.
+    """Read a raw frame, cropped, as a linear signal.
 
     plateau: counts at which R, G1, G2 and B saturate, measured in the frames. Raises InputError for
     a frame of another camera.

@@ -160,7 +160,7 @@ def load_jpeg(
     crop: Crop,
     ends: tuple[bool, bool] = (False, False),
 ) -> JpegSignal:
-    """Read a JPEG frame.
+    """Read a JPEG frame, cropped, as a linear signal.
 
     ends: whether the frame is the most exposed, and whether it is the least exposed, of the
     bracket. Raises InputError for a file that is no JPEG of this camera.

@@ -60,7 +60,7 @@ def take_samples(store: FrameStore) -> list[Sample]:
 
 
 def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
-    """Return the measured over the assumed exposure ratio of two frames.
+    """Return the measured over the assumed exposure ratio of two frames, numbered i and j.
 
     Return None if too few pixels are well exposed in both.
     """

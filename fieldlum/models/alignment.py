@@ -108,7 +108,10 @@ def align(
 def shown_place(
     altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: NDArray[np.floating]
 ) -> tuple[float, float]:
-    """Return altitude and azimuth [deg] at which a turned camera's picture shows a direction."""
+    """Return altitude and azimuth [deg] at which a turned camera's picture shows a direction.
+
+    heading_deg: of the panorama; angles_deg: the camera's turn in heading, tilt and roll [3].
+    """
     if not angles_deg.any():
         return altitude_deg, azimuth_deg
     x, y, z = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)

@@ -95,7 +95,10 @@ def _axes(heading_deg: float) -> Array:
 
 
 def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return the directions at which a turned camera's picture shows `rays`, [..., 3]."""
+    """Return the directions at which a turned camera's picture shows `rays`, [..., 3].
+
+    heading_deg: of the panorama; angles_deg: the camera's turn in heading, tilt and roll [3].
+    """
     vector = -np.radians(angles_deg) @ _axes(heading_deg)
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
 
@@ -127,8 +130,8 @@ def _at(maps: Array, places: Array) -> Array:
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return a turned camera's map [H, W] as an unturned camera would show it.
 
-    Interpolation is linear between pixels. Pass ln L, so that a bright window does not spread over
-    its frame.
+    angles_deg: its turn in heading, tilt and roll [3]. Interpolation is linear between pixels. Pass
+    ln L, so that a bright window does not spread over its frame.
     """
     height, width = maps.shape
     return _at(maps, _places((height, width), heading_deg, angles_deg))

@@ -38,7 +38,7 @@ class PlannedSession(NamedTuple):
 def make_plan(
     setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet
 ) -> Plan:
-    """Return the slots of a set, without writing anything.
+    """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
     Raises NotEnoughDataError if no hour of the set has the sun above the horizon, or if `best` has
     no weather.

@@ -112,7 +112,7 @@ def summary_of_year(
     found: Protection,
     days: int,
 ) -> PredictFile:
-    """Return the content of predict.json."""
+    """Return the content of predict.json: settings, classes, notes and hours to capture."""
     used = annual.occupied
     untrusted = float((annual.hours["trusted"][used] < 1).mean()) if used.any() else 0.0
     return PredictFile(

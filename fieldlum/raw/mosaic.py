@@ -252,9 +252,10 @@ def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64]
 
 
 def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
-    """Read the visible mosaic of a raw frame. Raises InputError if LibRaw cannot.
+    """Read the visible mosaic of a raw frame.
 
-    lens_f_number : of a lens that the frame does not state; 0: the frame must.
+    lens_f_number : of a lens that the frame does not state; 0: the frame must. Raises InputError
+    for a file that LibRaw cannot open, without a Bayer mosaic, or without exposure data.
     """
     tags = tags_of(path)
     with opened(path) as raw:

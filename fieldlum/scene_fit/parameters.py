@@ -173,7 +173,7 @@ def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
 
 
 def bar_parameters(guess: Guess) -> list[Parameter]:
-    """Return place, width and depth of each bar as parameters without a prior."""
+    """Return place, width and depth of each of the guess's bars as parameters without a prior."""
     parameters: list[Parameter] = []
     for number in range(len(guess.bars)):
 

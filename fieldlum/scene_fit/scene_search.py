@@ -169,7 +169,7 @@ class SceneSearch:
         return self.furnished(guess, MAX_SOLIDS)
 
     def box(self, guess: Guess) -> Guess:
-        """Search north, clock, sizes, camera, window edges and shades from several clocks."""
+        """Search the box, its pose and its shades from several clocks; return the best guess."""
         coarse = self.objective(self.fit_evidence.coarse())
         starts = [self.stated.at_clock(guess, clock) for clock in self.stated.start_clocks_min]
         tries = [pattern_search(coarse, start, self.parameters, fine=4.0) for start in starts]

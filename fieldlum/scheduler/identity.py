@@ -60,7 +60,7 @@ def sent_by_value() -> Any:
 
 
 def difference(mine: dict[str, str], theirs: dict[str, str]) -> str:
-    """Return how the software of a worker differs; "" if it does not."""
+    """Return how a worker's software `theirs` differs from `mine`; "" if it does not."""
     changed = [
         f"{name} {theirs.get(name, 'none')} (here {value})"
         for name, value in mine.items()

@@ -44,7 +44,7 @@ class Ledger:
 
 
 def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger:
-    """Return the state after some events; with `ledger`, add them to that state.
+    """Return the state after some events; with `ledger`, add them to it in place.
 
     A capture resumes from this state only.
     """

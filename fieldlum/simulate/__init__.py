@@ -49,7 +49,7 @@ class Simulated:
 
 
 def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
-    """Return the weather of a file, or the paper's year near Seattle, or a synthetic year."""
+    """Return the weather of `path`, else the paper's year near Seattle, else a synthetic year."""
     if path is not None:
         return read_weather(path, setup.site)
     if distance_km(setup.site, SHIPPED_SITE) <= NEAR_KM:

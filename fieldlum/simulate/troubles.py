@@ -96,7 +96,7 @@ class Troubles:
 
     @property
     def key(self) -> str:
-        """A hash that changes with any size or seed."""
+        """A hash that changes with any size or seed; "" without troubles."""
         text = json.dumps(asdict(self), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
 
@@ -168,7 +168,7 @@ class CloudyLight(Light):
 
     @classmethod
     def of(cls, light: Light, cloud_sd: float, cloud_seed: int) -> CloudyLight:
-        """Return a light with clouds."""
+        """Return `light` with clouds: sd of ln luminance and seed of the field over the sky."""
         values = {f.name: getattr(light, f.name) for f in fields(Light)}
         return cls(**values, cloud_sd=cloud_sd, cloud_seed=cloud_seed)
 

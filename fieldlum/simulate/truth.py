@@ -190,7 +190,7 @@ class GroundTruth:
         return self.from_pieces[:, FIRST_PIECE:].tocsr()
 
     def panorama(self, t_utc: datetime, dni_wm2: float, dhi_wm2: float) -> Panorama:
-        """Render one moment as a panorama with its separate visible sun."""
+        """Render one moment with its DNI and DHI as a panorama with its separate visible sun."""
         made = self.render(
             light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2]))
         )

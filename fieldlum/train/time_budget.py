@@ -28,7 +28,7 @@ class TimeBudget:
 
     @classmethod
     def starting(cls, total_s: float, clock: Callable[[], float] = time.monotonic) -> TimeBudget:
-        """Return a budget that starts now."""
+        """Return a budget of `total_s` seconds that starts now."""
         return cls(total_s, clock, clock())
 
     @property

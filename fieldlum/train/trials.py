@@ -51,7 +51,7 @@ def fit_timed(
     progress: Progress = quiet,
     **more: Any,
 ) -> tuple[Fitted, Spent]:
-    """Return a fitted model and the time it took."""
+    """Fit the model `name`; return it and the time it took. budget_s: for slow models only."""
     wall, cpu = clock(), time.process_time()
     limit = {"budget_s": budget_s} if MODELS[name].slow else {}
     fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)

@@ -115,7 +115,7 @@ def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
 
 
 def rounded_scale(low: float, high: float) -> tuple[float, float]:
-    """Return the ends of a scale rounded outwards to one digit, at least a factor of ten apart."""
+    """Return low and high rounded outwards to one digit, at least a factor of ten apart."""
     return _one_digit(low, np.floor), _one_digit(max(high, 10.0 * low), np.ceil)
 
 

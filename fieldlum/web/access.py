@@ -60,7 +60,10 @@ class Access:
         return f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
 
     def rule(self, method: str, path: str, query: str, headers: Mapping[str, str]) -> Ruling:
-        """Decide about one request. Header names are in lower case."""
+        """Decide about one request by its names, origin, method, and token or cookie.
+
+        Header names are in lower case.
+        """
         if headers.get("host", "").lower() not in self.hosts:
             return Ruling(421, "This server does not have that name.")
         origin = headers.get("origin", "")

@@ -61,7 +61,7 @@ def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
 
 
 def coloured(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
-    """Return RGB [H, W, 3] of luminances [H, W]; grey where no lens saw (NaN)."""
+    """Return RGB [H, W, 3] of luminances, log scale from low to high [cd/m2]; grey for NaN."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.log(np.maximum(values, 1e-9) / low) / np.log(high / low)
     index = np.nan_to_num(np.clip(share * 255.0 + 0.5, 0, 255)).astype(np.uint8)

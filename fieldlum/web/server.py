@@ -65,7 +65,7 @@ class Guard:
 
 
 def static_route(path: str, name: str) -> Route:
-    """Return a route for one file of this package."""
+    """Return a route at `path` for the file `name` of this package."""
     body = (STATIC / name).read_bytes()
     kind = _TYPES[Path(name).suffix]
     return Route(path, lambda request: Response(body, media_type=kind))

@@ -210,14 +210,14 @@ class ComputedLight:
 class TrainingArrays:
     """Captures as arrays for the solver: n hours, P seen pixels.
 
-    weights: with mean 1 [P]; patch: in cd/m2 of this room, with the fitted gain [n, P]; sky: the
-    known window sky [n, P]; filled: unseen values where the sun's disc was removed, which have no
-    weight [n, P]; unsure: relative variance of the irradiance (`light_variance`) [n]; counts:
-    weight of each value by merge's flags and uncertainties [n, P], None if all are equal;
-    perez_sky: `Features.sky` of Perez's skies [n, 2305], set if `features` has the skies that the
-    windows showed; fitted_patches: whether the patches are from a measured or fitted room, so that
-    their edges are off by some centimetres; computed: light of the stated room, if it is the prior
-    mean.
+    weights: with mean 1 [P]; patch: in cd/m2 of this room, with the fitted gain [n, P]; sky: light
+    of the sky through windows [n, P]; filled: values without weight, where the sun's disc was
+    removed, a blind may hide a patch, or merge flagged [n, P]; unsure: relative variance of the
+    irradiance (`light_variance`) [n]; counts: weight of each value by merge's flags and
+    uncertainties [n, P], None if all are equal; perez_sky: `Features.sky` of Perez's skies [n,
+    2305], set if `features` has the skies that the windows showed; fitted_patches: whether the
+    patches are from a measured or fitted room, so that their edges are off by some centimetres;
+    computed: light of the stated room, if it is the prior mean.
     """
 
     light: Light

@@ -53,7 +53,7 @@ class HeldOutFit:
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """Return the log10 error in the shape of both luminances [cd/m2], raised to the floor."""
+    """Return log10 of predicted over seen luminance [cd/m2], both raised to the floor of 1."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 

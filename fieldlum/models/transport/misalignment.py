@@ -35,8 +35,8 @@ MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3  # reach of the search; not measured
 class Evidence:
     """Sunny hours [n] at the pixels [m] that sun patches reach or nearly reach.
 
-    It has the captured light, the light without any patch, the stated patches [n, H, W], and what
-    is needed to compute others.
+    log_seen, background: ln of the captured light, and the light without any patch, cd/m2 [n, m];
+    weights: of the pixels [m]. Methods return the stated patches and computed ones.
     """
 
     data: Dataset
@@ -116,7 +116,7 @@ def moved(
 
 
 def evidence_of(data: Dataset, sub: int = SUB) -> Evidence | None:
-    """Return the evidence; None without patches or with under three hours of direct sun in view.
+    """Return the evidence; None without patches or with under three captures of direct sun in view.
 
     sub: rays per pixel in each direction.
     """

@@ -56,7 +56,7 @@ class TransportTable(TypedDict):
 def table_of(
     response: RoomResponse, unsure: Uncertainty, tried: Sequence[Mapping[str, float]]
 ) -> TransportTable:
-    """Return the settings of a model for config.json."""
+    """Return the settings of a model for config.json; tried: scores of the recipes."""
     basis = response.basis
     kernel = {f.name: getattr(basis.kernel, f.name) for f in fields(Kernel) if f.name != "facades"}
     return {

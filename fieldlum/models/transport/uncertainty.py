@@ -45,7 +45,7 @@ NOVEL = 1.5
 def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
     """Return the predictive variance of each hour without its day, in units of the kernel, [n].
 
-    noise: [n].
+    covariance: kernel of the captures [n, n]; noise: variance of each value [n].
     """
     inverse = np.linalg.inv(covariance + np.diag(noise))
     out = np.empty(len(days))
