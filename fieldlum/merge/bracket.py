@@ -55,8 +55,9 @@ def merge_headings(
 ) -> tuple[list[SensorImage], list[Findings]]:
     """Merge the frames of each heading on the sensor.
 
-    shots: sorted by exposure, longest first. heading_deg: heading of the resulting picture. Return
-    one merged sensor and one set of findings for each heading.
+    shots: in the order of `sorted_shots`: by heading, then longest exposure first. heading_deg:
+    heading of the resulting picture. Return one merged sensor and one set of findings for each
+    heading.
     """
     images, findings = [], []
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):

@@ -49,7 +49,7 @@ class _Bands:
 
 
 def footprint_px(lens: LensGeometry, target: Target) -> float:
-    """Return how many sensor pixels one target pixel is wide, as a mean over the field."""
+    """Return the mean width of a target pixel over the field, in sensor pixels, at least 1."""
     return max(1.0, lens.radius_px / lens.half_angle_rad * target.pixel_rad)
 
 

@@ -157,7 +157,8 @@ def fit(
 ) -> DenseFitted:
     """Train the network on `data`.
 
-    options: fields of `Shape` and of `TrainingPlan`, and the path of a checkpoint.
+    options: fields of `Shape`, and other arguments of `dense_training.train`, such as its plan and
+    the path of a checkpoint.
     """
     shape = Shape(
         **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}

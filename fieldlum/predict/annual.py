@@ -106,7 +106,7 @@ def read_annual(folder: Path) -> Annual:
 
 
 def read_pictures(folder: Path) -> Pictures:
-    """Read pictures.npz. Raises InputError if the file is missing."""
+    """Read pictures.npz. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
     try:
         with np.load(path, allow_pickle=False) as found:

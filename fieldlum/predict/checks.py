@@ -38,7 +38,7 @@ def _session_folder(model_folder: Path) -> Path | None:
 
 
 def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
-    """Raise InputError if a model's place, heading or picture size differ from its session's.
+    """Raise InputError if a model's place, camera, room or pictures differ from its session's.
 
     scene: the fitted scene in the model's config.json, if any; then the room as stated before the
     fit is compared.

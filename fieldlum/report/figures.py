@@ -124,7 +124,7 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
 
 
 def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
-    """Return labelled fisheye views in several directions at one hour, as the paper's Figure 10.
+    """Return a PNG of labelled fisheye views in several directions at one hour (paper, Figure 10).
 
     views: [d, N, N], NaN outside the circle; azimuths_deg, dgp: [d].
     """
@@ -277,10 +277,10 @@ def exceedance_svg(
     azimuths_deg: Float,
     ends: Sequence[tuple[str, float]],
 ) -> str:
-    """Plot the share of all occupied hours above a DGP, one line for each direction.
+    """Plot the share of occupied hours in which each DGP is exceeded, one line for each direction.
 
     dgp: [n, d] of the hours with daylight; dark hours count as hours without glare, as in EN 17037.
-    ends: name and azimuth of the worst and the best direction [deg].
+    ends: name and azimuth of the worst and the best direction [deg]. Return the SVG as text.
     """
     n = len(dgp)
     share = 100.0 * np.arange(1, n + 1) / max(occupied_hours, 1)

@@ -100,10 +100,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def disk_is_full(error: BaseException) -> bool:
-    """Return whether an error means that space is missing.
-
-    It may be missing on the disk, in a quota, or for so large a file.
-    """
+    """Return whether an error means a full disk, an exceeded quota, or a file of excessive size."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 

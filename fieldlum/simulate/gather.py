@@ -42,11 +42,12 @@ _TIE_DECIMALS = 9
 
 @dataclass(frozen=True)
 class Pieces:
-    """All surfaces, cut into rectangles; `first` and `counts` [faces] number them in their faces.
+    """All surfaces, cut into rectangles.
 
-    Arrays over pieces [p]: face; reflectance; middle [p, 3] of the part that is not inside another
-    box (NaN if all is). Sample points for direct sun: position [q, 3], piece [q], and share [q] of
-    the piece's open part.
+    counts [faces, 2]: number of pieces along the sides of each face; first [faces]: index of its
+    first piece. Arrays over pieces [p]: face; reflectance; middle [p, 3] of the part that is not
+    inside another box (NaN if all is). Sample points for direct sun: position [q, 3], piece [q],
+    and share [q] of the piece's open part.
     """
 
     faces: tuple[Face, ...]
@@ -74,7 +75,7 @@ class Pieces:
 
     @cached_property
     def sign(self) -> NDArray[np.int8]:
-        """Sign of the normal of each piece, as 1 or -1 along its axis, [p]."""
+        """Direction of each piece's normal along its axis, 1 or -1, [p]."""
         return np.array([f.sign for f in self.faces], np.int8)[self.face]
 
     @cached_property
@@ -86,7 +87,7 @@ class Pieces:
 
 
 def cut(scene: BoxScene, piece_m: float) -> Pieces:
-    """Cut the faces into pieces of about `piece_m` in the room, and larger ones outside."""
+    """Cut the faces of all boxes into pieces with edges of about `piece_m`, longer outdoors."""
     visible = tuple(faces(scene))
     counts = np.array([_count(scene, f, piece_m) for f in visible], np.int32)
     first = np.concatenate([[0], np.cumsum(counts.prod(axis=1))]).astype(np.int32)

@@ -101,13 +101,13 @@ class Troubles:
         return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
 
     def only(self, name: str) -> Troubles:
-        """Return a single trouble. Raises KeyError for one that is not present."""
+        """Return `Troubles` with only the trouble `name`. Raises KeyError if it is not present."""
         if name not in self.names:
             raise KeyError(name)
         return Troubles(**{name: getattr(self, name)})
 
     def seeded(self, seed: int) -> Troubles:
-        """Return the troubles with other seeds."""
+        """Return the troubles with `seed` added to the seed of each."""
         changed = {
             n: replace(getattr(self, n), seed=getattr(self, n).seed + seed) for n in self.names
         }
@@ -203,7 +203,10 @@ def _cloud_field(
 
 
 def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
-    """Return the light that the room receives, in the stated frame of room and camera."""
+    """Return `light` as the room receives it with the troubles of clock, north and clouds.
+
+    The result's sun azimuths are relative to the stated north.
+    """
     altitude, azimuth = light.sun_altitude_deg, light.sun_azimuth_deg
     if troubles.clock_drift is not None:
         start = min(light.t_utc)
@@ -228,7 +231,10 @@ def measured_irradiance(
     altitude_deg: Array,
     troubles: Troubles,
 ) -> tuple[Array, Array]:
-    """Return the DNI and DHI that the instrument reports with its troubles, [n] each, in W/m2."""
+    """Return the DNI and DHI that the instrument reports with its troubles, [n] each, in W/m2.
+
+    dni_wm2, dhi_wm2: the true ones, [n].
+    """
     dni, dhi = np.array(dni_wm2, float), np.array(dhi_wm2, float)
     rise = np.maximum(np.sin(np.radians(altitude_deg)), 0.02)
     if troubles.distant_instrument is not None:

@@ -128,11 +128,10 @@ class Limits(NamedTuple):
 def bsrn_limits(
     altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme: bool = False
 ) -> Limits:
-    """Return BSRN's physically possible (default) or extremely rare limits.
+    """Return BSRN's limits of irradiance: the physically possible ones, or the extremely rare ones.
 
-    Source: Long and Dutton 2002 (QCRad).
-
-    altitude_deg, extraterrestrial (W/m2) : [n].
+    Source: Long and Dutton 2002 (QCRad). altitude_deg, extraterrestrial (W/m2): [n]. extreme:
+    return the narrower limits, which are exceeded extremely rarely.
     """
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)

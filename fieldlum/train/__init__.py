@@ -224,7 +224,7 @@ def usable_captures(
 def findings(
     fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None
 ) -> tuple[Fitted, list[str]]:
-    """Return the model with doubt where the captures contradict it, and what they contradict."""
+    """Return the model, with doubt where the captures contradict its sun patches, and warnings."""
     fitted, warned = settle(fitted, data, patch, setting)
     return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
 
@@ -376,7 +376,7 @@ def run(
 
 
 def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | None:
-    """Return the scores of the model in `folder` if it came from these inputs and is unchanged."""
+    """Return the scores of the model in `folder`; None if it changed or had other inputs."""
     table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):
         return None

@@ -76,8 +76,8 @@ class Process:
     y, valid [n, P]: light of a pixel over its usual response to the light outside, and whether it
     shows a surface without direct sun; covariance [n, n]; spread [n]: relative variance of an hour,
     in units of the noise; days [n]; judged [n]: whether the picture has enough light; total_lx [n];
-    beam [n]: the sun's share of it; measured, direct [n, P]: the picture including hidden values,
-    and the computed sun patch, in units of y.
+    beam [n]: the sun's share of it; measured, direct [n, P]: the picture including values that
+    `valid` excludes (infinite where none was measured), and the computed sun patch, in units of y.
     """
 
     y: Array
@@ -97,7 +97,7 @@ class Process:
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:
-        """Return the process with more values hidden by a mask [n, P], and predicted instead."""
+        """Return the process in which a mask [n, P] hides more values; predictions replace them."""
         valid, rows = self.valid & ~hidden, np.flatnonzero(self.judged)
         process = self
         for _ in range(2):
@@ -107,7 +107,7 @@ class Process:
         return process
 
     def with_lamp(self, rows: Rows) -> Process:
-        """Return the process in which a lamp is on in the captures `rows`."""
+        """Return the process with a lamp of unknown brightness in the captures `rows`."""
         lit = np.zeros(len(self.days))
         lit[rows] = LAMP_LX / self.total_lx[rows]
         return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))

@@ -24,9 +24,9 @@ _NEXT_POINT = 2.0
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
-    """Return row indices [n], the most informative capture first.
+    """Return the captures' row indices [n], the most informative capture first.
 
-    Each next capture is the one that most lowers the variance over all captures.
+    Each next capture is the one that most lowers a Gaussian process's variance over all captures.
     """
     kernel = Kernel(facades_of(data.setup.room))
     known = light_features(data.light)

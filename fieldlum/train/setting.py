@@ -72,7 +72,7 @@ def settle(
 
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
-    """Return a line on what is wrong and a line on what to change; empty if nothing is wrong."""
+    """Return a line on what is wrong, then one on the remedy of each likely cause; may be empty."""
     if found.room is not None:
         return [_measure_warning(found, found.room)]
     cause = found.wrong

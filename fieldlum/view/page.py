@@ -26,7 +26,11 @@ _U_PER_PERCENT = 4.0  # code of relative u: quarters of a percent, at most 63 %;
 
 
 def encode_luminance(luminance_cdm2: NDArray[np.float32]) -> str:
-    """Return log codes of [H, W] as row differences in two byte planes, deflated, in base64."""
+    """Return luminances [H, W] as text for the page: base64 of deflated 16-bit logarithmic codes.
+
+    Each code is stored as its difference from the pixel to the left, all high bytes first. Code 0:
+    no light, or no lens saw the pixel.
+    """
     positive = np.nan_to_num(luminance_cdm2, nan=0.0, posinf=0.0)
     logs = np.log10(np.maximum(positive, 10.0**LOG_LOW), dtype=np.float32)
     codes = np.clip(np.rint((logs - LOG_LOW) / LOG_SPAN * CODES) + 1, 1, CODES + 1)

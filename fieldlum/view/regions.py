@@ -40,7 +40,10 @@ class Region:
 
 
 def parse_region(text: str) -> Region:
-    """Parse one region. Raises ValueError with what was expected."""
+    """Parse a region such as ``rect:10,20,100,50`` (see `FORMS`).
+
+    Raises ValueError, with the valid forms, for any other text.
+    """
     kind, _, rest = text.partition(":")
     try:
         values = tuple(float(part) for part in rest.split(","))
@@ -55,7 +58,7 @@ def parse_region(text: str) -> Region:
 
 
 def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
-    """Return the pixels whose centres are in the region, [H, W]."""
+    """Return a mask of the pixels whose centres are in the region, [H, W]."""
     height, width = picture.luminance_cdm2.shape
     y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]
     if region.kind == "rect":

@@ -50,7 +50,7 @@ class Weather:
         )
 
     def daylight(self, least_altitude_deg: float = 0.0) -> Weather:
-        """Return the hours with light and with the sun's centre above `least_altitude_deg`."""
+        """Return the hours with irradiance above 0 and with the sun above `least_altitude_deg`."""
         up = sun.position(self.t_utc, self.site).altitude_deg > least_altitude_deg
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 

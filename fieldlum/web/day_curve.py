@@ -14,9 +14,9 @@ from fieldlum.web.follow import BIN_S, IrradianceFollower
 
 
 def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
-    """Return the irradiance of a local day in bins [W/m2], with the flags of its rows.
+    """Return the irradiance of a local day in bins of `BIN_S` [W/m2], and which bins are flagged.
 
-    Flags are for impossible values and for errors of the instrument.
+    Flagged are impossible values and errors that the instrument reported.
     """
     zone = ZoneInfo(site.timezone)
     start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)

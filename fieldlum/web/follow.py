@@ -34,7 +34,10 @@ class LineTail:
         self._path, self._offset, self._inode = path, 0, 0
 
     def read(self) -> tuple[bool, list[bytes]]:
-        """Return whether the file was replaced or shortened, and its new complete lines."""
+        """Return whether the file is new, replaced or shortened, and its complete unread lines.
+
+        A missing or unreadable file gives False and no lines.
+        """
         try:
             with self._path.open("rb") as file:
                 about = os.fstat(file.fileno())
@@ -97,7 +100,7 @@ class JournalFollower:
 
 
 class DayBins:
-    """Means over `BIN_S` of one UTC day file."""
+    """Mean irradiances in bins of `BIN_S` seconds, from the logger's file of one UTC day."""
 
     def __init__(self, path: Path) -> None:
         self._tail = LineTail(path)

@@ -34,7 +34,7 @@ def _ends(path: Path, stamp: int) -> tuple[float, float]:
 
 
 def scale_of(paths: list[Path]) -> tuple[float, float]:
-    """Return one scale for several panoramas in cd/m2, rounded outwards to one digit."""
+    """Return the ends of one scale for several panoramas [cd/m2], rounded outwards to one digit."""
     ends = [luminance_ends(path) for path in paths] or [(1.0, 1000.0)]
     return rounded_scale(min(low for low, _ in ends), max(high for _, high in ends))
 

@@ -116,10 +116,10 @@ def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
 
 
 def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return each cell's integral of the patches over the root of its solid angle, [n, c].
+    """Return each cell's direct flux in view, divided by the root of its solid angle, [n, c].
 
-    The integral is over solid angle [lx]. patch: [n, H, W] cd/m2; open_sky: [H, W] marks windows,
-    which do not count.
+    The flux is the luminance of the sun patches (patch [n, H, W] cd/m2) integrated over solid angle
+    [lx]. open_sky: [H, W] marks windows, which do not count.
     """
     height, width = patch.shape[1:]
     omega = equirect_solid_angles(height, width).astype(np.float32)

@@ -89,7 +89,7 @@ class Transport:
 
     @property
     def parameters(self) -> int:
-        """Number of values stored per pixel and per captured hour."""
+        """Number of values that the model stores, of all pixels and captured hours."""
         pixels = self.response.pixels
         count = pixels.b.size + pixels.second.size + 4 * len(pixels.scale)
         return int(count + self.response.basis.projector.size)

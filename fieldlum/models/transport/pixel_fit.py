@@ -70,7 +70,7 @@ class Basis:
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
-    """Return the `rank` leading eigenvectors of a covariance [n, n], scaled by their eigenvalues.
+    """Return the `rank` leading eigenvectors of a covariance [n, n], times the eigenvalues' roots.
 
     Those with eigenvalues below a millionth of the largest are omitted.
     """

@@ -34,9 +34,10 @@ class RoomError:
 
 
 def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | None:
-    """Return the wrong measure that explains most of the misfit; None without a box room.
+    """Return the wrong measure of the room that explains most of the misfit of the sun patches.
 
-    Amounts are tried in steps of 5 cm, one measure at a time; windows move together.
+    None without a box room, or if no measure lowers the misfit. Amounts are tried in steps of 5 cm,
+    one measure at a time; windows move together.
     """
     room = evidence.data.setup.room
     if evidence.points is None or room is None:

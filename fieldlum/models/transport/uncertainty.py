@@ -261,7 +261,10 @@ def residual_noise(
 
 
 def sun_doubt(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the factor on sun noise of each captured hour, by a fit without its day, [n]."""
+    """Return the doubt about the sun in each captured hour as if its day were not captured, [n].
+
+    It is a factor on the noise that direct sun adds.
+    """
     if not recipe.second:
         return arrays.features.beam
     noise = np.full(len(arrays.light), SECOND_NOISE)

@@ -30,7 +30,7 @@ class UsedScene(TypedDict):
     """The fitted scene that a model was trained with; absent if no scene was fitted.
 
     stated: SITE.toml as a table before the fit; stated_heading_deg: heading of the captures;
-    room_draws: values of the room's parameters in draws from the fit's uncertainty.
+    room_draws: for each parameter of the room, its values in draws from the fit's uncertainty.
     """
 
     north_deg: float
