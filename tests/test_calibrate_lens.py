@@ -79,7 +79,7 @@ def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
         _with_directions(good, -azimuth, altitude),
         _with_directions(good, azimuth, -altitude),
     ):
-        with pytest.raises(InputError, match="fit only mirrored"):
+        with pytest.raises(InputError, match="only as a mirror image"):
             lens.fit(wrong, start)
     with pytest.raises(InputError):
         lens.fit(replace(good, x_px=good.y_px, y_px=good.x_px), start)

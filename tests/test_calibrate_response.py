@@ -110,7 +110,7 @@ def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
     folder = _bracket(tmp_path / "b", response_table("srgb"), 4, (0.5, 0.25))
-    with pytest.raises(InputError, match="three exposures"):
+    with pytest.raises(InputError, match="three different exposures"):
         response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no JPEG"):

@@ -121,12 +121,12 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
             slot.t_utc + timedelta(seconds=clock_s),
         )
     told = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
-    assert "the clock was set between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
+    assert "clock was changed between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
     report = import_card.run(session, tmp_path / "card")
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
     assert (
         len(report.notes) == 1
-        and "DSC_0048.jpg: by the plan, the camera's clock was set by +1 h between"
+        and "the plan suggests that the camera's clock was changed by +1 h between"
         in report.notes[0]
     )
     assert (
@@ -142,7 +142,8 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
     said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"))
     assert said.startswith(
-        "--utc-offset: 55 of 60 brackets are near slots; with an offset +1 h from this, 60 would"
+        "with the offset of the camera's clock (--utc-offset), 55 of 60 brackets are near slots; "
+        "with an offset changed by +1 h it would be 60"
     )
 
 
@@ -166,12 +167,12 @@ def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path)
             )
     report = import_card.run(make_session(tmp_path / "a", plan), tmp_path / "day")
     assert (
-        "60 of 72 brackets are near slots; with an offset +24 h from this, 72 would"
+        "60 of 72 brackets are near slots; with an offset changed by +24 h it would be 72"
         in report.notes[0]
     )
     report = import_card.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
     assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
-    assert "DSC_0036.jpg and 35 brackets after it: brackets from 2015-01-01" in report.left_out[0]
+    assert "DSC_0036.jpg and 35 brackets after it: the brackets from 2015-01-01" in report.left_out[0]
 
 
 @pytest.mark.contract
@@ -285,9 +286,9 @@ def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> N
     assert report.brackets == 12 and len(report.notes) == 2
     one, filtered = report.notes
     assert (
-        f"of {plan[3].id}'s frames, 1 are missing: 1/60 f/5.6 ISO100" in one and "filter" not in one
+        f"missing frames of slot {plan[3].id}: 1 (1/60 f/5.6 ISO100)" in one and "filter" not in one
     )
-    assert "ND=nd5; frames of 1/250 s are used as those without a filter" in filtered
+    assert "ND=nd5); frames of 1/250 s may have been taken with or without" in filtered
     notes = [(session.raw / slot.id / "capture.json").read_text() for slot in plan]
     assert [i for i, note in enumerate(notes) if '"complete": false' in note] == [3, 5]
 
@@ -308,7 +309,7 @@ def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
     for name in ("a.HEIC", "b.HEIC", "c.MPO", "d.xmp", "._DSC_0001.JPG", "e.MP4"):
         (folder / name).write_bytes(b"x")
     with pytest.raises(
-        InputError, match=r"no raw or JPEG frames in it, but 2 .heic files, but 1 .mpo files.*raw"
+        InputError, match=r"no raw or JPEG frames in this folder, but 2 .heic and 1 .mpo files.*raw"
     ):
         import_card.run(session, folder)
     for i, slot in enumerate(MONTH[:12]):

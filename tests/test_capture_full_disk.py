@@ -157,7 +157,7 @@ def test_without_room_the_slot_is_given_up_and_says_how_much_is_missing(
 ) -> None:
     told = on_a_small_disk(tmp_path, 4, 1800.0)
     assert kept(told) and told["outcomes"] == ["done", "aborted", "done"]
-    assert "MB more are needed" in told["why"][1]
+    assert "MB of free space are missing" in told["why"][1]
     assert max(told["missing"]) > 2 * FRAME_BYTES and told["missing"][-1] == 0, (
         "the display says what a bracket lacks"
     )

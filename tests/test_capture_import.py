@@ -232,9 +232,9 @@ def test_an_offset_in_exif_and_a_stated_one_are_both_counted(
     hour_off = CliRunner().invoke(main, [*words, "--utc-offset", "-08:00"])
     assert hour_off.exit_code == 0
     assert (
-        "note: --utc-offset -08:00 was used, but EXIF states UTC -07:00: 55 of 60 frames are near "
-        "slots with the stated offset, 60 with the camera's own; import the card again without "
-        "--utc-offset" in hour_off.output
+        "note: --utc-offset -08:00 was used, but EXIF states UTC -07:00: with --utc-offset 55 of "
+        "60 frames are near planned slots, with the offset in EXIF 60; import the card again "
+        "without --utc-offset" in hour_off.output
     )
     assert hour_off.output.count("of 60") == 1 and hour_off.output.count("camera clock:") == 1
     same = CliRunner().invoke(main, [*words, "--utc-offset", "-07:00"])
@@ -254,7 +254,7 @@ def test_a_stated_offset_that_fits_better_than_exif_is_kept(
     report = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert report.brackets == 12 and len(report.notes) == 1
     assert report.notes[0].endswith(
-        "60 of 60 frames are near slots with the stated offset, 20 with the camera's own"
+        "60 of 60 frames are near planned slots, with the offset in EXIF 20"
     )
 
 

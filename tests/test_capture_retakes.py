@@ -161,7 +161,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(rig: Field) -> None:
 
     def clipped(path: Path) -> str:
         looked.append(path.name)
-        return "97 % of the shortest frame is clipped"
+        return "97 % of the shortest exposure's pixels are clipped"
 
     rig.run(
         check_shortest=clipped,

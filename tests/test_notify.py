@@ -225,7 +225,7 @@ def test_misses_disk_clock_and_clipping() -> None:
     (clock,) = state.event("clock-step", T0, {"seconds": 3600.0, "followed": False})
     assert "+3600 s" in clock.body and "does not follow" in clock.body
     assert state.event("clock-step", T0 + timedelta(hours=1), {"seconds": 9.0}) == []
-    done = {"slot": "20270320T153000Z", "why": "61 % of the shortest frame is clipped"}
+    done = {"slot": "20270320T153000Z", "why": "61 % of the shortest exposure's pixels are clipped"}
     (clipped,) = state.event("done", T0, done)
     assert "61 %" in clipped.body
     assert state.event("done", T0 + timedelta(hours=1), done) == []

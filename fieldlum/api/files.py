@@ -172,8 +172,8 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
         raise InputError(
             path,
             f"a map of {width} x {height} pixels",
-            "twice as wide as high",
-            "resample the map, or pass a panorama",
+            "a panorama, which is twice as wide as high",
+            "resample the map to such a shape",
         )
     with replacing_path(path) as temporary:
         if suffix == ".exr":

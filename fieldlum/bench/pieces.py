@@ -257,7 +257,8 @@ def _split(data: Dataset) -> tuple[Dataset, Dataset]:
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
-            f"{data.source}: {len(data)} usable hour; expected at least 2, to train and to test"
+            f"{data.source}: {len(data)} usable hour; expected at least 2, to train and to test; "
+            "capture more hours"
         )
     return data.take(folds[0].teach), data.take(folds[0].check)
 

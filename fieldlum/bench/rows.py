@@ -116,7 +116,10 @@ def score_row(
     if test is None:
         if spec.folder is not None:
             raise InputError(
-                "--models", f"the trained model {spec.label}", "test hours", "add --test TEST.csv"
+                "--models",
+                f"the trained model {spec.label}, but no test hours",
+                "a csv of hours that the model was not trained on",
+                "add --test TEST.csv",
             )
         folds = day_folds(data)
         trial = evaluate_folds(

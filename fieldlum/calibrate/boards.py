@@ -71,9 +71,9 @@ def from_boards(
 
     if len(corners) < LEAST:
         raise NotEnoughDataError(
-            f"the board was detected in {len(corners)} pictures; expected at least {LEAST}; "
-            "check the number of inner corners, and take sharp pictures with the board up "
-            "to the edge of the circle"
+            f"the chessboard was detected in {len(corners)} pictures; expected at least {LEAST}; "
+            "check the number of inner corners after --chessboard, and take sharp pictures in "
+            "which the board reaches the edge of the lens circle"
         )
     board = np.zeros((1, rows * columns, 3))
     board[0, :, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
@@ -88,16 +88,16 @@ def from_boards(
     except cv2.error as error:
         raise InputError(
             "chessboard",
-            str(error).splitlines()[0],
-            "boards in many places, none seen edge-on",
+            f"OpenCV could not fit a lens ({str(error).splitlines()[0]})",
+            "pictures with the board in many places, none seen edge-on",
             "take more pictures with the board in other places and tilts",
         ) from None
     if not np.isfinite(rms) or rms > _MOST_MISS_PX:
         raise InputError(
             "chessboard",
-            f"a fit with a residual of {rms:.1f} px",
+            f"the residual of the lens fit is {rms:.1f} px",
             f"at most {_MOST_MISS_PX:g} px",
-            "take sharper, more varied pictures",
+            "take sharper pictures, with the board in more places and tilts",
         )
     seen = np.concatenate([np.asarray(c, float) for c in corners])
     targets = _model_rays(seen, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths))
@@ -140,7 +140,7 @@ def fit(boards: Boards, lens: Lens) -> LensFit:
     rms = float(np.sqrt(np.mean(missed**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     new = lenses.with_mapping(found, geometry)
-    text = f"corners miss by {rms:.2f} px rms, the centre has u = {u_px:.2f} px"
+    text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {text}")
     per_px = lens.full_angle_deg / 2 / geometry.radius_px
     return replace(start, lens=new, rms_px=rms, rms_deg=rms * per_px, choice=choice)

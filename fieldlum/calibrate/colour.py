@@ -106,9 +106,9 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     if not in_order(np.array(rgb) @ np.array(profile.colour.y_from_rgb)):
         raise InputError(
             path,
-            "patches whose colours are not in a chart's order",
-            "--corners clockwise from the dark skin patch",
-            "begin --corners at the brown patch",
+            "the 24 patches do not have a chart's colours in a chart's order",
+            "--corners clockwise from the corner at the dark skin (brown) patch",
+            "state --corners again, and begin at the brown patch",
         )
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
     return Colours(
@@ -155,9 +155,9 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     if not ((colours.y > 0).all() and (colours.rgb[:, 1] > 0).all()):
         raise InputError(
             colours.frames[0],
-            "readings or patches that are not positive",
-            "positive readings, and patches that the frame exposes",
-            "remove these lines from the csv, or use a frame with a longer exposure",
+            "a reading or a patch of the frame is zero or negative",
+            "readings and patches above zero",
+            "remove its line from the csv, or use a frame with a longer exposure",
         )
     every = colours
     colours, slips = _without_slips(colours, profile)
@@ -186,10 +186,13 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     residual = every.rgb @ raw / every.y - 1.0
     if choice.rms > MOST_U:
         found = (
-            f"held-out readings miss by {100 * choice.rms:.0f} %: readings and colours do not fit "
-            "together"
+            f"the error of held-out readings is {100 * choice.rms:.0f} %: the meter readings do "
+            "not "
+            "fit the colours of the patches"
         )
-        remedy = "check that each line has the place of its reading, and that the light was steady"
+        remedy = (
+            "check that each line states the place of its reading, and that the light was steady"
+        )
         raise InputError(
             colours.frames[0], found, f"an error of at most {100 * MOST_U:.0f} %", remedy
         )

@@ -64,7 +64,7 @@ class LinearFrame:
         h, w = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
         if not (r <= x <= w - r and r <= y <= h - r):
-            found = f"a patch at {x_px:g}, {y_px:g} of radius {radius_px:g} px"
+            found = f"a patch at x {x_px:g}, y {y_px:g} px with a radius of {radius_px:g} px"
             raise InputError(
                 self.path,
                 found,
@@ -76,11 +76,12 @@ class LinearFrame:
         disc = (xx + 0.5 - x) ** 2 + (yy + 0.5 - y) ** 2 <= r**2
         values, bad = self.rgb[rows, columns][disc], self.bad[rows, columns][disc]
         if bad.mean() > _MOST_CLIPPED:
-            found = f"{100 * bad.mean():.0f} % of the patch at {x_px:g}, {y_px:g} is clipped"
+            share = f"{100 * bad.mean():.0f} % of the patch at x {x_px:g}, y {y_px:g} px"
+            found = f"{share} is clipped, or too dark for the camera's response"
             raise InputError(
                 self.path,
                 found,
-                f"at most {100 * _MOST_CLIPPED:.0f} %",
+                f"at most {100 * _MOST_CLIPPED:.0f} % of such pixels",
                 "use a frame that exposes the patch well",
             )
         return _mean(values[~bad], float(bad.mean()))

@@ -200,8 +200,8 @@ def _doubts(
             f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
         )
         texts.append(
-            f"the camera is turned by {turned_deg:.0f} deg from the profile's pose, now "
-            f"{pose}: if it was not turned, count the targets' azimuths from the camera's "
+            f"the fitted pose ({pose}) is turned by {turned_deg:.0f} deg from the profile's pose: "
+            "if the camera was not turned, state the targets' azimuths from the camera's "
             "heading, not from north"
         )
     return tuple(texts)
@@ -240,12 +240,16 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
     if np.median(missed) > MISS_RADIUS * found.radius_px:
         raise InputError(
             targets.source,
-            f"targets that fit no lens: half of them miss by over {np.median(missed):.0f} px",
+            f"no lens fits the targets: half of them are over {np.median(missed):.0f} px from "
+            "their fitted places",
             wanted,
-            "check signs, units and the columns x_px and y_px",
+            "check the targets' signs and units, and the columns x_px and y_px",
         )
     if angle.max() > BEYOND * found.half_angle_rad:
-        past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
+        past = (
+            f"a target is {np.degrees(angle.max()):.0f} deg from the lens axis, and the lens ends "
+            "at"
+        )
         raise InputError(
             targets.source,
             f"{past} {np.degrees(found.half_angle_rad):.0f} deg",
@@ -269,9 +273,11 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
         _turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
     if mirrored < 0.5 * miss and miss > 0.1:
-        remedy = "check for a wrong sign, or for x and y exchanged"
+        remedy = "check the targets for a wrong sign, or for x and y exchanged"
         wanted = "azimuth clockwise (to the right), altitude up, x right, y down"
-        raise InputError(targets.source, "directions that fit only mirrored", wanted, remedy)
+        raise InputError(
+            targets.source, "the targets fit a lens only as a mirror image", wanted, remedy
+        )
     right, forward = turn[:, 0], turn[:, 1]
     azimuth = np.degrees(np.arctan2(forward[0], forward[1]))
     tilt = np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))

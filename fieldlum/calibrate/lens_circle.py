@@ -30,7 +30,7 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
         if picture is None:
             raise InputError(
                 path,
-                "no picture that OpenCV reads",
+                "OpenCV cannot read the file as a picture",
                 "a JPEG, PNG or raw frame",
                 "convert the file to JPEG or PNG, or copy it from the card again",
             )
@@ -75,8 +75,8 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
     if not edges.any():
         raise InputError(
             "circle",
-            "a picture without edges",
-            "a bright frame that shows the complete circle",
+            "no edges in the picture",
+            "a bright frame that shows the complete lens circle",
             "photograph a bright, evenly lit wall and use that frame",
         )
     votes = hough_circle(edges, radii, full_output=False)
@@ -105,8 +105,8 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     if good.sum() < 60:
         raise InputError(
             "circle",
-            "no clear edge of a circle",
-            "a bright, evenly lit frame with dark surroundings",
+            "no clear edge of a lens circle",
+            "a bright, evenly lit lens circle on a dark background",
             "photograph a bright, evenly lit wall and use that frame",
         )
     edge = np.stack(
@@ -121,6 +121,11 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     return Circle((cx, cy), radius, robust_sigma(misses(solved.x), 0.0))
 
 
+def _size(picture: NDArray[np.uint8]) -> str:
+    """Return width x height."""
+    return f"{picture.shape[1]} x {picture.shape[0]}"
+
+
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
     """Return how far the picture `after` moved from `before` [px], right and down.
 
@@ -131,9 +136,9 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
     if before.shape != after.shape:
         raise InputError(
             "shift",
-            f"pictures of {before.shape} and {after.shape} pixels",
-            "two frames of one camera",
-            "use frames of one size",
+            f"pictures of {_size(before)} and {_size(after)} pixels",
+            "two frames of one camera, with one size",
+            "use frames of the same size",
         )
     window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
     pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]

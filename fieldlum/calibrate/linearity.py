@@ -88,7 +88,7 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
             raise InputError(
                 path,
                 found,
-                f"f/{first[0]:g} and ISO {first[1]:g} as the first frame",
+                f"f/{first[0]:g} and ISO {first[1]:g} as in the first frame",
                 "take all frames with one aperture and ISO",
             )
         black, full = black_dn(mosaic, profile), full_dn(mosaic, profile)
@@ -129,10 +129,13 @@ def fit(levels: Levels) -> LinearityFit:
     times = np.unique(levels.seconds)
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
     if len(times) < FEWEST_TIMES or low > LOWEST or high < HIGHEST:
-        found = f"{len(times)} times that cover {100 * low:.0f} to {100 * high:.0f} % of the scale"
+        found = (
+            f"{len(times)} shutter times, with raw values of {100 * low:.0f} to {100 * high:.0f} "
+            "% of white"
+        )
         wanted = (
-            f"at least {FEWEST_TIMES} times from under {100 * LOWEST:.0f} to over "
-            f"{100 * HIGHEST:.0f} % are needed: take more frames of a steady light"
+            f"expected at least {FEWEST_TIMES} shutter times, with values from under "
+            f"{100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
         raise NotEnoughDataError(f"{found}; {wanted}")
     candidates = [Candidate(f"order {order}", order, _held_out(levels, order)) for order in ORDERS]

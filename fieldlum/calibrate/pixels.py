@@ -68,9 +68,9 @@ def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False)
     if profile.camera.kind != "raw":
         raise InputError(
             profile.camera.name,
-            "a JPEG camera, whose files blur bad pixels",
-            "a raw camera",
-            "calibrate pixels with the camera's raw files",
+            "the profile is of a JPEG camera, and JPEG files blur bad pixels",
+            "a profile of a raw camera",
+            "use the camera's raw files, and a profile for them",
         )
     area = (
         np.ones((profile.camera.height_px, profile.camera.width_px), bool)
@@ -106,9 +106,9 @@ def _decide(
         least, kind = LEAST_VIEWS, "views"
         remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
     if len(views) < least:
-        blank = f" and {plain} frames without detail" if plain else ""
+        blank = f" ({plain} frames have too little detail)" if plain else ""
         raise NotEnoughDataError(
-            f"bad pixels: {len(views)} different {kind}{blank}; expected {least}; {remedy}"
+            f"bad pixels: {len(views)} different {kind}{blank}; expected at least {least}; {remedy}"
         )
     count = np.zeros(views[0].shape, np.uint16)
     for view in views:
@@ -123,18 +123,19 @@ def _decide(
     rows, columns = np.nonzero(count >= need)
     if by_chance[need] > _CHANCE:
         raise NotEnoughDataError(
-            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, and "
-            f"{by_chance[need]:.2g} pixels would deviate in all {len(views)} by chance; take more "
-            f"views, or frames with the cap on (--dark)"
+            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in each of the "
+            f"{len(views)} {kind}, so {by_chance[need]:.2g} good pixels would deviate in all of "
+            f"them by chance; {remedy}"
         )
     if len(rows) > MOST * pixels:
         raise NotEnoughDataError(
-            f"bad pixels: {len(rows)} found; expected at most {100 * MOST:g} % of the sensor; "
-            f"check the profile's gain and read noise, and that the camera was turned"
+            f"bad pixels: {100 * len(rows) / pixels:.2g} % of the pixels were found to be bad; "
+            f"expected at most {100 * MOST:g} %; check gain and read noise under [sensor] in the "
+            "profile, and that the camera was turned between views"
         )
     line = (
-        f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; by chance "
-        f"{by_chance[need]:.2g}"
+        f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; "
+        f"{by_chance[need]:.2g} would do so by chance"
     )
     return PixelDefects(
         tuple((int(x), int(y)) for y, x in zip(rows, columns, strict=True)),
@@ -152,7 +153,7 @@ def _frames_of(source: Path) -> list[Path]:
     if not frames:
         raise InputError(
             source,
-            "no frames",
+            "no frames in this folder",
             "a folder of raw frames of one view",
             "check the path of the folder",
         )
@@ -161,8 +162,8 @@ def _frames_of(source: Path) -> list[Path]:
 
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     if is_jpeg(path):
-        expected = f"raw frames of {profile.camera.name}"
-        raise InputError(path, "a JPEG frame", expected, "use the raw frames")
+        expected = f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels"
+        raise InputError(path, "a JPEG frame", expected, "use the camera's raw frames")
     mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic
@@ -176,9 +177,9 @@ def _check_dark(path: Path, mosaic: Mosaic, profile: CameraProfile) -> None:
         if above > max(5 * noise, 0.01 * (profile.sensor.white_dn - black)):
             raise InputError(
                 path,
-                f"{above:.0f} DN above black",
-                "a dark frame",
-                "put the cap on and take the frame again",
+                f"the frame is {above:.0f} DN above the black level",
+                "a dark frame, without light",
+                "put the lens cap on and take the frame again",
             )
 
 

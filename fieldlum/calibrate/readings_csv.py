@@ -38,7 +38,7 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     readings = []
     for (number, _), row in zip(numbered[1:], rows, strict=False):
         if any(text.strip() for text in row.get(None) or ()):
-            remedy = "decimals with a point, or semicolons between the cells"
+            remedy = "write decimals with a point, or put semicolons between the cells"
             raise InputError(
                 f"{path}:{number}",
                 "more cells than the header has columns",
@@ -47,7 +47,9 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
             )
         readings.append({n: _cell(path, number, n, row[n], mark) for n in names})
     if not readings:
-        raise InputError(path, "no readings", "one reading per line", "add at least one reading")
+        raise InputError(
+            path, "no readings", "one reading on each line", "add at least one reading"
+        )
     return readings
 
 
@@ -60,7 +62,10 @@ def _lines(path: Path) -> list[tuple[int, str]]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            path, str(error), "a csv of readings", "check the path of the csv"
+            path,
+            str(error),
+            "a csv of readings in UTF-8",
+            "check the path and the encoding of the csv",
         ) from None
     return [
         (number, line)
@@ -90,7 +95,10 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
         return float(text if mark == "," else text.replace(",", "."))
     except ValueError:
         raise InputError(
-            f"{path}:{number}", f"{name} is '{text}'", "a number", "decimals with a point"
+            f"{path}:{number}",
+            f"{name} is '{text}'",
+            "a number",
+            "write a number with a decimal point",
         ) from None
 
 
@@ -98,7 +106,10 @@ def needed(row: dict[str, Any], name: str, path: Path) -> Any:
     """Return the cell `name` of a row of `read_table`. Raises InputError if it is empty."""
     if row.get(name) is None:
         raise InputError(
-            path, f"an empty {name}", "a value in every line", "fill in the missing value"
+            path,
+            f"an empty cell in the column {name}",
+            "a value in every line",
+            "fill in the missing value",
         )
     return row[name]
 

@@ -148,12 +148,13 @@ def _pool(
     exposures: list[NDArray[np.float64]] = []
     for part in parts:
         log_e = [np.log(true_shutter_s(e.shutter_s, known)[0] * e.iso) for e in part.exposures]
-        if len({round(e, 3) for e in log_e}) < 3:
+        count = len({round(e, 3) for e in log_e})
+        if count < 3:
             raise InputError(
                 part.folder,
-                f"{len(part.exposures)} frames",
-                "a bracket of at least three exposures",
-                "take a bracket with at least three exposures",
+                f"{len(part.exposures)} frames with {count} different exposures",
+                "a bracket with at least three different exposures",
+                "take a bracket with more exposures",
             )
         exposures.append(np.array(log_e))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
@@ -192,8 +193,8 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
         elif frame.codes.shape[:2] != shape or frame.exposure.f_number != exposures[0].f_number:
             raise InputError(
                 path,
-                "size or aperture differs from the frames before",
-                "one bracket of one camera",
+                "this frame's size or aperture differs from that of the first frame",
+                "the frames of one bracket of one camera",
                 "remove this frame",
             )
         around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
@@ -216,9 +217,9 @@ def _flat_places(
     flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & inside & (holds.sum(axis=0) >= 2))
     if len(flat) < 50:
         raise NotEnoughDataError(
-            f"{bracket}: {len(flat)} flat places in the lens's circle that two frames expose "
-            f"(codes {LOW} to {HIGH}); expected at least 50; use steps of at most 2 EV, of walls "
-            f"and sky rather than texture"
+            f"{bracket}: {len(flat)} even places in the lens circle are exposed well (JPEG codes "
+            f"{LOW} to {HIGH}) by two frames; expected at least 50; use exposure steps of at most "
+            f"2 EV, and picture even surfaces such as walls and sky"
         )
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
     brightness += rng.uniform(0, 1e-3, len(flat))
@@ -301,8 +302,9 @@ def fit(places: Places) -> ResponseFit:
     u = choice.rms
     if u > DOUBTFUL:
         doubt = (
-            f"CAUTION: the same places differ by {100 * u:.0f} % between frames: check that "
-            "camera and light did not change, and take the bracket again"
+            f"CAUTION: the fitted light of the same places differs by {100 * u:.0f} % between "
+            "frames: "
+            "check that camera and light did not change, and take the bracket again"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
     u_rel = round(max(u, 0.001), 5)
@@ -331,7 +333,7 @@ def _pooled(
     valid = errors[np.isfinite(errors)]
     if len(valid) < 20:
         raise NotEnoughDataError(
-            f"{len(valid)} places are well exposed in two frames; expected at least 20 for a "
-            f"response; take more frames"
+            f"{len(valid)} places are well exposed in two frames; expected at least 20 to "
+            f"fit a response; take more frames"
         )
     return valid

@@ -92,9 +92,9 @@ def from_table(
         if (spot is None) == (plane is None):
             raise InputError(
                 path,
-                "a line with both or neither reading",
-                "luminance_cdm2 or illuminance_lx",
-                "leave one of luminance_cdm2 and illuminance_lx in that line",
+                "a line has both luminance_cdm2 and illuminance_lx, or neither",
+                "one of the two in each line",
+                "correct that line",
             )
         file, u = row["panorama"], row.get("u_rel") or READING_U
         picture, label = pictures[file], f"{file.stem} {azimuth:g}/{altitude:g} deg"
@@ -114,14 +114,15 @@ def from_table(
     notes: tuple[str, ...] = ()
     if unmarked:
         notes += (
-            f"{', '.join(unmarked)} states no k: the profile's k is assumed; merge it "
+            f"no factor k is stored in {', '.join(unmarked)}: the profile's k is assumed; merge "
             "again to be sure",
         )
     uneven = [r.label for r in readings if r.u_rel > np.hypot(UNEVEN, READING_U)]
     if uneven:
         notes += (
-            f"an edge is in the field of {', '.join(uneven)}, so it has a low weight: read "
-            "places that are even over two degrees",
+            f"the luminance is uneven around the readings {', '.join(uneven)}, which therefore "
+            "have "
+            "a low weight: measure places that are even over two degrees",
         )
     return readings, list(pictures), notes
 
@@ -144,7 +145,10 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
         return profile.scale.k / float(known.get("k", own["k"]))
     except (ValueError, ZeroDivisionError):
         raise InputError(
-            file, f"k is '{known['k']}'", "a number above 0", "merge it again (fieldlum merge)"
+            file,
+            f"the stored factor k is '{known['k']}'",
+            "a number above 0",
+            "merge it again (fieldlum merge)",
         ) from None
 
 
@@ -162,7 +166,7 @@ def _refuse_clipped(
     if picture.flags is not None and (picture.flags[inside] & Flag.CLIPPED_HIGH).any():
         raise InputError(
             file,
-            f"clipped in every frame {place}",
+            f"the picture is clipped in every frame {place}",
             "light that at least one frame records without clipping",
             remedy,
         )
@@ -175,11 +179,15 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
     """
     front = _inside(picture, azimuth_deg, altitude_deg, np.pi / 2)
     place = (
-        f"in front of {azimuth_deg:g}/{altitude_deg:g} deg, by the sun or a lamp, so that "
-        "part of the illuminance is unknown"
+        f"in front of the plane that faces azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg "
+        "(the sun or a lamp), so that a part of its illuminance is unknown"
     )
     _refuse_clipped(
-        picture, front, file, place, "remove this line, or capture shorter exposures as well"
+        picture,
+        front,
+        file,
+        place,
+        "remove this reading from the csv, or capture shorter exposures as well",
     )
     return illuminance_lx(
         picture.luminance_cdm2, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun
@@ -196,7 +204,7 @@ def spot_cdm2(
     """
     from scipy.stats import trim_mean
 
-    place = f"at {azimuth_deg:g}/{altitude_deg:g} deg"
+    place = f"at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
     inside = _inside(
         picture,
         azimuth_deg,
@@ -210,7 +218,7 @@ def spot_cdm2(
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
         remedy = (
-            "check azimuth (clockwise from north) and altitude (up from the horizon) of this line"
+            "check the reading's azimuth (clockwise from north) and altitude (up from the horizon)"
         )
         raise InputError(
             file,
@@ -233,7 +241,8 @@ def fit(
     """
     if not readings:
         raise NotEnoughDataError(
-            "no readings; expected at least one spot luminance or one vertical illuminance; "
+            "no readings in the csv; expected at least one spot luminance or one vertical "
+            "illuminance; "
             "add a line to the csv"
         )
     meter = np.array([r.meter for r in readings], float)
@@ -241,11 +250,12 @@ def fit(
     u = np.array([r.u_rel for r in readings], float)
     if not ((meter > 0).all() and (image > 0).all()):
         bad = readings[int(np.argmin(np.minimum(meter, image)))]
+        unit = "cd/m2" if bad.kind == "spot" else "lx"
         raise InputError(
             bad.label,
-            f"meter {bad.meter:g}, picture {bad.image:g}",
+            f"the meter reads {bad.meter:g} {unit}, the picture {bad.image:g} {unit}",
             "values above zero",
-            "remove its line from the csv of readings",
+            "remove this reading from the csv of readings",
         )
     log = np.log(meter / image)
     centre, weight = _centre(log, u)
@@ -254,12 +264,15 @@ def fit(
     u_log = np.sqrt(max(scatter, 1.0) / weight.sum())
     far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > FAR)
     if len(far) > MOST_FAR * len(log):
-        found = f"no single factor fits {len(far)} of {len(log)} readings: {', '.join(far[:4])}"
+        found = (
+            f"{len(far)} of {len(log)} readings contradict the fitted factor k: "
+            f"{', '.join(far[:4])}"
+        )
         remedy = (
             "check the azimuths (clockwise from north), that all readings have one unit, "
             "and that the light was steady; correct the csv and run this again"
         )
-        raise InputError(source, found, "one factor from pictures to readings", remedy)
+        raise InputError(source, found, "one factor between pictures and readings", remedy)
     residual = meter / (image * np.exp(centre)) - 1.0
     u_rel, line = float(np.hypot(u_log, meter_u)), _held_out_line(log, u)
     return ScaleFit(float(np.exp(centre)), u_rel, residual, far, line)
@@ -275,8 +288,8 @@ def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
         if reading.label in found.far:
             ratio = reading.meter / (reading.image * found.factor)
             texts.append(
-                f"{reading.label}: {reading.meter:g} is {ratio:.3g} times the "
-                f"picture's{_slip(ratio)}"
+                f"{reading.label}: the reading of {reading.meter:g} is {ratio:.3g} times the "
+                f"picture's value{_slip(ratio)}"
             )
     return texts
 
@@ -297,19 +310,22 @@ def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
     low, high = SENSIBLE_K
     if low <= level <= high:
         return ""
-    doubt = f"k (R + G + B) would be {level:.3g}; cameras have {low:g} to {high:g}"
+    doubt = (
+        f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have {low:g} to "
+        f"{high:g}"
+    )
     remedy = (
         "check that readings are in cd/m2 and lx (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx "
         "= 1000 lx)"
     )
     if not 1 / MOST_FACTOR <= found.factor <= MOST_FACTOR:
         remedy += (
-            "; if a filter on the lens or white_dn causes this, first write a k near it "
-            "under [scale]"
+            "; if a filter on the lens or white_dn causes this, first write a k near the new one "
+            "under [scale] in the profile"
         )
         raise InputError(
             path,
-            f"{doubt}; {found.factor:.3g} times the profile's k",
+            f"{doubt}; this is {found.factor:.3g} times the profile's k",
             "readings in cd/m2 and lx",
             remedy,
         )
@@ -330,7 +346,7 @@ def _held_out_line(log: NDArray[np.float64], u: NDArray[np.float64]) -> str:
     """Return how well one factor predicts the readings that are left out one by one, as text."""
     n = len(log)
     if n < 2:
-        return "scale: one reading, one factor: no reading to hold out"
+        return "scale: one factor from one reading; no held-out error, which needs two readings"
     off = [log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]
     rms = float(np.sqrt(np.mean(np.square(off))))
     return f"scale: one factor; held-out rms: {100 * rms:.3g} %"

@@ -110,7 +110,7 @@ def from_session(
             brackets.append(readings)
             files.append(path)
     if not brackets and others:
-        found = f"{others} panoramas merged with another profile"
+        found = f"{others} panoramas were merged with another profile"
         raise InputError(
             session.panoramas,
             found,
@@ -137,7 +137,7 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
     if len(laws) > 1:
         raise InputError(
             sidecars[0].parent,
-            f"brackets merged under several shutter laws: {', '.join(sorted(laws))}",
+            f"the brackets were merged with several shutter laws: {', '.join(sorted(laws))}",
             "one law for all brackets",
             'write shutter_law = "exact" (or another) into the profile and merge again',
         )
@@ -251,12 +251,14 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
-        found = "a JPEG camera, for which response and shutter times cannot be fitted together"
+        found = (
+            "the profile is of a JPEG camera: its response and shutter times cannot both be fitted"
+        )
         raise InputError(
             profile.camera.name,
             found,
-            "a raw camera",
-            "keep the times by the shutter law, and calibrate the response only",
+            "a profile of a raw camera",
+            "leave the shutter times as they are, and calibrate only the response",
         )
     pooled = pool(brackets)
     left_out = [_why(t) for t in pooled.values() if t.brackets < LEAST or t.spread > WIDEST]
@@ -264,10 +266,10 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
         [t for t in pooled.values() if t.brackets >= LEAST and t.spread <= WIDEST]
     )
     if not chain:
-        why = "; ".join(left_out) or "no pairs"
+        why = "; ".join(left_out) or "no frames overlap"
         raise NotEnoughDataError(
-            f"shutter: no two times agree over {LEAST} brackets or more: {why}; capture more "
-            "brackets in steady light"
+            f"shutter: no ratio of two shutter times agrees in {LEAST} brackets or more: {why}; "
+            "capture more brackets in steady light"
         )
     held = _held_out(brackets, {t.pair for t in chain})
     choice = choose(
@@ -276,8 +278,8 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     )
     if choice.index == 0:
         raise NotEnoughDataError(
-            f"no table is better than the times of the profile: {choice.line}; use the "
-            "profile as it is"
+            f"a table of fitted shutter times is no better than the profile's times: "
+            f"{choice.line}; use the profile as it is"
         )
     nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
     assumed = [true_shutter_s(time, profile) for time in nominal]
@@ -303,8 +305,8 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
 def _why(table: FramePairTable) -> str:
     a, b = map(shutter_text, table.pair)
     if table.brackets < LEAST:
-        return f"{a} to {b} s: only {table.brackets} of {LEAST} brackets"
-    return f"{a} to {b} s: brackets differ by {100 * table.spread:.1f} %"
+        return f"{a} to {b} s: in {table.brackets} brackets, fewer than {LEAST}"
+    return f"{a} to {b} s: the ratio differs by {100 * table.spread:.1f} % between brackets"
 
 
 def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:

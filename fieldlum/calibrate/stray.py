@@ -102,9 +102,9 @@ def _check_calibration(file: Path, picture: Panorama, profile: CameraProfile) ->
     if picture.attributes.get("calibration", own) != own:
         raise InputError(
             file,
-            "merged with another calibration, or with a stray-light kernel",
-            f"a picture of {profile.camera.name} without [stray]",
-            "remove [stray] from the profile and merge it again",
+            "the panorama was merged with another calibration, or with a stray-light correction",
+            f"a panorama merged with {profile.camera.name} without the table [stray]",
+            "remove [stray] from the profile and merge the panorama again",
         )
 
 
@@ -149,12 +149,15 @@ def reading(
             away = np.append(away, np.arccos(np.clip(source @ toward, -1.0, 1.0)))
     stray = float(light[inside].mean()) - true_cdm2
     if stray <= 0:
-        found = f"{label}: {light[inside].mean():.3g} cd/m2, not more than its true luminance"
+        found = (
+            f"{light[inside].mean():.3g} cd/m2 at {label}, not more than its true {true_cdm2:g} "
+            "cd/m2"
+        )
         raise InputError(
             file,
             found,
-            "more light than that, due to stray light",
-            "remove its line from the csv of dark places",
+            "a higher luminance in the picture, because of stray light",
+            "remove this place from the csv of dark places",
         )
     return StrayReading(label, file, stray, away, flux)
 
@@ -178,8 +181,8 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     """
     if len(readings) < FEWEST_READINGS:
         raise NotEnoughDataError(
-            f"{source}: {len(readings)} readings; expected at least {FEWEST_READINGS}; add "
-            "dark places at other angles from the light"
+            f"{source}: {len(readings)} dark places; expected at least {FEWEST_READINGS}; "
+            "add dark places at other angles from the light"
         )
     stray = np.array([r.stray_cdm2 for r in readings])
     groups = np.unique([str(r.picture) for r in readings], return_inverse=True)[1]

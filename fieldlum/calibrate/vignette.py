@@ -81,12 +81,12 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
         half = profile.lens[0].full_angle_deg / 2
         r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
         if r.max() > BEYOND:
-            found = f"angle_deg up to {half * r.max():g}"
+            found = f"an angle_deg of {half * r.max():g} deg"
             raise InputError(
                 path,
                 found,
-                f"at most {half:g}",
-                "check angles from the optical axis, or correct full_angle_deg",
+                f"at most {half:g} deg, half of the profile's full_angle_deg",
+                "check that angles are from the optical axis, or correct full_angle_deg",
             )
         value = np.array(
             [needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows]
@@ -116,7 +116,8 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
 
 def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
     if len(f_numbers) > 1:
-        raise InputError(path, f"apertures {sorted(f_numbers)}", "one aperture", remedy)
+        shown = ", ".join(f"f/{n:g}" for n in sorted(f_numbers))
+        raise InputError(path, f"frames with {shown}", "frames with one aperture", remedy)
     return next(iter(f_numbers))
 
 
@@ -139,9 +140,9 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     if not rings:
         raise InputError(
             paths[0],
-            "all pixels saturated or dark",
+            "all pixels are saturated or dark",
             "a frame exposed to the middle of its range",
-            "take a frame with half the saturation in the middle",
+            "take a frame whose centre is at half of saturation",
         )
     table = np.array(rings)
     return Samples(table[:, 0], table[:, 1], table[:, 2], f_number, lens, tuple(paths))
@@ -208,15 +209,15 @@ def fit(samples: Samples) -> VignettingFit:
     if len(r) < LEAST or r.max() < 0.5:
         raise NotEnoughDataError(
             f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of "
-            f"the half angle; expected at least {LEAST}, from the axis to the edge; add "
+            f"the lens's half angle; expected at least {LEAST} readings, up to 50 % or more; add "
             "readings, and check that angles are in degrees"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
         raise InputError(
             samples.frames[0],
-            "readings that are not positive",
+            "a reading that is zero, negative or not finite",
             "linear values above zero",
-            "correct or remove these lines",
+            "correct or remove this reading",
         )
     near = ~_slips(samples)
     left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in r[~near])
@@ -235,7 +236,7 @@ def fit(samples: Samples) -> VignettingFit:
     coefficients[::2] = even.tolist()
     residual = samples.value / (theta[0] * vignetting_at(tuple(coefficients), samples.r)) - 1.0
     if left_out:
-        text = f"left out, far from neighbouring readings: {left_out}"
+        text = f"left out, because neighbouring readings differ: {left_out}"
         choice = replace(choice, line=f"{choice.line}; {text}")
     wrong = check_vignetting(tuple(coefficients))
     if wrong:
@@ -293,7 +294,7 @@ def _refuse_rising(samples: Samples) -> None:
     theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
     rise = float(theta[1] / theta[0])
     if rise > RISING:
-        found = f"values that rise by {100 * rise:.0f} % from the axis to the edge"
+        found = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
         remedy = (
             "state readings, not correction factors, of one patch with the same light in all frames"
         )

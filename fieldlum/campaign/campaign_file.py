@@ -79,11 +79,14 @@ def read_campaign(path: Path) -> CampaignFile:
     for number, name in enumerate(names, start=1):
         if not name:
             raise InputError(
-                path, f"[[room]] {number} has no session", _EXPECTED, "add its session"
+                path, f"[[room]] {number} has no session", _EXPECTED, "add session = FOLDER to it"
             )
         if names.count(name) > 1:
             raise InputError(
-                path, f"session {name} occurs twice", "each session once", "remove the repetition"
+                path,
+                f"session {name} occurs twice",
+                "each session once",
+                "remove one of its [[room]] tables",
             )
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 

@@ -315,7 +315,9 @@ def _failures(rooms: Sequence[RoomOverview]) -> Section:
         for why, slots in reasons.items():
             more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
             body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
-    text = "Slots missed or aborted, captured but not merged, or rejected by pair."
+    text = (
+        "Slots that were missed or aborted, captured but not merged, or rejected by fieldlum pair."
+    )
     text += "" if body else " No slot failed."
     table = Table(("room", "reason", "slots", "which"), tuple(body), words=True)
     return Section("failed", "Which slots failed", text, (), (table,) if body else ())
@@ -331,7 +333,9 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
         )
         if owed > 0 or hours:
             body.append((room.session, f"{max(owed, 0)}", hours or "nothing is open"))
-    text = "Slots that are still to be captured, and hours that would decide an open class."
+    text = (
+        "Slots that are still to be captured, and hours that would decide a class not certain yet."
+    )
     text += "" if body else " Nothing is open."
     table = Table(("room", "slots to do", "hours like these"), tuple(body), words=True)
     return Section("next", "What to capture next", text, (), (table,) if body else ())

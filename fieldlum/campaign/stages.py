@@ -97,8 +97,8 @@ def _plan(run: _Run, room: CampaignRoom) -> str:
     if not room.site:
         raise InputError(
             folder,
-            "a room with neither a session nor a site",
-            "site = SITE.toml",
+            "the room has neither a session nor a site file",
+            "a planned session, or a site file to plan one",
             "add site = SITE.toml to the room in CAMPAIGN.toml",
         )
     setup = load_site(run.campaign.file(room.site))
@@ -116,7 +116,7 @@ def _status(run: _Run, room: CampaignRoom) -> str:
     return (
         f"{capture['done']} captured, {capture['missed']} missed, {capture['aborted']} aborted, "
         f"{capture['owed']} to do; {merge['done']} merged; {pair['usable']} usable pairs; "
-        f"{models}; {counted(len(found['predict']['years']), 'year')}"
+        f"{models}; {counted(len(found['predict']['years']), 'predicted year')}"
     )
 
 

@@ -60,7 +60,12 @@ def _units(
 ) -> tuple[list[tuple[str, WorkUnit]], list[RoomResult]]:
     """Return units with their rooms, and the rooms that have no pairs."""
     if any(spec.folder is not None for spec in parse_specs(models)):
-        raise InputError("--models", "a trained model", "names of models", "use fieldlum bench")
+        raise InputError(
+            "--models",
+            "the folder of a trained model",
+            "names of models, to be trained in each room",
+            "write names, or test the trained model with fieldlum bench",
+        )
     units, failed = [], []
     for room in campaign.rooms:
         folder = campaign.session_folder(room)

@@ -68,7 +68,7 @@ class Alerts:
         elif event == "clock-step":
             messages += self._clock_step(t_utc, fields)
         elif event == "disk-full":
-            free = f"{fields.get('bytes_free', 0) / 1e6:.0f} MB are free."
+            free = f"The disk has {fields.get('bytes_free', 0) / 1e6:.0f} MB free."
             messages += self._once("disk-full", t_utc, "the disk is full", free)
         return messages
 
@@ -91,7 +91,10 @@ class Alerts:
             if device not in self._reported_away and t_utc - since >= DEVICE_AWAY:
                 self._reported_away.add(device)
                 minutes = (t_utc - since).total_seconds() / 60.0
-                body = f"It stopped answering at {self._local(since)}, {minutes:.0f} minutes ago."
+                body = (
+                    f"{device} stopped answering at {self._local(since)}, {minutes:.0f} minutes "
+                    "ago."
+                )
                 messages.append(self._message(f"{device} is lost", body))
         return messages + self._disk(disk_days)
 
@@ -101,7 +104,11 @@ class Alerts:
             return []
         self._reported_away.discard(device)
         minutes = (t_utc - since).total_seconds() / 60.0
-        return [self._message(f"{device} is back", f"It was away for {minutes:.0f} minutes.")]
+        return [
+            self._message(
+                f"{device} is back", f"{device} did not answer for {minutes:.0f} minutes."
+            )
+        ]
 
     def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
         slot, why = fields.get("slot", ""), fields.get("why", "")

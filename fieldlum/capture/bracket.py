@@ -272,7 +272,9 @@ class BracketCapture:
 
         def take(camera: Camera) -> list[Path]:
             if not isinstance(camera, BracketingCamera):  # another camera was connected meanwhile
-                raise DeviceError("the camera no longer takes brackets in one call")
+                raise DeviceError(
+                    "another camera was connected, which cannot take a bracket in one call"
+                )
             return camera.expose_bracket(exposures, targets)
 
         try:

@@ -41,7 +41,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
     if folder.is_file():
         raise InputError(
             folder,
-            "a file",
+            "this is a file, not a folder",
             "a card's folder, such as DCIM",
             "import a logger's file with --irradiance",
         )
@@ -57,10 +57,14 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         for suffix, count in sorted(other.items())
     ]
     if not frames:
-        found = "".join(f", but {count} {suffix} files" for suffix, count in sorted(other.items()))
-        remedy = "set the camera to raw" if other else "check the path of the card"
+        found = " and ".join(f"{count} {suffix}" for suffix, count in sorted(other.items()))
+        found = f", but {found} files" if other else ""
+        remedy = "set the camera to record raw files" if other else "check the path of the card"
         raise InputError(
-            folder, f"no raw or JPEG frames in it{found}", "a card's folder, such as DCIM", remedy
+            folder,
+            f"no raw or JPEG frames in this folder{found}",
+            "a card's folder, such as DCIM",
+            remedy,
         )
     return frames, notes
 

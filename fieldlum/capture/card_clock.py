@@ -57,8 +57,10 @@ def clock_offset(
         near = min(slots, key=lambda slot: abs(slot.t_utc - first), default=None)
         raise InputError(
             "import",
-            f"brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
-            f"brackets near the plan's slots, the nearest slot at {near.t_utc:%Y-%m-%d %H:%M} UTC"
+            f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's "
+            "clock match no slot of the plan",
+            "brackets near slots, such as the slot nearest to the first bracket, at "
+            f"{near.t_utc:%Y-%m-%d %H:%M} UTC"
             if near
             else "a plan with slots",
             "check that this is the right card; correct a wrong date with exiftool -AllDates",
@@ -111,13 +113,15 @@ def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: floa
     total = sum(len(group.frames) for group in own)
     text = (
         f"--utc-offset {hms(stated_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: "
-        f"{stated} of {total} frames are near slots with the stated offset, {exif} with the "
-        "camera's own"
+        f"with --utc-offset {stated} of {total} frames are near planned slots, with the offset in "
+        f"EXIF {exif}"
     )
     if exif > stated:
-        return f"{text}; import the card again without --utc-offset, and the logger by itself"
+        return (
+            f"{text}; import the card again without --utc-offset, separately from the logger's file"
+        )
     if exif == stated:
-        return f"{text}; the plan fits both: compare the camera's clock with UTC"
+        return f"{text}; the plan fits both offsets equally: compare the camera's clock with UTC"
     return text
 
 
@@ -215,9 +219,10 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
         step_s = new.seconds - old.seconds
         if abs(step_s) > _STEP_S:
             notes.append(
-                f"{before[-1].frames[0].path} to {after[0].frames[0].path}: by the plan, the "
-                f"camera's clock was set by {step_s / 3600:+.3g} h between them; if it was not, "
-                "and brackets were taken at other hours, state --utc-offset"
+                f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h "
+                f"between {before[-1].frames[0].path} and {after[0].frames[0].path}; if it was "
+                "not, "
+                "and brackets were taken at other hours than planned, state --utc-offset"
             )
     return notes
 
@@ -233,15 +238,16 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
     as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
     if hits[best] >= as_it_is + _EVIDENCE:
         return (
-            f"{offset.how}: {as_it_is} of {len(groups)} brackets are near slots; with an "
-            f"offset {shifts[best] / 3600:+g} h from this, {hits[best]} would be: check the "
-            "camera's clock and date, and state --utc-offset"
+            f"with the offset of the camera's clock ({offset.how}), {as_it_is} of {len(groups)} "
+            f"brackets are near slots; with an offset changed by {shifts[best] / 3600:+g} h it "
+            f"would be {hits[best]}: check the camera's clock and date, and state --utc-offset"
         )
     parts = clock_parts(groups, slots)
     for before, after in pairwise(parts):
         return (
-            f"{offset.how}, used for all brackets: by the plan, the clock was set between "
-            f"{before[-1].frames[0].path} and {after[0].frames[0].path}; import these two "
-            "parts from separate folders"
+            f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests "
+            "that "
+            f"the camera's clock was changed between {before[-1].frames[0].path} and "
+            f"{after[0].frames[0].path}: import these two parts from separate folders"
         )
     return ""

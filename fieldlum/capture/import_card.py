@@ -243,15 +243,15 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
         and any(e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)
     ]
     unsure = (
-        f"; frames of {shutter_text(same_exposures[0].shutter_s)} s are used as those without "
-        "a filter"
+        f"; frames of {shutter_text(same_exposures[0].shutter_s)} s may have been taken with or "
+        "without the filter, and are used as frames without it"
         if same_exposures
         else ""
     )
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
     return (
-        f"{_range(match.group)}: of {match.slot.id}'s frames, {len(missing)} are missing: "
-        f"{shown}{unsure}"
+        f"{_range(match.group)}: missing frames of slot {match.slot.id}: {len(missing)} "
+        f"({shown}){unsure}"
     )
 
 

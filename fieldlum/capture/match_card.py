@@ -230,7 +230,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     middle = float(np.median(near))
     if float(np.median(np.abs(near - middle))) > _STEADY_S or abs(middle) < 1.0:
         return offset
-    how = f"{offset.how}, clock {middle:+.0f} s from {len(near)} timed brackets"
+    how = f"{offset.how}, corrected by {middle:+.0f} s, the median of {len(near)} brackets"
     return replace(offset, seconds=offset.seconds + middle, how=how)
 
 

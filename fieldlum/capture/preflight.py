@@ -21,7 +21,8 @@ def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
     """Raise DeviceError if the clock shows a time before the last journal entry."""
     if now_utc < last_utc - timedelta(seconds=2):
         raise DeviceError(
-            f"the clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC, before the last journal entry "
+            f"this computer's clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC, before the last "
+            "journal entry "
             f"({last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
         )
 
@@ -56,7 +57,8 @@ def refuse_what_is_not_offered(
     empty = [slot.id for slot in slots if not slot.exposures]
     if len(empty) == len(slots) and empty:  # hours of `simulate --year-sample` are not a plan
         raise NotEnoughDataError(
-            f"no slot has an exposure, the first is {empty[0]}: plan the session with fieldlum plan"
+            f"no slot of the plan has an exposure (first slot: {empty[0]}); plan a new session "
+            "with fieldlum plan"
         )
     if refused := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""

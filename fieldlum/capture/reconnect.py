@@ -86,7 +86,7 @@ class Keeper(Generic[D]):
         """
         device = self.get()
         if device is None:
-            raise DeviceError(f"{self.name} is away; check its cable and power")
+            raise DeviceError(f"{self.name} is not connected; check its cable and power")
         result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
         # Only a successful call shows that it is back: a camera with a full card opens, then fails
         # again.
@@ -143,7 +143,7 @@ def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     thread.start()
     thread.join(seconds)
     if not result:
-        raise DeviceError(f"{what} did not answer within {seconds:g} s")
+        raise DeviceError(f"{what} did not answer within {seconds:g} s; check its cable and power")
     fine, value = result[0]
     if not fine:
         raise value

@@ -95,7 +95,8 @@ class Recorder:
         with self._lock:
             if missing := self.missing_bytes(size):
                 self.make_room()
-                self.last_event = f"disk-full: {missing / 1e6:.2f} MB more are needed"
+                shown = f"{missing / 1e6:.2f} MB of free space are missing"
+                self.last_event = f"disk-full: {shown}; delete other files"
                 raise OSError(errno.ENOSPC, self.last_event)
             if self._free_bytes() < size:
                 self.make_room()

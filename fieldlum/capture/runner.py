@@ -281,9 +281,12 @@ class _Runner:
         self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
     ) -> SlotState:
         if state.outcome == "started":
-            why = f"interrupted, and the slot's window closed {late_s:.0f} s after its start"
+            why = (
+                f"interrupted, and not finished when the slot's window closed (now {late_s:.0f} s "
+                "late)"
+            )
             return bracket.abort(slot, state, why)
-        paused = ", the capture was paused" if self._paused_slot == slot.id else ""
+        paused = ", because the capture was paused" if self._paused_slot == slot.id else ""
         self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s{paused}")
         return SlotState("missed", why=f"late{paused}")
 

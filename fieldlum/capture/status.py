@@ -46,9 +46,11 @@ def next_step(answer: JsonTable) -> str:
         return f"fieldlum pair {root}"
     if capture["owed"]:
         during = "doctor" if capture["frames"] == 0 else "capture"
-        return f"fieldlum {during} {root}" + ("" if during == "capture" else ", then capture")
+        return f"fieldlum {during} {root}" + (
+            "" if during == "capture" else f", then fieldlum capture {root}"
+        )
     if capture["done"] == 0 and not pair["done"]:
-        return f"no bracket was taken: run fieldlum plan {root} --replan"
+        return f"no slot is left and no bracket was captured: run fieldlum plan {root} --replan"
     if not models:
         return f"fieldlum train {root}"
     if not answer["predict"]["years"]:

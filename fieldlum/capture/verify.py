@@ -84,4 +84,8 @@ def bracket_doubts(shortest: Path) -> str:
         share = clipped_share(shortest)
     except InputError as error:
         return error.found
-    return f"{100 * share:.0f} % of the shortest frame is clipped" if share > ALL_CLIPPED else ""
+    return (
+        f"{100 * share:.0f} % of the shortest exposure's pixels are clipped"
+        if share > ALL_CLIPPED
+        else ""
+    )

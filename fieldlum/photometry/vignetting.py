@@ -23,12 +23,12 @@ def check_vignetting(coefficients: tuple[float, ...]) -> str:
     """
     v = vignetting_at(coefficients, np.linspace(0, 1, 201))
     if not np.isfinite(v).all() or abs(v[0] - 1) > 0.01:
-        return f"V(0) = {v[0]:.3g}, expected 1"
+        return f"the vignetting V on the axis is {v[0]:.3g}, not 1"
     if v.min() <= 0 or v.max() > 1.05:
-        return f"V runs from {v.min():.3g} to {v.max():.3g}, expected within 0 to 1.05"
+        return f"the vignetting V runs from {v.min():.3g} to {v.max():.3g}, not within 0 to 1.05"
     if v[-1] > 1.0:
         return (
-            f"V rises to {v[-1]:.3g} at the edge: its sign is wrong, or it is the correction "
-            f"instead of the loss"
+            f"the vignetting V rises to {v[-1]:.3g} at the edge: a sign is wrong, or V is the "
+            "correction instead of the loss"
         )
     return ""
