@@ -52,7 +52,7 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
             "under [camera]"
         )
         expected = f"{body.model}, the camera of {body.name}"
-        raise InputError(path, f"taken by {model}", expected, remedy)
+        raise InputError(path, f"the frame was taken by {model}", expected, remedy)
 
 
 def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
@@ -130,8 +130,8 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
     names = ", ".join(nd.name for nd in profile.nd) or "no filter"
     raise InputError(
         profile.camera.name,
-        f"filter '{name}'",
-        f"one of the profile's: {names}",
+        f"the filter '{name}' is not in the profile",
+        f"one of its filters: {names}",
         "add the filter to the profile under [[nd]]",
     )
 
@@ -147,16 +147,16 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
     if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
         measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
-        found = f"no vignetting for f/{f_number:g}"
+        found = f"no vignetting curve for f/{f_number:g}"
         raise InputError(
             lens.name,
             found,
-            f"one of {measured}",
+            f"one of the calibrated apertures {measured}",
             "calibrate this aperture: fieldlum calibrate vignette",
         )
     wrong = check_vignetting(nearest.coefficients)
     if wrong:
-        found = f"vignetting at f/{nearest.f_number:g}: {wrong}"
+        found = f"the curve of f/{nearest.f_number:g}: {wrong}"
         raise InputError(
             lens.name,
             found,

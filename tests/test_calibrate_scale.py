@@ -94,7 +94,9 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
         and "fL entered" in said[1]
         and len(said) == 2
     )
-    with pytest.raises(InputError, match=r"t.csv: 3 of 6 readings contradict the fitted factor k.*one unit"):
+    with pytest.raises(
+        InputError, match=r"t.csv: 3 of 6 readings contradict the fitted factor k.*one unit"
+    ):
         scale.fit(_readings([80.0, 20.0, 300.0, 9.0, 4000.0, 60.0], picture), source="t.csv")
     right = scale.fit(_readings(picture, picture))
     assert scale.check_level(right, PROFILE, tmp_path) == ""

@@ -172,7 +172,9 @@ def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path)
     )
     report = import_card.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
     assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
-    assert "DSC_0036.jpg and 35 brackets after it: the brackets from 2015-01-01" in report.left_out[0]
+    assert (
+        "DSC_0036.jpg and 35 brackets after it: the brackets from 2015-01-01" in report.left_out[0]
+    )
 
 
 @pytest.mark.contract

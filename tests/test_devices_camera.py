@@ -194,7 +194,7 @@ def test_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
     [
         (Exposure(1 / 60, 5.0), "no f/5; expected f/4, f/5.6, f/8"),
         (Exposure(1 / 60, 5.6, 100, "nd9"), "no filter 'nd9'; expected nd5"),
-        (Exposure(300.0, 5.6), "300 s is not offered; the nearest is 30"),
+        (Exposure(300.0, 5.6), "300 s is not offered by the camera; the nearest value is 30"),
         (Exposure(1 / 60, 5.6, 12.0), "no ISO 12"),
     ],
 )
@@ -233,7 +233,7 @@ def test_truth_folder(tmp_path: Path) -> None:
     assert world.scene(START).luminance_cdm2[0, 0] == 5.0
     assert world.irradiance(START) == SimulatedLight(150.0, 60.0, 300.0)
     assert world.irradiance(datetime(2027, 3, 21, 8, tzinfo=UTC)) == SimulatedLight(0.0, 0.0, 0.0)
-    with pytest.raises(DeviceError, match="no truth within 45 min"):
+    with pytest.raises(DeviceError, match="no simulated panorama within 45 min"):
         world.scene(datetime(2027, 3, 21, 8, tzinfo=UTC))
     (tmp_path / "irradiance.csv").write_text("t_utc,ghi_wm2\n2027-03-20T19:00:00Z,many\n")
     with pytest.raises(InputError, match=r"irradiance.csv.*fieldlum simulate"):

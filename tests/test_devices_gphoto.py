@@ -99,7 +99,10 @@ def test_settings_are_checked_before_and_after(
     picture: Callable[[Exposure], None], tmp_path: Path
 ) -> None:
     camera = open_camera("gphoto:Nikon", clock=CLOCK)
-    with pytest.raises(DeviceError, match=r"shutter: 0.004 s is not offered; the nearest is 1/200"):
+    with pytest.raises(
+        DeviceError,
+        match=r"shutter: 0.004 s is not offered by the camera; the nearest value is 1/200",
+    ):
         camera.expose(Exposure(1 / 250, 5.6), tmp_path / "f")
     with pytest.raises(
         DeviceError, match=r"aperture: 2 is not offered"

@@ -189,7 +189,7 @@ def test_crc_of_a_line() -> None:
         line.replace(b"*", b""),
         line.replace(b"104.9", b"04.9"),
     ):
-        with pytest.raises(DeviceError, match="its checksum is not"):
+        with pytest.raises(DeviceError, match="has a wrong checksum"):
             parse_line(profile, harmed)
 
 
@@ -491,9 +491,9 @@ def test_values() -> None:
     [
         (answer(b" 1  "), "head was switched off"),
         (answer(b" 4  "), "has not measured yet"),
-        (answer(b" 5  "), "over its range"),
+        (answer(b" 5  "), "over the meter's range"),
         (answer(b"  6 "), "changes its range"),
-        (answer(values=b"+99999+ 3130+ 3290"), "out of its range"),
+        (answer(values=b"+99999+ 3130+ 3290"), "out of the meter's range"),
         (answer()[:-1], "right check digits"),
         (answer().replace(b"+1234", b"+1235"), "right check digits"),
         (frame(b"0054    "), "without values"),

@@ -196,7 +196,7 @@ def test_other_faults_are_named(pi: Path, tmp_path: Path) -> None:
         camera.expose(Exposure(0.1, 2.0), tmp_path / ".frame")
     assert disk_is_full(caught.value)
     (pi.parent / "mode").unlink()
-    with pytest.raises(DeviceError, match="longer than this module can"):
+    with pytest.raises(DeviceError, match="too long for this camera module"):
         camera.expose(Exposure(6.0, 2.0), tmp_path / ".frame")
     with pytest.raises(DeviceError, match="turning head"):
         camera.expose(Exposure(0.1, 2.0), tmp_path / ".frame", heading_deg=90.0)

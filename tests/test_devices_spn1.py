@@ -195,9 +195,9 @@ def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
 @pytest.mark.parametrize(
     ("answers", "said"),
     [
-        ((SEVEN, b"S 612.4, 104.9,1\r", READING), "no two answers agree"),
+        ((SEVEN, b"S 612.4, 104.9,1\r", READING), "no two answers of the instrument agree"),
         ((BROKEN, BROKEN), "SPN1 answered"),
-        ((BROKEN, SEVEN, READING), "no two answers agree"),
+        ((BROKEN, SEVEN, READING), "no two answers of the instrument agree"),
     ],
 )
 def test_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], said: str) -> None:
@@ -216,7 +216,7 @@ def test_the_edge_of_a_shadow_is_no_damage() -> None:
         wire.fault = _changed(b"S 812.4, 104.9,1\r", b"S 760.0, 108.9,1\r", b"S 710.4, 111.9,1\r")
         assert device.read().ghi_wm2 == 760.0, "light that falls evenly"
         wire.fault = _changed(b"S 812.4, 104.9,1\r", b"S 760.0, 108.9,1\r", b"S 812.4, 911.9,1\r")
-        with pytest.raises(DeviceError, match="no two answers agree"):
+        with pytest.raises(DeviceError, match="no two answers of the instrument agree"):
             device.read()
 
 

@@ -93,7 +93,7 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
         ({"expires": "2027-03-01"}, "fail", "expired"),
         ({"expires": "2028-03-01"}, "ok", "calibrated"),
         ({"camera": CameraBody("cam", "raw", 9, 9, date="2020-01-01")}, "warn", "years ago"),
-        ({"scale": Scale(1.0, f_numbers=(8.0,))}, "fail", "no scale for f/5.6"),
+        ({"scale": Scale(1.0, f_numbers=(8.0,))}, "fail", "no scale k for f/5.6"),
         ({"expires": "soon"}, "fail", "date 'soon'"),
     ],
 )

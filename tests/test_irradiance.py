@@ -315,8 +315,8 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     assert np.isnan(found.dni_wm2).all() and np.isnan(found.dhi_wm2).all()
     told = health(lone, found, altitude, top, 0, SEATTLE).warnings
     assert told == (
-        "100 % of the rows by day have only global irradiance and no neighbouring row within half "
-        "an hour: direct irradiance cannot be derived from them; log at least every minute",
+        "100 % of the rows by day have global but no direct irradiance: direct cannot be "
+        "derived from global without another row within half an hour; log at least every minute",
     )
 
 
@@ -366,7 +366,10 @@ def test_a_night_offset_that_blanks_the_nights_is_told() -> None:
     )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     told = health(series, check(series, altitude, top), altitude, top, 0, SEATTLE)
-    assert told.warnings == ("night offset -5.0 W/m2: level, clean and ventilate the instrument",)
+    assert told.warnings == (
+        "global irradiance of -5.0 W/m2 at night instead of 0: level, clean and ventilate the "
+        "instrument",
+    )
 
 
 @pytest.fixture

@@ -475,7 +475,7 @@ def test_a_spoilt_lens_gives_way() -> None:
 def test_vignetting_of_another_aperture_is_refused() -> None:
     lens = Lens((1.0, 1.0), 1.0, 180.0, vignetting=(Vignetting(5.6, (1.0, 0.0, -0.3)),))
     assert vignetting_of(lens, 5.6)[0] == (1.0, 0.0, -0.3)
-    with pytest.raises(InputError, match="no vignetting for f/16"):
+    with pytest.raises(InputError, match="no vignetting curve for f/16"):
         vignetting_of(lens, 16.0)
     with pytest.raises(InputError, match="sign"):
         vignetting_of(replace(lens, vignetting=(Vignetting(5.6, (1.0, 0.04)),)), 5.6)

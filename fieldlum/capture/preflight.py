@@ -85,7 +85,7 @@ def wait_for_clock(
     if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():
         return
     say(
-        f"the clock shows {clock.now():%Y-%m-%d %H:%M} UTC, earlier than the session "
+        f"this computer's clock shows {clock.now():%Y-%m-%d %H:%M} UTC, earlier than the session "
         f"({latest_utc:%Y-%m-%d %H:%M} UTC), so it has not been set. The capture waits: "
         "connect to the network, or set the clock."
     )

@@ -93,8 +93,8 @@ class _CommandGroup(LazyGroup):
             if error.name not in COMPUTE_PACKAGES:
                 raise
             message = (
-                f"the package {error.name} is not installed, because this computer only "
-                "captures; install it with: pip install 'fieldlum[compute]'"
+                f"the package {error.name} is not installed: this fieldlum was installed for "
+                "captures only; install it with: pip install 'fieldlum[compute]'"
             )
             _complain(ctx, message)
             sys.exit(InputError.exit_code)

@@ -94,7 +94,7 @@ def _edge(
     from fieldlum.calibrate import lens_circle, pictures
 
     if len(sources) != 1:
-        raise click.UsageError("--circle and --against take one FRAME")
+        raise click.UsageError(f"--circle and --against take one FRAME, not {len(sources)} files")
     grey = lens_circle.grey_picture(sources[0])
     if against is not None:
         right, down = lens_circle.shift_px(lens_circle.grey_picture(against), grey)
@@ -153,7 +153,9 @@ def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) 
     try:
         columns, rows = (int(part) for part in chessboard.lower().split("x"))
     except ValueError:
-        raise click.UsageError("--chessboard needs inner corners across x down, like 9x6") from None
+        raise click.UsageError(
+            "--chessboard needs the numbers of inner corners, across x down, like 9x6"
+        ) from None
     say_time(sources, profile, boards=True)
     found = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
     seen = {path: corners for path, corners in found.items() if corners is not None}

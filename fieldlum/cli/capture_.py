@@ -170,8 +170,9 @@ def command(
         terminal.say(f"the last aborted bracket: {aborted[-1]}")
     if len(aborted) > outcomes.count("done"):
         raise DeviceError(
-            "more brackets were aborted than taken: run fieldlum doctor, then fieldlum plan "
-            "SESSION --replan"
+            f"{len(aborted)} brackets were aborted, but only {outcomes.count('done')} completed: "
+            "run "
+            "fieldlum doctor, then fieldlum plan SESSION --replan"
         )
 
 

@@ -152,8 +152,8 @@ def _toml(path: Path) -> Facts:
         }
     raise InputError(
         path,
-        f"tables {', '.join(table) or 'none'}",
-        "a site, a camera profile, an instrument profile or a session",
+        f"a TOML file with the tables {', '.join(table) or '(none)'}",
+        "the TOML file of a site, a camera profile, an instrument profile or a session",
         "name such a file",
     )
 
@@ -242,7 +242,7 @@ def _folder(path: Path) -> Facts:
         return _year(path)
     raise InputError(
         path,
-        "no session, model or predicted year",
+        "this folder is no session, model or predicted year",
         "a folder with session.toml, config.json or predict.json",
         "name such a folder, or a file in this one",
     )

@@ -125,10 +125,10 @@ def _check(
         raise click.UsageError("--start and --year exclude each other: use one of them")
     if count and set_ not in ("even", "best"):
         raise click.UsageError(
-            f"--count is for even and best; the hours of {set_} follow from its days"
+            f"--count needs --set even or best; the number of hours of {set_} follows from its days"
         )
     if days and set_ in ("9-day", "12-day", "4-day"):
-        raise click.UsageError(f"--days is for month, even and best; {set_} has fixed days")
+        raise click.UsageError(f"--days needs --set month, even or best; {set_} has fixed days")
 
 
 def _planned(

@@ -87,7 +87,9 @@ def command(
     started = time.monotonic()
     if isinstance(pairs, str):
         if out is None or site is not None:
-            raise click.UsageError("training data at a URL has its site; write --out, not --site")
+            raise click.UsageError(
+                "training data at a URL include their site: add --out FOLDER, and omit --site"
+            )
         folder, place, scene = out, out, scene or "none"
     else:
         folder, place = out or default_folder(pairs, model), pairs

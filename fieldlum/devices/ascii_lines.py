@@ -102,7 +102,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
         raise InputError(
             path,
             f"entries for {', '.join(quantities) or 'nothing'}",
-            "at least one irradiance, and each quantity once",
+            "at least one of ghi_wm2, dhi_wm2 and dni_wm2, and each quantity once",
             "correct the [[entry]] tables",
         )
     if profile.form == "regex":
@@ -143,7 +143,7 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
         high = entry.highest if entry.highest is not None else high
         if not low <= value <= high:
             raise DeviceError(
-                f"line {text[:60]!r}: {entry.quantity} {value:g}; expected {low:g} to "
+                f"line {text[:60]!r}: {entry.quantity} is {value:g}; expected {low:g} to "
                 f"{high:g}; check scale and offset of the profile"
             )
     return values
@@ -160,7 +160,7 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
 
 def _complete_text(line: bytes) -> str:
     if not line.endswith(b"\n") or len(line) > _LONGEST:
-        raise DeviceError(f"line {line[:60]!r} has no end mark")
+        raise DeviceError(f"line {line[:60]!r} does not end with a line feed")
     body = line.rstrip(b"\r\n")
     if not body.isascii() or any(c < 32 and c != 9 for c in body):
         raise DeviceError(f"line {line[:60]!r} has bytes that are not ASCII text")
@@ -172,7 +172,7 @@ def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
     data = body.removeprefix("$").encode("ascii")
     due = f"{reduce(xor, data, 0):02X}" if kind == "xor" else f"{crc16(data):04X}"
     if not star or digits.upper() != due:
-        raise DeviceError(f"line {text[:60]!r}: its checksum is not *{due}")
+        raise DeviceError(f"line {text[:60]!r} has a wrong checksum; expected *{due}")
     return body
 
 
@@ -192,7 +192,7 @@ def crc16(data: bytes) -> int:
 def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     match = re.fullmatch(profile.pattern, text, re.ASCII)
     if match is None:
-        raise DeviceError(f"line {text[:60]!r} does not fit the pattern")
+        raise DeviceError(f"line {text[:60]!r} does not fit the pattern of the profile")
     return match.groupdict()
 
 
@@ -230,7 +230,7 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
 def _having(profile: AsciiProfile, found: Mapping[str, object], text: str) -> Mapping[str, object]:
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in found]:
-        raise DeviceError(f"line {text[:60]!r} has no {', '.join(missing)}")
+        raise DeviceError(f"line {text[:60]!r} has no key {', '.join(missing)}")
     if profile.only and list(found) != keys:
         raise DeviceError(
             f"line {text[:60]!r} has keys {', '.join(found)}; expected {', '.join(keys)} and no "

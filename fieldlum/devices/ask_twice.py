@@ -49,4 +49,6 @@ def agreed_answer(
     if len(valid) == ASKED_AT_MOST and in_line(valid[0], valid[1], valid[2]):
         return valid[1], tuple(answers)
     shown = ", ".join(repr(answer[:40]) for answer in answers)
-    raise DeviceError(why if not valid else f"no two answers agree: {shown}; check the cable")
+    raise DeviceError(
+        why if not valid else f"no two answers of the instrument agree: {shown}; check the cable"
+    )

@@ -30,11 +30,11 @@ MEASURE = b"994021  "
 READ_EVXY = b"00021200"
 STX, ETX = b"\x02", b"\x03"
 _ERRORS = {
-    "1": "its head was switched off; restart it",
-    "2": "memory error; restart it",
-    "3": "memory error; restart it",
-    "5": "over its range",
-    "7": "out of its range",
+    "1": "the receptor head was switched off; restart the meter",
+    "2": "memory error; restart the meter",
+    "3": "memory error; restart the meter",
+    "5": "the light is over the meter's range",
+    "7": "the light is out of the meter's range",
 }
 _TRIES = 4  # measurements until the meter has settled on a range; chosen, not measured
 # Pauses that the meter needs after commands (CS-A32T): 0.5 s after PC mode, hold and measure,
@@ -76,7 +76,9 @@ def _value(six: str) -> float:
     """
     digits = six[1:5].replace(" ", "")
     if not digits:
-        raise DeviceError(f"CL-200A: field {six!r} has no digits")
+        raise DeviceError(
+            f"CL-200A: the answer has the value {six!r} without digits; check the cable"
+        )
     return (-1.0 if six[0] == "-" else 1.0) * float(digits) * 10.0 ** (int(six[5]) - 4)
 
 
@@ -102,8 +104,9 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
     illuminance_lx, x, y = (_value(match[7][i : i + 6]) for i in (0, 6, 12))
     if not (0.0 <= illuminance_lx <= 200_000.0 and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
         raise DeviceError(
-            f"CL-200A: {illuminance_lx:g} lx at x {x:g}, y {y:g} is out of its range; read it "
-            "again in less light"
+            f"CL-200A: {illuminance_lx:g} lx with chromaticity x {x:g}, y {y:g}; expected 0 to "
+            "200000 lx "
+            "and x, y from 0 to 1; read it again in less light"
         )
     return IlluminanceReading(illuminance_lx, match[6] == "1", reply.decode("ascii").strip())
 

@@ -109,8 +109,13 @@ def _read_csv(
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
         shown = ", ".join(names)[:120]
-        remedy = "write names into its first line, or state one with --column ghi_wm2=NAME"
-        raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", remedy)
+        remedy = "write these names into the first line, or name a column: --column ghi_wm2=NAME"
+        raise InputError(
+            path,
+            f"columns {shown}",
+            "t_utc, and one or more of ghi_wm2, dhi_wm2 and dni_wm2",
+            remedy,
+        )
     samples, left_out = [], []
     try:
         for row in rows:

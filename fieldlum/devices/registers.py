@@ -120,18 +120,18 @@ def load_register_profile(kind: str) -> RegisterProfile:
             not 0 < block.count <= profile.largest_request
             or not 0 <= block.start <= 65535 - block.count
         ):
-            limit = f"1 to {profile.largest_request} registers in a request"
-            found = f"a block of {block.count} registers at {block.start}"
-            raise InputError(path, found, limit, "split the [[poll]] block into two")
+            limit = f"1 to {profile.largest_request} registers in a request, from 0 to 65535"
+            found = f"a [[poll]] block of {block.count} registers from register {block.start}"
+            raise InputError(path, found, limit, "correct the block, or split it into two")
     polled = {r for block in profile.poll for r in block.numbers}
     read = polled | {r for block in profile.at_open for r in block.numbers}
     for entry in profile.entry:
         if not _needed_registers(entry) <= (polled if entry.name == "irradiance_wm2" else read):
             raise InputError(
                 path,
-                f"entry '{entry.name}' is outside the blocks",
-                "a block with all its registers",
-                "add its registers to a [[poll]] block",
+                f"registers of entry '{entry.name}' are in no [[poll]] block",
+                "all registers of each entry in a block",
+                "add these registers to a [[poll]] block",
             )
     if "irradiance_wm2" not in {e.name for e in profile.entry}:
         raise InputError(
@@ -209,7 +209,8 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
         math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2
     ):
         raise DeviceError(
-            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2; expected {LOWEST_WM2:g} "
+            f"{profile.maker} {profile.kind}: an irradiance of {irradiance:g} W/m2; expected "
+            f"{LOWEST_WM2:g} "
             f"to {HIGHEST_WM2:g} W/m2; check the kind in the URI"
         )
     return Decoded(
@@ -221,7 +222,7 @@ def _power(word: int, profile: RegisterProfile) -> int:
     power = int(raw_value("s16", [word]))
     if not -1 <= power <= 2:
         raise DeviceError(
-            f"{profile.maker} {profile.kind}: scale factor {power}; expected "
-            "-1 to 2; check the kind in the URI"
+            f"{profile.maker} {profile.kind}: a scale factor of 10^{power}; expected "
+            "10^-1 to 10^2; check the kind in the URI"
         )
     return power

@@ -85,8 +85,8 @@ class ReplayCamera:
                 return written
         shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
         raise DeviceError(
-            f"replay: no unused frame of {shown} is left, only {len(self._left)} of other "
-            "exposures; plan exposures that the folder has, and no more brackets than it has"
+            f"replay: the folder has no unused frame of {shown}, only {len(self._left)} of other "
+            "exposures; plan exposures that the folder has, and at most as many brackets"
         )
 
     def close(self) -> None:

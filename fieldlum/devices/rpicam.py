@@ -71,7 +71,7 @@ def parse_metadata(text: str) -> FrameMetadata:
         digital = float(table.get("DigitalGain", 1.0))
     except (ValueError, KeyError, TypeError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)[:120]
-        raise DeviceError(f"rpicam: metadata that cannot be used: {what}") from None
+        raise DeviceError(f"rpicam: the metadata of the frame cannot be used: {what}") from None
     if not all(math.isfinite(v) and v > 0 for v in (*values, digital)):
         raise DeviceError(
             f"rpicam: impossible metadata: an exposure of {values[0]:g} us at gain {values[1]:g}; "
@@ -187,14 +187,15 @@ class RpicamCamera:
             raise DeviceError(
                 f"rpicam: {shutter_text(asked.shutter_s)} s requested, but the sensor exposed "
                 f"{metadata.shutter_s:.4g} s and the program multiplied the picture by "
-                f"{metadata.digital_gain:g}: longer than this module can; remove the long "
-                f"exposures from [bracket] and plan again"
+                f"{metadata.digital_gain:g}, so the time is too long for this camera module; "
+                "remove "
+                f"the long exposures from [bracket] in the profile and plan again"
             )
         gain = asked.iso / ISO_OF_GAIN_1
         if abs(math.log2(metadata.analogue_gain / gain)) > SAME_SETTING_EV:
             raise DeviceError(
                 f"rpicam: gain {gain:g} requested, but the sensor used "
-                f"{metadata.analogue_gain:g}; plan an ISO that this module has"
+                f"{metadata.analogue_gain:g}; plan an ISO that this camera module has"
             )
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:

@@ -33,7 +33,8 @@ def nearest(
     if abs(ev_per_octave * math.log2(best / asked)) > SAME_SETTING_EV:
         shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
         raise DeviceError(
-            f"{what}: {asked:.5g} {unit} is not offered; the nearest is {shown}: plan with "
-            "that value".replace("  ", " ")
+            f"{what}: {asked:.5g} {unit} is not offered by the camera; the nearest value is "
+            f"{shown}: plan "
+            "with that value".replace("  ", " ")
         )
     return best

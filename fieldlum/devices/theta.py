@@ -179,7 +179,7 @@ class ThetaCamera:
         parts = urlsplit(url)
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
             raise DeviceError(
-                f"theta: the camera names the file {url}; expected one on {self._address}"
+                f"theta: the camera names a file at {url}; expected a file at {self._address}"
             )
         path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
         body = self._http(urllib.request.Request(url), 60.0)
@@ -217,7 +217,8 @@ class ThetaCamera:
         while reply.get("state") == "inProgress":
             if self._clock.boottime() - started > patience_s:
                 raise DeviceError(
-                    f"theta: {name} was not complete within {patience_s:g} s; restart the camera"
+                    f"theta: the command {name} did not end within {patience_s:g} s; restart the "
+                    "camera"
                 )
             self._clock.sleep(POLL_S)
             reply = self._post("/osc/commands/status", {"id": reply.get("id")})
@@ -247,7 +248,9 @@ class ThetaCamera:
             with error:
                 body, length = error.read(100_000), None
             if not body.lstrip().startswith(b"{"):
-                raise DeviceError(f"theta: HTTP {error.code} from {request.full_url}") from None
+                raise DeviceError(
+                    f"theta: the camera answered HTTP {error.code} to {request.full_url}"
+                ) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "reason", error)
             raise DeviceError(
@@ -264,9 +267,9 @@ def _json(body: bytes) -> Reply:
     try:
         reply = json.loads(body)
     except ValueError:
-        raise DeviceError(f"theta: answered {body[:40]!r}; expected JSON") from None
+        raise DeviceError(f"theta: the camera answered {body[:40]!r}; expected JSON") from None
     if not isinstance(reply, dict):
-        raise DeviceError(f"theta: answered {body[:40]!r}; expected a JSON object")
+        raise DeviceError(f"theta: the camera answered {body[:40]!r}; expected a JSON object")
     return reply
 
 

@@ -106,7 +106,7 @@ def parse_toa5(
             continue
         try:
             if number == len(lines):
-                raise ValueError("the line has no end mark")
+                raise ValueError("the line does not end with a line feed")
             row = next(csv.reader([line.rstrip("\r")], strict=True))
             if len(row) != len(names):
                 raise ValueError(f"{len(row)} values, expected {len(names)}")
@@ -157,7 +157,7 @@ def _differing_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[i
         for k, (integer, _, decimals) in parts.items():
             due = usual.get(len(integer), everywhere)
             if due not in (None, len(decimals)):
-                differing[k] = f"{quantity} has {len(decimals)} decimals, usual is {due}"
+                differing[k] = f"{quantity} has {len(decimals)} decimals, but usually {due}"
     return differing
 
 
@@ -208,7 +208,7 @@ def _columns(
             several = ", ".join(names[i] for i in matches)
             raise InputError(
                 source,
-                f"columns {several} for {quantity}",
+                f"several columns for {quantity}: {several}",
                 "one column",
                 f"choose it: --column {quantity}=NAME",
             )
@@ -225,14 +225,14 @@ def _columns(
         if quantity.endswith("_wm2") and units[i].upper().replace(" ", "") not in _UNITS:
             raise InputError(
                 source,
-                f"{names[i]} in '{units[i]}'",
+                f"the column {names[i]} is in '{units[i]}'",
                 "W/m^2",
-                f"choose another: --column {quantity}=NAME",
+                f"choose another column: --column {quantity}=NAME",
             )
     if not any(q.endswith("_wm2") for q in found):
         raise InputError(
             source,
-            f"columns {', '.join(names)[:120]}",
+            f"no known column of irradiance among {', '.join(names)[:120]}",
             "a column of irradiance",
             "choose it: --column ghi_wm2=NAME",
         )

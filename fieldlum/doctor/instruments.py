@@ -102,10 +102,8 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
         findings.append(_judge_camera_clock(info.clock_offset_s))
     if info.frames_left is not None:
         enough = info.frames_left >= frames
-        text = (
-            f"space for {info.frames_left} frames, but {frames} are planned: use a larger "
-            "card, or empty this one"
-        )
+        text = f"space for {info.frames_left} frames; {frames} are planned"
+        text += "" if enough else ": use a larger card, or empty this one"
         findings.append(Finding("camera card", "ok" if enough else "warn", text))
     return findings
 
@@ -119,8 +117,10 @@ def _judge_camera_clock(offset_s: float) -> Finding:
         verdict = "fail"
     hours = round(offset_s / 3600.0)
     is_time_zone = hours and abs(offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S
-    hint = ": full hours, so a time zone or daylight saving is likely" if is_time_zone else ""
-    text = f"{offset_s:+.1f} s compared with this computer{hint}"
+    hint = (
+        ": full hours, probably a wrong time zone or daylight saving time" if is_time_zone else ""
+    )
+    text = f"{offset_s:+.1f} s compared with this computer's clock{hint}"
     return Finding("camera clock", verdict, text)
 
 
@@ -187,21 +187,24 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
     if info.gives == ("ghi",):
         text = (
             "the instrument measures only global irradiance: direct and diffuse will be "
-            "derived, with an error of about 30 % of direct"
+            "derived from it, with an error of about 30 % in direct irradiance"
         )
         findings.append(Finding("pyranometer", "warn", text))
     if info.guard == FORM_ALONE:
         text = (
-            "its lines have no checksum: under moving clouds up to 2 of 100 damaged lines "
-            "are read as other numbers"
+            "the instrument's lines have no checksum: under moving clouds up to 2 of 100 damaged "
+            "lines are not detected and give wrong values"
         )
         remedy = (
-            "let the sketch print a CRC-16 (profile arduino-crc), or at least one line per "
-            "second, three for each row"
+            "let the instrument's program print a CRC-16 (profile arduino-crc), or at least one "
+            "line per second, so that each row has three lines"
         )
         findings.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))
     calibrated = iso_date(info.calibration_date)
     if calibrated and (sample.t_utc.date() - calibrated).days > CALIBRATION_YEARS * 365.25:
-        text = f"calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago: calibrate again"
+        text = (
+            f"last calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago: calibrate "
+            "again"
+        )
         findings.append(Finding("pyranometer", "warn", text))
     return findings

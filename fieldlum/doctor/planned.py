@@ -26,13 +26,16 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
         findings.append(Finding("plan", "fail", text, 3))
     if not ahead:
         text = (
-            f"none of its {len(slots)} slots is in the future: plan again (fieldlum plan "
+            f"none of the plan's {len(slots)} slots is in the future: plan again (fieldlum plan "
             "SESSION --replan)"
         )
         return [*findings, Finding("plan", "warn", text)]
     zone = ZoneInfo(session.site_file().site.timezone)
     first = ahead[0].t_utc.astimezone(zone)
-    text = f"{len(ahead)} of {len(slots)} slots ahead, the next on {first:%a %Y-%m-%d at %H:%M %Z}"
+    text = (
+        f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
+        f"{first:%a %Y-%m-%d at %H:%M %Z}"
+    )
     return [*findings, Finding("plan", "ok", text)]
 
 
@@ -66,10 +69,16 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Fin
     apertures = {e.f_number for e in planned}
     if profile.scale.f_numbers and (other := sorted(apertures - set(profile.scale.f_numbers))):
         shown = ", ".join(f"f/{f:g}" for f in other)
-        text = f"{profile.camera.name} has no scale for {shown}: calibrate it, or plan again"
+        text = (
+            f"{profile.camera.name} has no scale k for {shown}: calibrate this aperture, or plan "
+            "again"
+        )
         findings.append(Finding("profile", "fail", text, 3))
     if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
-        text = f"{profile.camera.name} has no filter {sorted(missing)[0]}: add it, or plan again"
+        text = (
+            f"{profile.camera.name} has no filter {sorted(missing)[0]}: add it to [[nd]], or plan "
+            "again"
+        )
         findings.append(Finding("profile", "fail", text, 3))
     return findings
 
@@ -96,9 +105,9 @@ def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
         filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
         text = f"the sun is in view of the lens in {len(in_view)} slots"
         remedy = (
-            "the bracket has a filter for it"
+            "the planned brackets have a filter for it"
             if filtered
-            else "without a filter its energy must come from DNI"
+            else "no filter is planned, so its illuminance will be computed from DNI"
         )
         findings.append(Finding("sun", "ok" if filtered else "warn", f"{text}: {remedy}"))
     return findings

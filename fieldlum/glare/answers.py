@@ -129,7 +129,7 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
         raise InputError(
             path,
             f"{bad} pixels are not finite",
-            "cd/m2 in every pixel",
+            "a finite luminance in cd/m2 in every pixel",
             "merge or render the picture again",
         )
     dark = int((pixels < 0).sum())
@@ -142,20 +142,20 @@ def picture_warnings(picture: Picture) -> list[str]:
     warnings = list(picture.notes)
     if not picture.directed:
         warnings.append(
-            "the picture's VIEW has no -vd: the glare is right, but its azimuth of 0 is an "
-            "assumption; give the view with --view"
+            "the picture's VIEW has no direction (-vd): the glare figures are right, but the "
+            "azimuth of 0 deg is an assumption; state the view with --view"
         )
     if not (picture.panorama.luminance_cdm2 > 0).any():
         warnings.append(
-            "the picture has no light: every pixel is 0, and the figures have "
-            "no meaning; check how it was written"
+            "the picture has no light: every pixel is 0, so the glare figures have "
+            "no meaning; check how the picture was written"
         )
     flags = picture.panorama.flags
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:
         warnings.append(
             f"{clipped} pixels are clipped in every frame: their luminance, and DGP, are "
-            "lower bounds; capture shorter exposures"
+            "lower bounds; capture shorter exposures as well"
         )
     return warnings
 

@@ -19,7 +19,7 @@ from fieldlum.records import Float
 
 VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v": "perspective"}
 EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
-HOW = f'give --view "{EXAMPLE_VIEW}" (a 180-degree fisheye that looks south)'
+HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that looks south'
 # Angles that Radiance accepts for each type, and the numbers after each view option (rpict -v).
 _LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
@@ -132,7 +132,7 @@ def check_proportion(
             source,
             f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
             f"width over height {expected:.3f}",
-            "the picture was cropped, or its VIEW is wrong: give the true view with --view",
+            "the picture was cropped, or its VIEW is wrong: state the true view with --view",
         )
 
 
@@ -160,7 +160,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     if abs(float(forward @ up)) > 0.9999:
         raise InputError(
             source,
-            "-vd along -vu",
+            "-vd and -vu are parallel",
             "two different directions",
             "write -vu 0 1 0 for a picture of the sky",
         )
@@ -168,7 +168,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
     for name, angle in zip(("-vh", "-vv"), angles, strict=True):
         if not 0.0 < angle <= _LARGEST_DEG[kind]:
-            expected = f"above 0, at most {_LARGEST_DEG[kind]:g}"
+            expected = f"an angle above 0 and at most {_LARGEST_DEG[kind]:g} deg"
             raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
     up = up - forward * float(up @ forward)
     shift, lift = (_number(options.get(name, "0"), f"-{name}", source) for name in ("vs", "vl"))

@@ -82,20 +82,20 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
 def _check_views(header: RadianceHeader, path: Path) -> None:
     """Raise InputError for views of different types, or for a panorama with a view."""
     if header.heading_deg is not None and header.views:
-        shown = f"a panorama and VIEW= {header.view[:80]}"
+        shown = f"the header has both a panorama (FIELDLUM_VIEW=) and VIEW= {header.view[:80]}"
         raise InputError(
             path, shown, "one of the two", "remove one of the two lines from the header"
         )
     types = {word for text in header.views for word in text.split() if word.startswith("-vt")}
     if len(types) > 1:
-        shown = f"views {', '.join(sorted(types))}"
-        raise InputError(path, shown, "one VIEW", "give the true view with --view")
+        shown = f"VIEW lines of several types: {', '.join(sorted(types))}"
+        raise InputError(path, shown, "one VIEW", "state the true view with --view")
     if not header.view and header.inherited_views:
         raise InputError(
             path,
             "different VIEW lines inherited from its input pictures",
             "one VIEW",
-            "give the true view with --view",
+            "state the true view with --view",
         )
 
 
@@ -121,5 +121,7 @@ def _notes(panorama: Panorama) -> tuple[str, ...]:
 
 def _stated(text: str, path: Path) -> str:
     if not text:
-        raise InputError(path, "no VIEW", "the picture's view", f"{HOW}; {HOW_PANORAMA}")
+        raise InputError(
+            path, "no VIEW in the header", "the picture's view", f"{HOW}; {HOW_PANORAMA}"
+        )
     return text

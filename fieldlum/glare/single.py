@@ -62,8 +62,8 @@ def picture_glare(
     if not ev or ev <= 0.0:
         raise InputError(
             path,
-            "no light in the view",
-            "light in the first view, so that it can be scaled",
+            "no light in the first view direction",
+            "light there, so that the picture can be scaled to the measured illuminance",
             "check the view direction, or omit the measured illuminance",
         )
     factor = measured_ev_lx / ev
@@ -82,7 +82,7 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Gl
     if width != 2 * height:
         raise InputError(
             source,
-            f"{width} x {height} pixels",
+            f"a map of {width} x {height} pixels",
             "a map twice as wide as high",
             "use a map of all directions (equirectangular)",
         )
@@ -151,9 +151,10 @@ def _view_rows(
 
 def _unseen_text(seen: np.ndarray) -> str:
     return (
-        f"no lens saw {100 * (~seen).mean():.0f} % of the panorama: directions that include "
-        "this part have no result, or bounds for an unseen part from 0 cd/m2 up to the "
-        "luminance of the brightest hundredth of the seen part"
+        f"no lens saw {100 * (~seen).mean():.0f} % of the panorama: view directions that are "
+        "mostly "
+        "unseen have no result; partly seen ones have a lowest DGP (unseen part black) and a "
+        "highest (unseen part as bright as the brightest 1 % of the seen part)"
     )
 
 

@@ -84,8 +84,8 @@ def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> N
     if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
         raise InputError(
             path,
-            f"--view-azimuth for a fisheye, whose view direction is {azimuth_deg:.1f} deg",
-            "a panorama with --view-azimuth",
+            f"--view-azimuth with a fisheye picture, whose view direction is {azimuth_deg:.1f} deg",
+            "--view-azimuth only with a panorama",
             "remove --view-azimuth",
         )
 

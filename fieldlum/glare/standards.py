@@ -76,7 +76,7 @@ class Protection:
             text = f"{text}, from the seen part of the view"
         if self.low is None or self.high is None:
             return (
-                f"{text} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model has no "
+                f"{text} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model states no "
                 f"uncertainty"
             )
         between = (

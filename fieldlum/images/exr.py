@@ -26,7 +26,7 @@ _MAX_VALUES = 4 * MAX_PIXELS
 # 1 cd/m2 for an RGB of 1: without an attribute whiteLuminance the unit of a file is not stated.
 # Chosen.
 _WHITE_CDM2_UNSTATED = 1.0
-NO_UNIT = "the EXR states no whiteLuminance: its values count as cd/m2"
+NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as cd/m2"
 
 # ----------------------------------------------------------------------------------------------
 # writing
@@ -143,7 +143,7 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
         # OpenEXR returns a damaged attribute as bytes of unknown type.
         raise InputError(
             path,
-            f"attribute {error}",
+            f"an attribute that cannot be read ({error})",
             "heading_deg, t_utc and sun as fieldlum writes them",
             "merge the panorama again, or copy the file again",
         ) from None
@@ -196,7 +196,10 @@ def _check_size(header: Mapping[str, Any], path: Path) -> None:
         raise _broken(path, error) from None
     if "deep" in kind:
         raise InputError(
-            path, "deep data", "a flat picture", "flatten it with the program that wrote it"
+            path,
+            "an EXR with deep data",
+            "a flat picture",
+            "flatten it with the program that wrote it",
         )
     channels = max(1, len(header.get("channels") or ()))
     for name in ("dataWindow", "displayWindow"):
@@ -209,7 +212,7 @@ def _check_size(header: Mapping[str, Any], path: Path) -> None:
             raise InputError(
                 path,
                 f"{width} x {height} pixels of {channels} channels",
-                f"1 to {MAX_PIXELS:,} pixels",
+                f"1 to {MAX_PIXELS:,} pixels, and at most {_MAX_VALUES:,} values in all channels",
                 "reduce the picture, or copy the file again",
             )
 

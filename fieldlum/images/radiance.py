@@ -182,7 +182,7 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
     if not largest <= brightest:
         raise InputError(
             path,
-            f"a stored value of {largest:.3g}",
+            f"a pixel value of {largest:.3g}",
             f"at most {brightest:.3g}",
             "copy the file again, because it is damaged",
         )

@@ -97,10 +97,14 @@ def _of_night(offset_wm2: float | None) -> list[str]:
         return []
     if offset_wm2 > NIGHT_LIGHT_WM2:
         return [
-            f"{offset_wm2:.0f} W/m2 at night (median): check for a lamp, and check the "
+            f"global irradiance of {offset_wm2:.0f} W/m2 at night (median): check for a lamp, and "
+            "check the "
             "logger's clock, its --utc-offset, and longitude_deg"
         ]
-    return [f"night offset {offset_wm2:+.1f} W/m2: level, clean and ventilate the instrument"]
+    return [
+        f"global irradiance of {offset_wm2:+.1f} W/m2 at night instead of 0: level, clean and "
+        "ventilate the instrument"
+    ]
 
 
 def _of_closure(passed: float | None) -> list[str]:
@@ -116,15 +120,18 @@ def _of_clock(raw: Series, off_s: float | None, site: Site) -> list[str]:
     warnings = []
     if off_s is not None and abs(off_s) > CLOCK_WARN_S:
         warnings.append(
-            f"the days' light is centred {off_s / 60:+.0f} min from solar noon: check the "
+            f"the middle of the logged daylight is {off_s / 60:+.0f} min from solar noon: check "
+            "the "
             "logger's clock, its --utc-offset (daylight saving?) and longitude_deg, and import the "
             "file again"
         )
     if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
         day, step_s = was_set
         warnings.append(
-            f"from {day:%Y-%m-%d} on, the light's middle is {step_s / 60:+.0f} min from that "
-            "of the days before: the logger's clock was probably set (daylight saving?); split the "
+            f"from {day:%Y-%m-%d} on, the middle of the logged daylight is {step_s / 60:+.0f} min "
+            "from "
+            "that of the days before: the logger's clock was probably set (daylight saving?); "
+            "split the "
             "file there, and import each part with its own --utc-offset"
         )
     return warnings
@@ -149,8 +156,8 @@ def _of_lines(broken: int) -> list[str]:
 
 
 _FAULTS = {
-    Mark.IMPOSSIBLE: "are physically impossible: check units, columns and clock",
-    Mark.EXTREME: "are extremely rare: check units, columns and clock",
+    Mark.IMPOSSIBLE: "have an impossible irradiance: check units, columns and clock",
+    Mark.EXTREME: "have an extremely rare irradiance: check units, columns and clock",
     Mark.DIFFUSE: (
         "have more diffuse than global irradiance: check whether the two columns are exchanged"
     ),
@@ -158,10 +165,12 @@ _FAULTS = {
         "have an impossible ratio of global, diffuse and direct: check which instrument is wrong"
     ),
     Mark.TRACKER: (
-        "have a clear sky's global without direct sun: check whether the tracker follows the sun"
+        "have the global irradiance of a clear sky but no direct: check whether the tracker "
+        "follows the sun"
     ),
     Mark.HORIZON: (
-        "are in a part of the sky that never shows the sun: check what shades the sensor"
+        "have the sun in a low part of the sky where it was never measured: check what shades "
+        "the sensor"
     ),
     Mark.STUCK: "were constant for over ten minutes: check the instrument and its cable",
     Mark.STATUS: "have an error reported by the instrument: see its manual",
@@ -186,13 +195,13 @@ def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
     if weak > MOST_BY_DAY:
         notes.append(
             f"{100 * weak:.0f} % of the rows by day have less light than the darkest "
-            "overcast sky: check whether they are in kW/m2"
+            "overcast sky: check whether the values are in kW/m2"
         )
     global_only = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
     if global_only > MOST_BY_DAY:
         notes.append(
-            f"{100 * global_only:.0f} % of the rows by day have only global irradiance and no "
-            "neighbouring row within half an hour: direct irradiance cannot be derived from "
-            "them; log at least every minute"
+            f"{100 * global_only:.0f} % of the rows by day have global but no direct irradiance: "
+            "direct cannot be derived from global without another row within half an hour; log "
+            "at least every minute"
         )
     return notes

@@ -59,7 +59,8 @@ class TruthWorld:
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
         if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
             raise DeviceError(
-                f"simulated camera: no truth within 45 min of {t_utc:%Y-%m-%d %H:%M} UTC; "
+                f"simulated camera: no simulated panorama within 45 min of {t_utc:%Y-%m-%d %H:%M} "
+                "UTC; "
                 "simulate that hour with fieldlum simulate"
             )
         return self._read(self._panoramas[nearest])
