@@ -39,7 +39,7 @@ def test_what_was_written_is_read(pairs: Path) -> None:
         ("dni_wm2", "nan", "line 3: dni_wm2 is nan"),
         ("t_utc", "2027-03-20 12:00", "line 3: time '2027-03-20 12:00' has no time zone"),
         ("panorama", "gone.exr", "line 3: no file"),
-        ("sunpatch", "", "line 3: sunpatch is empty, but other rows have one"),
+        ("sunpatch", "", "line 3: the cell of column sunpatch is empty, but not in other rows"),
     ],
 )
 def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, said: str) -> None:
@@ -57,7 +57,7 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
 @pytest.mark.parametrize(
     ("column", "change", "said"),
     [
-        ("panorama", lambda _: "m0.exr", "lines 2 and 3: the same panorama"),
+        ("panorama", lambda _: "m0.exr", "lines 2 and 3 have the same panorama"),
         (
             "t_utc",
             lambda text: text.replace("Z", "+01:00"),
@@ -102,7 +102,7 @@ def test_a_picture_of_another_size_says_what_to_do(pairs: Path, name: str, said:
 def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
     text = pairs.read_text()
     pairs.write_text(text.rstrip() + "\n" + text.splitlines()[1] + "\n")
-    with pytest.raises(InputError, match=f"lines 2 and {len(DATA) + 2}: the same t_utc"):
+    with pytest.raises(InputError, match=f"lines 2 and {len(DATA) + 2} have the same t_utc"):
         load_pairs(pairs)
     rows = [line.split(",") for line in text.splitlines()]
     kilowatts = [
@@ -160,7 +160,7 @@ def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path
     with pytest.raises(InputError, match="8 x 4 pixels"):
         load_pairs(pairs)
     (pairs.parent / "site.toml").unlink()
-    with pytest.raises(InputError, match="the csv has no site"):
+    with pytest.raises(InputError, match="no site file belongs to this csv"):
         load_pairs(pairs)
     pairs.write_text("t_utc,dni_wm2\n")
     (pairs.parent / "site.toml").write_text(

@@ -515,5 +515,5 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a JPEG frame"):
         sorted_shots([Shot(tmp_path / "a.jpg", Exposure(0.1, 5.6))], profile)
     canon = load_camera_profile("canon-5d2-8mm-f5.6")
-    with pytest.raises(InputError, match="k is for no other aperture"):
+    with pytest.raises(InputError, match="k is not calibrated for other apertures"):
         sorted_shots([Shot(tmp_path / "a.jpg", Exposure(0.1, 8.0))], canon)

@@ -210,7 +210,7 @@ def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"0.dng: this frame is listed twice"):
         shots_of_files([shots[0].path, shots[1].path, tmp_path / "." / "0.dng"])
     with pytest.raises(
-        InputError, match=r"2.dng: f/8 in a bracket of f/5.6; expected one aperture"
+        InputError, match=r"2.dng: a frame with f/8 in a bracket with f/5.6; expected one aperture"
     ):
         sorted_shots([*shots[:2], replace(shots[2], exposure=Exposure(1 / 15, 8.0))], PROFILE)
 
@@ -231,7 +231,7 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
         shots.append(Shot(path, EXPOSURES[i]))
     assert (
         orientation_conflict(shots[:2], profile)
-        == "the camera was held 90 deg off the profile's roll of 0 deg, by its EXIF: hold it as in "
+        == "by EXIF, the camera was held 90 deg off the profile's roll of 0 deg: hold it as in "
         "the calibration, or correct roll_deg of the profile"
     )
     lens = replace(profile.lens[0], roll_deg=88.0)

@@ -101,7 +101,7 @@ def test_coarse_rows_are_refused() -> None:
         NOON,
         NOON + timedelta(seconds=30),
     )
-    assert light.why == "irradiance only every 3600 s"
+    assert light.why == "irradiance was logged only every 3600 s"
 
 
 @pytest.mark.contract
@@ -160,7 +160,9 @@ def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int
     if shift_h == 0:
         pair.check_night(Path("clean.csv"), logged, SEATTLE)
         return
-    with pytest.raises(InputError, match=r"clean.csv: light in .* minutes .* clock"):
+    with pytest.raises(
+        InputError, match=r"clean.csv: irradiance was logged in .* minutes .* clock"
+    ):
         pair.check_night(Path("clean.csv"), logged, SEATTLE)
 
 
@@ -175,7 +177,7 @@ def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
     strong = replace(own, normal_illuminance_lx=60_000.0)
     assert "brighter than DNI" in complete_sun(picture(strong), 1_000.0, Seen(), None)[1]
     source, caution = complete_sun(picture(None), 90_000.0, Seen(1.0, 0.8, True), None)
-    assert source is None and "the picture does not" in caution
+    assert source is None and "not in the picture" in caution
 
 
 @pytest.mark.analytic
@@ -197,7 +199,8 @@ def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:
         "a lower bound is kept"
     )
     assert (
-        "the room does not" in complete_sun(picture(SOUTH), 90_000.0, Seen(0.0, 0.0, True), None)[1]
+        "hidden by the room"
+        in complete_sun(picture(SOUTH), 90_000.0, Seen(0.0, 0.0, True), None)[1]
     )
 
 
@@ -356,7 +359,7 @@ def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:
     note.write_text(json.dumps({**json.loads(note.read_text()), "sun": {"u_mosaic_percent": 20.0}}))
     pair.run(session)
     assert (
-        "the sun was measured on few pixels, with an uncertainty of 20 %"
+        "the sun covers few pixels: its illuminance is uncertain by 20 %"
         in rows_of(session)[0]["why"]
         and rows_of(session)[0]["ok"] == "1"
     )
@@ -383,8 +386,8 @@ def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
     first, second, third = rows_of(session)
     assert (
         first["why"]
-        == f"the same frames as {slot_id(NOON + timedelta(hours=2))}: a card was imported "
-        "with two clock offsets; import it again with the right one"
+        == f"the same frames as slot {slot_id(NOON + timedelta(hours=2))}: a card was imported "
+        "with two clock offsets; import it again with the right offset"
     )
     assert third["ok"] == "0" and slot_id(NOON) in third["why"] and second["ok"] == "1"
 

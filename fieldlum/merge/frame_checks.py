@@ -87,8 +87,8 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     if abs(off) <= _HELD_DEG:
         return ""
     return (
-        f"the camera was held {abs(off):.0f} deg off the profile's roll of {lens.roll_deg:g} "
-        "deg, by its EXIF: hold it as in the calibration, or correct roll_deg of the profile"
+        f"by EXIF, the camera was held {abs(off):.0f} deg off the profile's roll of "
+        f"{lens.roll_deg:g} deg: hold it as in the calibration, or correct roll_deg of the profile"
     )
 
 

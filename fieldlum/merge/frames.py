@@ -63,9 +63,9 @@ def lens_crop(profile: CameraProfile) -> Crop:
     if bottom - top < 2 or right - left < 2:
         raise InputError(
             body.name,
-            "a lens circle outside the sensor",
+            "the profile has a lens circle outside the sensor",
             "centre_px on the sensor",
-            "correct centre_px and radius of [[lens]] in the profile",
+            "correct centre_px and radius_px of [[lens]] in the profile",
         )
     return Crop(top, left, bottom - top, right - left)
 
@@ -235,7 +235,7 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
     if mosaic.cfa != sensor.cfa:
         raise InputError(
             shot.path,
-            f"mosaic {mosaic.cfa}",
+            f"the colour filter pattern {mosaic.cfa}",
             f"{sensor.cfa}, as in {body.name}",
             "use the profile of the camera that took it",
         )

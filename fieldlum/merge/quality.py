@@ -120,8 +120,9 @@ def verdict(report: MergeReport) -> str:
         )
     if report.noise_over_profile > 1.0:
         notes.append(
-            f"shot noise or read noise is {report.noise_over_profile:.1f} times the profile's; u "
-            f"contains the larger value: check gain_e_per_dn and read_noise_e of the profile"
+            f"shot noise or read noise is {report.noise_over_profile:.1f} times the profile's, and "
+            "the uncertainty u uses the larger value: check gain_e_per_dn and read_noise_e of "
+            "the profile"
         )
     notes += [
         f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between {m.long} "
@@ -130,9 +131,17 @@ def verdict(report: MergeReport) -> str:
         if m.sure_px > SHIFT_WARN_PX
     ]
     if clipped := report.clipped_percent or 0.0:
-        notes.append(f"clipped in every frame: {clipped:.2g} % of the view")
+        notes.append(
+            f"clipped in every frame: {clipped:.2g} % of the view, where luminance is a lower "
+            "bound: add shorter exposures"
+        )
     if (motion := report.motion_percent or 0.0) > _MOTION_WARN_PERCENT:
-        notes.append(f"motion in {motion:.1f} % of the view")
+        notes.append(
+            f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames"
+        )
     if (below := report.below_noise_percent or 0.0) > _BELOW_NOISE_WARN_PERCENT:
-        notes.append(f"below noise: {below:.1f} % of the view")
+        notes.append(
+            f"below noise: {below:.1f} % of the view is too dark in every frame: add longer "
+            "exposures"
+        )
     return "; ".join(notes) or f"good: frames agree within {residual:.2f} %"

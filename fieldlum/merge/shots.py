@@ -65,7 +65,10 @@ def frame_files(folder: Path) -> list[Path]:
     files = possible_frames(folder)
     if not files:
         raise InputError(
-            folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again"
+            folder,
+            "no frames in this folder",
+            "raw or JPEG frames",
+            "capture or import the slot again",
         )
     return files
 
@@ -106,8 +109,8 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
         if shot.exposure.nd and shot.exposure.nd not in known:
             raise InputError(
                 shot.path,
-                f"filter '{shot.exposure.nd}'",
-                f"one of the profile's: {', '.join(known)}",
+                f"the filter '{shot.exposure.nd}' is not in the profile",
+                f"one of its filters: {', '.join(known) or 'none'}",
                 "add the filter as [[nd]] to the profile, or correct its name",
             )
     kinds = {is_jpeg(s.path) for s in shots}
@@ -126,8 +129,8 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             raise InputError(
                 shot.path,
-                f"f/{shot.exposure.f_number:g}",
-                f"{valid}: k is for no other aperture",
+                f"a frame with f/{shot.exposure.f_number:g}",
+                f"{valid}, because the profile's k is not calibrated for other apertures",
                 "calibrate this aperture (fieldlum calibrate scale), or capture with one of these",
             )
 
@@ -135,13 +138,13 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     for shot in shots:
         if abs(shot.exposure.f_number / first - 1) > _ONE_APERTURE:
             remedy = (
-                "merge them separately: each aperture has its own light, and its own loss towards "
-                "the edge"
+                "merge the frames of each aperture separately, because their light and vignetting "
+                "differ"
             )
             raise InputError(
                 shot.path,
-                f"f/{shot.exposure.f_number:g} in a bracket of f/{first:g}",
-                "one aperture",
+                f"a frame with f/{shot.exposure.f_number:g} in a bracket with f/{first:g}",
+                "one aperture in a bracket",
                 remedy,
             )
 

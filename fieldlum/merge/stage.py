@@ -252,7 +252,7 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
         return ""
     wide_px = disc_px(profile.lens)
     return (
-        f"; the sun is only {wide_px:.1f} px wide on the sensor: the uncertainty of its "
+        f"; the sun is only {wide_px:.1f} px wide on the sensor, so the uncertainty of the sun's "
         f"illuminance is {100 * u_rel:.0f} %"
     )
 

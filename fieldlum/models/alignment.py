@@ -133,13 +133,15 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
             for name, angle, error in zip(("heading", "tilt", "roll"), pose, u, strict=True)
         ]
         notes.append(
-            f"the camera was turned in {_captures(rows, days)}: {', '.join(parts)} degrees; "
-            f"aligned to the other captures ({table})"
+            f"the camera was turned in {_captures(rows, days)} by {', '.join(parts)} degrees; "
+            "these "
+            f"captures were aligned to the others (angles: {table})"
         )
     if not turns.aligned.all():
         notes.append(
             f"WARNING: {_captures(~turns.aligned, days)} cannot be aligned with the others and "
-            "are not used: the camera was turned or moved; merge them as a separate session"
+            "are not used: the camera was turned or moved; put these captures into a separate "
+            "session"
         )
     return notes
 

@@ -40,9 +40,9 @@ def check_plausible(path: Path, rows: Stated, site: Site) -> None:
 
     Detected are a repeated time or picture, a wrong sun position, and wrong units.
     """
-    _check_once(path, rows.lines, rows.t_utc, "the same t_utc")
+    _check_once(path, rows.lines, rows.t_utc, "have the same t_utc")
     _check_once(
-        path, rows.lines, [picture.resolve() for picture in rows.panorama], "the same panorama"
+        path, rows.lines, [picture.resolve() for picture in rows.panorama], "have the same panorama"
     )
     found = sun.position(rows.t_utc, site)
     _check_sun(path, rows, found, site)
@@ -55,8 +55,10 @@ def _check_once(
     first: dict[datetime | Path, int] = {}
     for line, value in zip(lines, values, strict=True):
         if value in first:
-            found = f"lines {first[value]} and {line}: {finding}"
-            raise InputError(path, found, "each bracket once", "remove one of them, or set ok = 0")
+            found = f"lines {first[value]} and {line} {finding}"
+            raise InputError(
+                path, found, "each bracket once", "remove one of the lines, or set its ok = 0"
+            )
         first[value] = line
 
 
@@ -72,12 +74,14 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
     k = int(np.nanargmax(apart))
     finding = (
         f"line {rows.lines[k]}: sun at altitude {rows.altitude_deg[k]:.1f}, azimuth "
-        f"{rows.azimuth_deg[k]:.1f}"
+        f"{rows.azimuth_deg[k]:.1f} deg"
     )
-    expected = f"{found.altitude_deg[k]:.1f}, {found.azimuth_deg[k]:.1f} at t_utc in {site.name}"
+    expected = (
+        f"{found.altitude_deg[k]:.1f}, {found.azimuth_deg[k]:.1f} deg, from t_utc and {site.name}"
+    )
     remedy = (
-        "check t_utc, the sign of the longitude and the order of the rows, or clear both "
-        "sun columns"
+        "check t_utc, the sign of the site's longitude and the order of the rows, or empty "
+        "both sun columns"
     )
     raise InputError(path, finding, expected, remedy)
 
@@ -101,15 +105,15 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
         ),
         (
             weak,
-            "less light than in any storm",
+            "less light than under the darkest clouds",
             "check whether the values are in kW/m2; otherwise set ok = 0",
         ),
     ):
         if (wrong & up).any():
             k = int(np.argmax(wrong & up))
             found = (
-                f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} with "
+                f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} W/m2 with "
                 f"the sun at "
             )
-            found += f"{altitude_deg[k]:.0f} deg, {finding}"
-            raise InputError(path, found, "W/m2", remedy)
+            found += f"{altitude_deg[k]:.0f} deg is {finding}"
+            raise InputError(path, found, "possible irradiance in W/m2", remedy)

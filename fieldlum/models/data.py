@@ -159,7 +159,7 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
         return load_site(path.parent / "site.toml")
     raise InputError(
         path,
-        "the csv has no site",
+        "no site file belongs to this csv",
         "site.toml next to the csv, or --site SITE.toml",
         "write SITE.toml with: fieldlum new",
     )
@@ -190,7 +190,7 @@ def load_pairs(
     if dark:
         more = f" and {len(dark) - _NAMED} more" if len(dark) > _NAMED else ""
         named = ", ".join(Path(row.panorama).stem for row in dark[:_NAMED])
-        notes.append(f"not used because irradiance is missing: {named}{more}")
+        notes.append(f"captures without irradiance are not used: {named}{more}")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
         raise NotEnoughDataError(
@@ -212,8 +212,9 @@ def _assemble(
     pictures = read_pictures(path, rows, setup, progress)
     if pictures.bounds:
         notes.append(
-            f"the sun of {pictures.bounds} maps is clipped and only a lower bound: run "
-            "fieldlum pair, and read its cautions"
+            f"the sun of {pictures.bounds} maps is clipped, so that its illuminance is only a "
+            "lower "
+            "bound: run fieldlum pair, and read its cautions"
         )
     heading = pictures.heading_deg
     names = [row.panorama for row in rows]
@@ -230,7 +231,10 @@ def _assemble(
     notes += turn_notes(turns, days, alignment_path(path).name)
     seen, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
-        notes.append(f"{filled} single pixels without a value were set to the median of that pixel")
+        notes.append(
+            f"{filled} single pixels without a value got the same pixel's median over the other "
+            "maps"
+        )
     if not seen.all():
         notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")
     times = [row.t_utc for row in rows]
@@ -298,7 +302,10 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
     """
     other = [row.line for row in rows if row.refraction != rows[0].refraction]
     if other:
-        found = f"line {other[0]}: the column refraction differs from the rows before"
+        found = (
+            f"line {other[0]}: the value of the column refraction differs from that of the first "
+            "row"
+        )
         raise InputError(
             path,
             found,

@@ -65,9 +65,9 @@ def read_pictures(
         bare = next(row.line for row in rows if not row.sunpatch)
         raise InputError(
             path,
-            f"line {bare}: sunpatch is empty, but other rows have one",
+            f"line {bare}: the cell of column sunpatch is empty, but not in other rows",
             "a sunpatch in all rows or in none",
-            "complete or remove the column",
+            "fill or empty this column in all rows",
         )
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
@@ -116,11 +116,12 @@ def _checked(
     found = panorama.luminance_cdm2.shape
     if found != shape:
         text = f"{found[1]} x {found[0]} pixels"
-        expected = f"{shape[1]} x {shape[0]} pixels as in the first row"
+        expected = f"{shape[1]} x {shape[0]} pixels, as the panorama of the first row"
         raise InputError(path, text, expected, remedy)
     if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
-        found = f"heading {_heading(panorama, path, setup):g}"
-        raise InputError(path, found, f"heading {heading:g} as in the first row", remedy)
+        found = f"a heading of {_heading(panorama, path, setup):g} deg"
+        expected = f"{heading:g} deg, as the panorama of the first row"
+        raise InputError(path, found, expected, remedy)
     return panorama
 
 

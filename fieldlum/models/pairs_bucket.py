@@ -68,14 +68,21 @@ def read_pairs(url: str) -> Dataset:
     about = store.attributes()
     if about is None:
         remedy = "write it with: fieldlum pair SESSION --pairs-to URL"
-        raise InputError(store.target, "no complete pairs.zarr", "training data", remedy)
+        raise InputError(
+            store.target, "no complete pairs.zarr at this URL", "training data", remedy
+        )
     if about.get("format") != FORMAT:
         found = f"format {about.get('format')}"
         raise InputError(store.target, found, f"format {FORMAT}", "read it with a newer fieldlum")
     data = _read_store(store.target, about)
     if not store.is_made_from(data.digest()):
         remedy = "write it again with: fieldlum pair SESSION --pairs-to URL"
-        raise InputError(store.target, "content that differs from what was written", "", remedy)
+        raise InputError(
+            store.target,
+            "content that was changed or damaged",
+            "the content that fieldlum pair wrote",
+            remedy,
+        )
     return data
 
 

@@ -28,14 +28,14 @@ def read_address(option: str) -> str:
             "--heartbeat",
             "an address on the command line, where every user can see it",
             "@FILE",
-            "write the address into a file and state the file",
+            "write the address into a file, and write --heartbeat @FILE",
         )
     address = read_targets(option)[0][0]
     if urlsplit(address).scheme not in ("http", "https"):
         raise InputError(
             option[1:],
-            "an address that is not http",
-            "an address with http:// or https://",
+            "the address in this file does not begin with http:// or https://",
+            "an http address",
             "correct the address",
         )
     return address

@@ -38,13 +38,16 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
             "--notify",
             "an address on the command line, where every user can see it",
             "@FILE",
-            "write the address into a file and state the file",
+            "write the address into a file, and write --notify @FILE",
         )
     path = Path(text[1:])
     lines = _lines(path)
     if not lines:
         raise InputError(
-            path, "no address", "one apprise address per line", "write an address into the file"
+            path,
+            "no address in the file",
+            "one apprise address per line",
+            "write an address into the file",
         )
     return lines, _privacy_note(path)
 

@@ -109,7 +109,9 @@ def _slot_time(path: Path) -> datetime:
         return parse_utc(path.stem)
     except ValueError as error:
         remedy = "merge the bracket again, or move the panorama out of panoramas/"
-        raise InputError(path, f"{error}", "a slot's time in UTC as its name", remedy) from None
+        raise InputError(
+            path, f"the file's name is no slot ({error})", "a name such as 20270320T153000Z", remedy
+        ) from None
 
 
 def _doubles_named(brackets: list[Taken]) -> list[Taken]:
@@ -130,8 +132,8 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
     why = light.why
     if taken.double_of:
         why = (
-            f"the same frames as {taken.double_of}: a card was imported with two clock "
-            "offsets; import it again with the right one"
+            f"the same frames as slot {taken.double_of}: a card was imported with two clock "
+            "offsets; import it again with the right offset"
         )
     elif not why and altitude_deg < 0.0:
         why = "the sun is below the horizon"
@@ -143,7 +145,7 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
             "faulty, or values are in kW/m2"
         )
     missing_frames = "" if taken.complete else "bracket incomplete"
-    poor = f"the sun was measured on few pixels, with an uncertainty of {taken.sun_u_percent:.0f} %"
+    poor = f"the sun covers few pixels: its illuminance is uncertain by {taken.sun_u_percent:.0f} %"
     poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
     return Pair(
         taken,
@@ -165,9 +167,10 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
     if len(lit) > NIGHT_MINUTES:
         raise InputError(
             path,
-            f"light in {len(lit)} minutes with the sun well below the horizon, the first at "
+            f"irradiance was logged in {len(lit)} minutes with the sun well below the horizon, "
+            "first at "
             f"{utc_text(lit[0])}",
-            "darkness",
+            "no light at night",
             "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's "
             "longitude",
         )

@@ -50,7 +50,7 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
     t_near = log.t_unix_s[near][usable[near]]
     stale = _worst_distance_s(t_near, start, end)
     if every > COARSEST_S:
-        return Outside(why=f"irradiance only every {every:.0f} s")
+        return Outside(why=f"irradiance was logged only every {every:.0f} s")
     if stale > 2.0 * every + 1.0:
         return Outside(why=_stale_text(log, near, start, end, stale))
     inside = usable & (log.t_unix_s >= start) & (log.t_unix_s <= end)
@@ -81,7 +81,11 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
     )
     if within.any() and flags:
         return f"irradiance unusable: {' '.join(flags)}"
-    return "no irradiance" if not np.isfinite(stale) else f"no irradiance within {stale:.0f} s"
+    return (
+        "no irradiance"
+        if not np.isfinite(stale)
+        else f"no irradiance at that time, the nearest row is {stale:.0f} s away"
+    )
 
 
 def _statistics(log: CleanIrradiance, rows: NDArray[np.bool_]) -> Outside:
@@ -91,7 +95,7 @@ def _statistics(log: CleanIrradiance, rows: NDArray[np.bool_]) -> Outside:
     steadiness = spread / mean if mean > 1.0 else 0.0
     caution, why = [], ""
     if dhi.mean() > 1.05 * mean + 10.0:
-        why = "diffuse above global: the two columns may be exchanged"
+        why = "diffuse irradiance is above global: the two columns may be exchanged"
     elif steadiness > TOO_UNSTEADY and spread > 10.0:
         why = f"light changed by {100 * steadiness:.0f} % during the bracket"
     elif steadiness > UNSTEADY and spread > 10.0:

@@ -41,13 +41,16 @@ def complete_sun(
     found = panorama.sun
     if found is None:
         hidden = seen.known and seen.visible_fraction > 0.5 and full_normal_lx > 20_000.0
-        return None, "the room shows the sun, the picture does not" if hidden else ""
+        return (
+            None,
+            "the sun is in view by the room's geometry, but not in the picture" if hidden else "",
+        )
     if found.origin in MEASURED_ORIGINS:
         brighter = found.normal_illuminance_lx > MOST_OVER_DNI * full_normal_lx + FAINT_SUN_LX
         return found, "the picture's sun is brighter than DNI allows" if brighter else ""
     bound_lx = found.normal_illuminance_lx if found.origin == CLIPPED_SUN else 0.0
     if seen.known and seen.visible_fraction == 0.0:
-        return found, "the picture shows the sun, the room does not"
+        return found, "the sun is in the picture, but hidden by the room's geometry"
     expected_lx = full_normal_lx * seen.visible_fraction * seen.transmittance
     by_meter = _by_meter(panorama, found, meter_lx)
     if by_meter is not None and bound_lx <= by_meter <= 1.5 * full_normal_lx:
@@ -55,11 +58,11 @@ def complete_sun(
     elif expected_lx >= bound_lx:
         normal_lx, origin = expected_lx, DNI
     else:
-        return found, "DNI gives less sun than the clipped picture shows"
+        return found, "DNI gives a weaker sun than the clipped picture shows"
     caution = (
         ""
         if seen.known or origin == METER
-        else "sun from DNI without the glazing: the site has no [room]"
+        else "the sun was computed from DNI without the glazing, because the site has no [room]"
     )
     source = replace(
         found,

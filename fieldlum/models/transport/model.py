@@ -148,13 +148,13 @@ class Transport:
         if self.response.basis.patches is not None and patch is None:
             raise InputError(
                 "the model",
-                "was fitted with sun patches",
-                "patches of the hours to predict",
-                "give the site a [room], or train with --patch none",
+                "fitted with sun patches, but the hours to predict have no sun patches",
+                "sun patches of these hours",
+                "add [room] to the site, or train with --patch none",
             )
         if patch is not None and patch.shape != (len(light), *self.shape):
-            wanted = f"{len(light)} x {self.shape[0]} x {self.shape[1]}"
-            shape = " x ".join(map(str, patch.shape))
+            wanted = f"{len(light)} x {self.shape[0]} x {self.shape[1]} (hours, height, width)"
+            shape = f"an array of {' x '.join(map(str, patch.shape))}"
             raise InputError(
                 "sun patches", shape, wanted, "compute the sun patches at the model's size"
             )
