@@ -75,7 +75,7 @@ def test_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
     ):
         scale.from_table(table, other)
     write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
-    assert "states no k" in scale.from_table(table, PROFILE)[2][0]
+    assert "no factor k is stored in p.exr" in scale.from_table(table, PROFILE)[2][0]
 
 
 def _readings(meter: list[float], image: list[float]) -> list[scale.LuminanceReading]:

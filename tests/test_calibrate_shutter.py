@@ -162,7 +162,7 @@ def test_refusals_are_one_line(session: Session, tmp_path: Path) -> None:
     )
     assert ran.exit_code == 3 and "another profile" in ran.stderr and ran.stderr.count("\n") == 1
     brackets, _ = shutter.from_session(session, sha256(session.root.parent / "small.toml"))
-    with pytest.raises(NotEnoughDataError, match="in 4 brackets, fewer than 5"):
+    with pytest.raises(NotEnoughDataError, match="both times: 4, needed: 5"):
         shutter.fit(brackets[:4], profile())
     with pytest.raises(InputError, match="JPEG"):
         shutter.fit(brackets, profile("jpeg"))
@@ -280,6 +280,6 @@ def test_times_out_of_reach_keep_what_the_profile_says() -> None:
     brackets = [shutter.readings_of(quality(OFF)) for _ in range(6)]
     short = [[r for r in b if 1 / 1000 not in r.pair] if i else b for i, b in enumerate(brackets)]
     found = shutter.fit(short, profile())
-    assert len(found.times) == 4 and "1 of 5 brackets" in found.left_out[0]
+    assert len(found.times) == 4 and "both times: 1, needed: 5" in found.left_out[0]
     known = shutter.with_times(profile(), found)
     assert [t.nominal_s for t in known] == [t.nominal_s for t in found.times]

@@ -67,7 +67,7 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
         (
             "dhi_wm2",
             lambda _: "1200",
-            "more diffuse light than any sky gives; expected W/m2; "
+            "more diffuse light than any sky gives; expected possible irradiance in W/m2; "
             "check whether the column contains global",
         ),
         ("dni_wm2", lambda _: "1500", "more direct light than above the atmosphere"),
@@ -139,7 +139,7 @@ def test_a_heading_in_a_radiance_picture_is_obeyed(pairs: Path) -> None:
     pairs.write_text("\n".join(rows))
     assert load_pairs(pairs).heading_deg == 90.0
     write_radiance_hdr(pairs.parent / "m3.hdr", DATA.luminance_cdm2[3], header=("made by hand",))
-    with pytest.raises(InputError, match=r"m3\.hdr: heading 180; expected heading 90"):
+    with pytest.raises(InputError, match=r"m3\.hdr: a heading of 180 deg; expected 90 deg"):
         load_pairs(pairs)
 
 

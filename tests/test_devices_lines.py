@@ -280,7 +280,7 @@ def test_profiles_are_checked(tmp_path: Path) -> None:
         ),
         (
             'name="a"\nform="json"\nentry=[{quantity="temperature_c",key="g"}]',
-            "at least one irradiance",
+            "at least one of ghi_wm2",
         ),
         ('name="a"\nform="json"\nentry=[{quantity="ghi",key="g"}]', "'ghi'"),
     ):
@@ -397,7 +397,7 @@ def test_toa5_damage() -> None:
     )
     table = parse_toa5(broken, timedelta())
     assert len(table.samples) == 3 and len(table.broken) == 3
-    assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "no end" in table.broken[2]
+    assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "line feed" in table.broken[2]
     for text, said in (
         ("TIMESTAMP,GHI\n", "no TOA5 header"),
         (TOA5.replace("GHI_Avg", "Volt").replace("DHI_Avg", "Amp"), "a column of irradiance"),
@@ -493,7 +493,7 @@ def test_values() -> None:
         (answer(b" 4  "), "has not measured yet"),
         (answer(b" 5  "), "over the meter's range"),
         (answer(b"  6 "), "changes its range"),
-        (answer(values=b"+99999+ 3130+ 3290"), "out of the meter's range"),
+        (answer(values=b"+99999+ 3130+ 3290"), "expected 0 to 200000 lx"),
         (answer()[:-1], "right check digits"),
         (answer().replace(b"+1234", b"+1235"), "right check digits"),
         (frame(b"0054    "), "without values"),

@@ -244,7 +244,7 @@ def test_profiles_are_checked(tmp_path: Path) -> None:
         head
         + 'poll = [{ start = 0, count = 2 }]\nentry = [{ name = "irradiance_wm2", register = 7 }]\n'
     )
-    with pytest.raises(InputError, match="are in no ..poll.. block"):
+    with pytest.raises(InputError, match=r"are in no \[\[poll\]\] block"):
         load_register_profile(str(own))
     own.write_text(head + "poll = [{ start = 0, count = 2 }]\nentry = []\n")
     with pytest.raises(InputError, match="no entry 'irradiance_wm2'"):

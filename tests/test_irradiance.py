@@ -346,7 +346,7 @@ def test_rows_of_one_moment_that_differ_are_marked() -> None:
 @pytest.mark.parametrize(
     ("ghi", "dhi", "said"),
     [
-        (0.8, 0.15, "whether they are in kW/m2"),
+        (0.8, 0.15, "whether the values are in kW/m2"),
         (150.0, 800.0, "more diffuse than global"),
         (1600.0, 150.0, "extremely rare"),
     ],

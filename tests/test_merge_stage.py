@@ -149,8 +149,8 @@ def test_a_sun_on_few_pixels_says_how_well_it_is_known(
     for origin, note in (
         (
             "nd-frames",
-            "the sun is only 0.2 px wide on the sensor, so the uncertainty of the sun's illuminance is "
-            "50 %",
+            "the sun is only 0.2 px wide on the sensor, so the uncertainty of the sun's "
+            "illuminance is 50 %",
         ),
         ("clipped", ""),
     ):  # a lower bound says so already

@@ -305,7 +305,7 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
 def _why(table: FramePairTable) -> str:
     a, b = map(shutter_text, table.pair)
     if table.brackets < LEAST:
-        return f"{a} to {b} s: in {table.brackets} brackets, fewer than {LEAST}"
+        return f"{a} to {b} s: brackets with both times: {table.brackets}, needed: {LEAST}"
     return f"{a} to {b} s: the ratio differs by {100 * table.spread:.1f} % between brackets"
 
 

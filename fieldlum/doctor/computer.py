@@ -146,8 +146,6 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
             "sleep", "warn", f"nothing keeps this computer awake: start the capture with: {how}"
         )
     if lid and not any("handle-lid-switch" in lock.what for lock in held):
-        text = (
-            f"prevented by {by}, but closing the lid would still send this computer to sleep: {how}"
-        )
+        text = f"prevented by {by}, but a closed lid would still send this computer to sleep: {how}"
         return Finding("sleep", "warn", text)
     return Finding("sleep", "ok", f"prevented by {by}")
