@@ -111,7 +111,9 @@ def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
     """Three June days in Seattle hold 48 half-past hours of daylight."""
     made = _plan(SEATTLE, profile, "even", start=date(2027, 6, 1), days=3, count=500)
     assert (
-        len(made.slots) == 48 and "--count 500: the set has only 48 daylight hours" in made.warnings
+        len(made.slots) == 48
+        and "--count 500: the plan has fewer slots, because its days have only 48 daylight hours"
+        in made.warnings
     )
 
 

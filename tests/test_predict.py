@@ -512,7 +512,7 @@ def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path:
     from fieldlum.site_toml import site_table
 
     bare = site_table(replace(DATA.setup, room=None))
-    with pytest.raises(InputError, match=r"without \[room\]"):
+    with pytest.raises(InputError, match=r"has no \[room\]"):
         run(_changed(model, tmp_path, with_patch=True, setup=bare), weather, out=tmp_path / "y")
 
 
@@ -545,7 +545,7 @@ def test_a_model_of_another_site_or_camera_is_refused(
     write_panorama(
         same.panoramas / "20270320T203000Z.exr", Panorama(np.ones((24, 48), np.float32), 180.0)
     )
-    with pytest.raises(InputError, match="48 x 24 as in this session"):
+    with pytest.raises(InputError, match="48 x 24 pixels, as in this session"):
         run(same.models / "nearest", weather)
 
 

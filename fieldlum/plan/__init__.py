@@ -213,7 +213,7 @@ def _planned_cost(session: Session) -> tuple[float, float, int]:
         return plan["seconds_per_slot"], plan["megabytes_per_slot"], plan["revision"]
     raise InputError(
         session.toml,
-        "no complete [plan]",
-        "a planned session",
+        "[plan] is missing or incomplete",
+        "the session.toml of a planned session",
         "plan again with: fieldlum plan SITE.toml",
     )

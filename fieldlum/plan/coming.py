@@ -79,7 +79,7 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
                 folder,
-                f"{type(error).__name__}: {error}",
+                f"a model that cannot be read ({type(error).__name__}: {error})",
                 "a transport model",
                 "train the model again (fieldlum train)",
             ) from None
@@ -171,7 +171,7 @@ def run(
     if not len(hours):
         raise NotEnoughDataError(
             f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days; run "
-            f"this again later"
+            f"this command again later"
         )
     drop = _reductions(task, captured, hours, progress)
     planned = {slot.id for slot in session.slots()}
@@ -236,13 +236,16 @@ def sentences(answer: RankedHours, site: Site) -> list[str]:
     ]
     for hour in answer.hours:
         when = f"{hour.t_utc.astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
-        where = f"sun {hour.sun_altitude_deg:3.0f} deg high at {hour.sun_azimuth_deg:3.0f}"
+        where = (
+            f"sun altitude {hour.sun_altitude_deg:3.0f}, azimuth {hour.sun_azimuth_deg:3.0f} deg"
+        )
         planned = "  (planned)" if hour.planned else ""
         share = f"{hour.reduction_percent:5.1f} %"
-        texts.append(f"  {when}  {where}  reduces it by {share}{planned}")
-    verdict = "more captures pay" if answer.pays else "more captures no longer pay"
+        texts.append(f"  {when}  {where}  reduces this uncertainty by {share}{planned}")
+    verdict = "more captures are useful" if answer.pays else "more captures add little"
     texts.append(
-        f"the best {BATCH} hours of a year would reduce it by {answer.next_batch_percent:.0f} %: "
+        f"the best {BATCH} hours of a year would reduce the uncertainty about the year by "
+        f"{answer.next_batch_percent:.0f} %: "
         f"{verdict}"
     )
     return texts

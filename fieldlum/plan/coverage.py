@@ -225,8 +225,8 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
     axes.set_ylabel("diffuse horizontal [W/m2]", fontsize=8)
     covered = coverage(hours, site, weather)
     title = (
-        f"{site.name}: skies like those of the plan are {covered.irradiance_percent:.0f} % of the "
-        f"year's daylight hours"
+        f"{site.name}: {covered.irradiance_percent:.0f} % of the year's daylight hours have skies "
+        f"like those of the plan"
     )
     axes.set_title(title, fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=8, loc="upper right")

@@ -43,8 +43,8 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
                 "request it again after that bracket",
             )
         if at - busy < slot.t_utc < at + busy:
-            needs = f"{busy.total_seconds():.0f} s without a planned bracket"
-            found = f"the planned bracket {slot.id} is too close"
+            needs = f"{busy.total_seconds():.0f} s before and after it without a planned bracket"
+            found = f"the extra bracket would be too close to the planned bracket {slot.id}"
             raise InputError(session.plan, found, needs, "request it again after that bracket")
     where = sun.position([at], setup.site)
     altitude = float(where.altitude_deg[0])
@@ -52,8 +52,8 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
         raise InputError(
             session.plan,
             f"the sun is {-altitude:.0f} deg below the horizon",
-            "day",
-            "add a bracket by day",
+            "daylight",
+            "add an extra bracket by day",
         )
     like = max((s for s in slots if s.t_utc <= at), key=lambda s: s.t_utc, default=slots[0])
     hour = DaylightHours((at,), np.array([altitude]), where.azimuth_deg)

@@ -238,15 +238,17 @@ def sentences(answer: MakeUpPlan) -> list[str]:
         shown = ", ".join(dates) + (" ..." if len(days) > 6 else "")
         off = max(pair.sun_off_deg for pair in answer.made_up)
         texts.append(
-            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; the sun "
-            f"differs by at most {off:g} deg"
+            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; in each of "
+            "them "
+            f"the sun is within {off:g} deg of its position in the missed slot"
         )
     if answer.lost:
         texts.append(
-            f"{len(answer.lost)} cannot be made up within a year: {', '.join(answer.lost[:4])}"
+            f"{len(answer.lost)} missed slots have no make-up within a year: "
+            f"{', '.join(answer.lost[:4])}"
         )
     texts.append(
-        f"sun band: {band['planned']:.0f} % as planned, {band['without']:.0f} % without the "
-        f"missed slots, {band['with']:.0f} % with the make-ups"
+        f"share of the year's sun band covered: {band['planned']:.0f} % as planned, "
+        f"{band['without']:.0f} % without the missed slots, {band['with']:.0f} % with make-up slots"
     )
     return texts

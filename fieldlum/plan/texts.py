@@ -53,12 +53,15 @@ def plan_warnings(
             f"({_from_to(midnight)})"
         )
     if request.count and len(hours) < request.count:
-        texts.append(f"--count {request.count}: the set has only {len(hours)} daylight hours")
+        texts.append(
+            f"--count {request.count}: the plan has fewer slots, because its days have only "
+            f"{len(hours)} daylight hours"
+        )
     texts += clock_texts(days, site)
     if site.timezone == "UTC" and abs(site.longitude_deg) > 30:
         texts.append(
-            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are those of "
-            f"UTC, not of the site"
+            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours of the plan "
+            f"are those of UTC, not of the site"
         )
     if days[0] < request.today:
         texts.append(
@@ -145,18 +148,21 @@ def sentences(summary: PlanSummary) -> list[str]:
         texts.append(f"solar noon on the first day is at {summary.solar_noon}")
     if "sun-enters" in tags:
         texts.append(
-            f"the sun can enter a window in {tags['sun-enters']} slots and is in view in "
-            f"{tags.get('sun-in-view', 0)}"
+            f"if the sky is clear, the sun shines through a window in {tags['sun-enters']} slots, "
+            "and "
+            f"the camera sees the sun itself in {tags.get('sun-in-view', 0)} slots"
         )
     if summary.variance_left_percent is not None:
         texts.append(
-            f"leaves {summary.variance_left_percent:.2g} % of the model's uncertainty about "
-            "the year, if skies are as in the weather file"
+            f"after these captures {summary.variance_left_percent:.2g} % of the model's "
+            "uncertainty "
+            "about the year is left, if skies are as in the weather file"
         )
     if summary.month is not None:
         texts.append(
-            f"expected squared error {summary.month.times_best:.2f} times that of the best month, "
-            f"{summary.month.best}"
+            "the expected squared error of a model from this month is "
+            f"{summary.month.times_best:.2f} "
+            f"times that of the best month, {summary.month.best}"
         )
     return texts
 

@@ -81,19 +81,19 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
 
     height, width, heading = config.height, config.width, config.heading_deg
     if height <= 0 or width <= 0 or heading is None or not config.setup:
-        found = f"no {'setup' if heading is not None and height > 0 else 'size and heading'}"
+        what = "[setup] of the site" if heading is not None and height > 0 else "size and heading"
         raise InputError(
             folder / "config.json",
-            found,
-            "place and size",
+            f"no {what} in the file",
+            "the site, size and heading of the model's pictures",
             "train the model again (fieldlum train)",
         )
     setup = site_from_table(config.setup, str(folder / "config.json"))
     if wants_patch(config) and setup.room is None:
         raise InputError(
             folder,
-            "a model that needs sun patches, of a site without [room]",
-            "a site with [room], or a model without patches",
+            "the model needs sun patches, but its site has no [room]",
+            "a site with [room], or a model without sun patches",
             "add [room] to the site and train again, or train with --patch none",
         )
     seen = seen_of(folder)
@@ -117,8 +117,8 @@ def blocks(
         if maps.shape[1:] != (room.height, room.width):
             raise InputError(
                 "the model",
-                f"maps of {maps.shape[2]} x {maps.shape[1]}",
-                f"{room.width} x {room.height}",
+                f"predicted maps of {maps.shape[2]} x {maps.shape[1]} pixels",
+                f"{room.width} x {room.height} pixels, as in its config.json",
                 "train the model again: its config.json and its weights are from different "
                 "trainings",
             )

@@ -55,8 +55,9 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     if apart > 0.01:
         raise InputError(
             model_folder,
-            f"a model of {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g})",
-            f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})",
+            f"a model of the site {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g} deg)",
+            f"a model of this session's site {theirs.name} ({theirs.latitude_deg:g}, "
+            f"{theirs.longitude_deg:g} deg)",
             "train a model in this session",
         )
     stated = scene["stated"] if scene else site_table(room.setup)
@@ -64,8 +65,8 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     if changed := _changes(stated, site_table(setup)):
         raise InputError(
             model_folder,
-            f"a model of {changed[0]}",
-            f"{changed[1]} as in {session.toml}",
+            f"the model was trained with {changed[0]}",
+            f"{changed[1]}, as in {session.toml}",
             "merge, pair and train again, or use the model that was trained on this session",
         )
     pictures = session.panorama_files()[:1]
@@ -75,19 +76,19 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
         first = read_panorama(pictures[0])
         height, width = first.luminance_cdm2.shape
         if (height, width) != (room.height, room.width):
-            found = f"a model of {room.width} x {room.height} pictures"
+            found = f"a model with pictures of {room.width} x {room.height} pixels"
             raise InputError(
                 model_folder,
                 found,
-                f"{width} x {height} as in this session",
+                f"{width} x {height} pixels, as in this session",
                 "train the model again (fieldlum train)",
             )
         if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
-            found = f"a model with heading {heading_deg:g}"
+            found = f"a model with a heading of {heading_deg:g} deg"
             raise InputError(
                 model_folder,
                 found,
-                f"heading {first.heading_deg:g} as in this session",
+                f"{first.heading_deg:g} deg, as in this session",
                 "train the model again (fieldlum train)",
             )
 

@@ -197,15 +197,20 @@ def _disc_note(annual: Annual) -> list[str]:
 def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> list[str]:
     notes = [HOURLY_MEANS]
     if days < WHOLE_YEAR_DAYS:
-        notes.append(f"the weather has {days} days, not a year: classes are for these days only")
+        notes.append(
+            f"the weather has {days} days, not a year: glare classes are for these days only"
+        )
     if weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
     if not room.setup.room:
-        notes.append(f"whether the sun's disc is in view is {room.disc_from}")
+        notes.append(
+            "the site has no [room]: the sun's disc counts as in view if the predicted map shows "
+            "sky at the sun's position"
+        )
     if untrusted > NOISY_TRUST:
         notes.append(
-            f"{100 * untrusted:.0f} % of the lit occupied hours are not trusted: no similar light "
-            f"was captured, or the model expects a large error"
+            f"{100 * untrusted:.0f} % of the predictions for occupied hours with daylight are not "
+            f"trusted: no similar light was captured, or the model expects a large error"
         )
     return notes
 

@@ -88,7 +88,7 @@ def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
     for number, row in rows:
         if len(row) != 3:
             found = f"line {number}: {len(row)} cells"
-            raise InputError(path, found, "days,start,end", "correct that line")
+            raise InputError(path, found, "three cells: days,start,end", "correct that line")
         try:
             start, end = (
                 time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:]
@@ -96,7 +96,9 @@ def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
             days = _days(row[0])
         except ValueError as error:
             found = f"line {number}: {error}"
-            raise InputError(path, found, "mon-fri,08:00,18:00", "correct that line") from None
+            raise InputError(
+                path, found, "days and times such as mon-fri,08:00,18:00", "correct that line"
+            ) from None
         if not start < end:
             raise InputError(
                 path,
@@ -106,7 +108,7 @@ def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
             )
         periods += [(day, start, end) for day in days]
     if not periods:
-        raise InputError(path, "no period", HOW, "write one row for each period")
+        raise InputError(path, "no period in the file", HOW, "write one row for each period")
     return Occupancy("; ".join(" ".join(row) for _, row in rows), tuple(periods))
 
 
@@ -116,7 +118,7 @@ def _days(text: str) -> list[int]:
         first, dash, last = part.partition("-")
         ends = [name[:3] for name in (first, last if dash else first)]
         if any(name not in DAYS for name in ends):
-            raise ValueError(f"days '{text}'")
+            raise ValueError(f"unknown days '{text}'")
         a, b = (DAYS.index(name) for name in ends)
         found += [(a + k) % 7 for k in range((b - a) % 7 + 1)]
     return found
@@ -126,8 +128,8 @@ def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occup
     if len(rows) != HOURS_OF_YEAR:
         raise InputError(
             path,
-            f"{len(rows)} hours",
-            f"{HOURS_OF_YEAR}, local standard time from 1 January 00:00",
+            f"{len(rows)} rows",
+            f"{HOURS_OF_YEAR} rows, for the hours of local standard time from 1 January 00:00",
             "write a row for each hour, or periods with days,start,end",
         )
     hours = np.zeros(HOURS_OF_YEAR, bool)
@@ -158,7 +160,7 @@ def occupied_hours(
     used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
     if not used.any():
         raise NotEnoughDataError(
-            f"the occupancy ({occupancy.text}) has no hour for which the weather has values, on "
-            f"its {len(days)} days; correct --occupancy, or use weather without these gaps"
+            f"the weather file has no values for any occupied hour ({occupancy.text}) on its "
+            f"{len(days)} days; correct --occupancy, or use a weather file without these gaps"
         )
     return int(used.sum()), len(days)

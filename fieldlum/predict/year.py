@@ -94,8 +94,8 @@ def run(
     hours = weather.daylight()
     if len(hours) == 0:
         raise NotEnoughDataError(
-            f"{weather_path}: no hour with the sun up and any "
-            "irradiance; check the file's irradiance and time zone"
+            f"{weather_path}: no hour with irradiance while the sun "
+            "is up; check the file's irradiance and time zone"
         )
     light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
     azimuths = view_azimuths_deg(room.heading_deg, views)

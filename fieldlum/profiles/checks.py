@@ -74,11 +74,15 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     for lens in p.lens:
         _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
-        found = "another number of values in [sensor] black_dn or saturation_dn"
-        raise _impossible(where, found, "four values: R, G1, G2, B")
+        counts = f"{len(p.sensor.black_dn)} values of black_dn, {len(p.sensor.saturation_dn)}"
+        found = f"[sensor] has {counts} of saturation_dn"
+        raise _impossible(where, found, "four values of each: R, G1, G2, B")
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
         raise _impossible(
-            where, "[sensor] black at or above saturation", "black below saturation and white"
+            where,
+            f"[sensor] black_dn = {max(p.sensor.black_dn):g} is not below saturation_dn and "
+            "white_dn",
+            "a black level below saturation_dn and white_dn",
         )
     if not rises(p.sensor.linearity):
         found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
@@ -93,7 +97,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         remedy = "write it in seconds, or calibrate it again: fieldlum calibrate linearity"
         raise InputError(where, found, "an offset in seconds, smaller than 0.01", remedy)
     if len(p.colour.rgb_to_radiance) not in (0, 9):
-        found = f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values"
+        found = f"colour.rgb_to_radiance has {len(p.colour.rgb_to_radiance)} values"
         raise _impossible(where, found, "9 values, or none")
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
         found = f"response.low_code {p.response.low_code}, high_code {p.response.high_code}"

@@ -135,11 +135,12 @@ def info_of(
                 "exposure time, f-number and ISO in the EXIF",
                 f"write it with: exiftool -{tag}={example} FILE",
             )
+        unit = " s" if tag == "ExposureTime" else ""
         if not low <= value <= high:
             raise InputError(
                 path,
-                f"{name} {value:g} in the EXIF",
-                f"{low:g} to {high:g}",
+                f"{name} {value:g}{unit} in the EXIF",
+                f"{low:g} to {high:g}{unit}",
                 f"correct it with: exiftool -{tag}={example} FILE",
             )
     exposure = Exposure(shutter[0], f_number[0], iso[0], _nd_name(tags))

@@ -40,7 +40,7 @@ def read_jpeg(path: Path) -> JpegFrame:
                 codes = np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
         found = (
-            "no JPEG"
+            "the file is no JPEG"
             if type(error).__name__ == "UnidentifiedImageError"
             else str(error).splitlines()[0]
         )

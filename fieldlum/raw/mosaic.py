@@ -145,7 +145,7 @@ def opened(path: Path) -> Any:
         if head.startswith(magic):
             raise InputError(
                 path,
-                f"the content is {kind}",
+                f"the file's content is {kind}",
                 "a camera raw",
                 "rename the file with its true suffix",
             )
@@ -220,12 +220,15 @@ def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
     )
     if not flat:
         kind = (
-            "an X-Trans mosaic"
+            "the raw file has an X-Trans mosaic"
             if raw.raw_type == rawpy.RawType.Flat
-            else "three colours in each pixel"
+            else "the raw file has three colours in each pixel"
         )
         raise InputError(
-            path, kind, "a Bayer mosaic, one colour a pixel", "use a camera with a Bayer sensor"
+            path,
+            kind,
+            "a Bayer mosaic, with one colour in each pixel",
+            "use a camera with a Bayer sensor",
         )
     index = np.asarray(raw.raw_colors_visible[:2, :2], int)
     letters = raw.color_desc.decode()
@@ -233,8 +236,8 @@ def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
     if cfa not in ("RGGB", "BGGR", "GRBG", "GBRG"):
         raise InputError(
             path,
-            f"colour filters {cfa}",
-            "red, green, green, blue",
+            f"a mosaic of the colour filters {cfa}",
+            "a Bayer mosaic: one red, two green, one blue",
             "use a camera with a Bayer sensor",
         )
     return cfa, index

@@ -190,7 +190,8 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
 
     if not session.pairs.is_file():
         raise NotEnoughDataError(
-            f"{session.root}: nothing paired yet; run fieldlum merge and fieldlum pair first"
+            f"{session.root}: no pairs.csv, because no bracket was paired yet; run fieldlum merge "
+            "and fieldlum pair first"
         )
     found = find(session)
     folder = out or session.report

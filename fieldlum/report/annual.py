@@ -80,7 +80,7 @@ def _unseen_words(rows: Sequence[DirectionYear]) -> str:
     blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     if not blind:
         return ""
-    return f"Nothing is known about {', '.join(blind)}: the camera did not see these directions. "
+    return f"No result for views to {', '.join(blind)}: the camera did not see these directions. "
 
 
 def _class_words(row: DirectionYear) -> str:
@@ -168,7 +168,8 @@ def _exceedance(annual: Annual) -> tuple[Row, ...]:
     )
     alt = "Exceedance curves of DGP for each direction over the occupied hours."
     caption = (
-        "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction."
+        "Share of the occupied hours in which a DGP is exceeded; each grey line is a view "
+        "direction."
     )
     return (Row((svg_figure(curve, alt, caption),)),)
 
@@ -222,8 +223,8 @@ def when_section(annual: Annual, zone: str) -> Section:
     ]
     start = 0 if ends is None else int(np.argmin(np.abs(annual.azimuths_deg - ends[1].azimuth_deg)))
     alt = (
-        "Day by hour map of the year; days run to the right, hours of standard time upwards. "
-        "Read it with the arrow keys."
+        "Map of the year with a cell for each hour: days run to the right, hours of standard time "
+        "upwards. The arrow keys move from cell to cell."
     )
     used_hours = hour[annual.occupied]
     used = (int(used_hours.min()), int(used_hours.max()) + 1) if len(used_hours) else ()

@@ -74,7 +74,9 @@ def _sentence(session: Session, site: Site, pairs: PairsFile) -> str:
     planned = len(session.slots()) if session.plan.is_file() else len(used)
     measured = sum(row.source == "measured" for row in used)
     kind = (
-        "measured" if measured == len(used) else f"measured in {measured} and derived in the others"
+        "measured"
+        if measured == len(used)
+        else f"measured in {measured} brackets and derived in the others"
     )
     return (
         f"{len(used)} usable brackets of {planned} planned, on {len(days)} days{span}. "

@@ -34,9 +34,9 @@ def _likeness(held: HeldOutMaps) -> str:
     if alone < 0.5:
         return ""
     return (
-        f"This check is harder than the year: {100 * alone:.0f} % of these maps have a sun over "
-        f"{SEASON_GAP_DEG:g} degrees from every sun in the training data, while the model of the "
-        f"year was trained on these days too."
+        f"This check is harder than the prediction of a year: in {100 * alone:.0f} % of these maps "
+        f"the sun is over {SEASON_GAP_DEG:g} degrees from every sun position in the training "
+        f"data, but the model of the year was trained on these days too."
     )
 
 

@@ -70,17 +70,18 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for click in clicks:
         inside = 0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px
         if not inside:
-            found = f"x {click.x_px:g}, y {click.y_px:g}"
-            size = f"within {grid.width_px} x {grid.height_px} px"
+            found = f"a click at x {click.x_px:g}, y {click.y_px:g} px"
+            size = f"a click within {grid.width_px} x {grid.height_px} px"
             remedy = "click on the panorama, or correct x_px and y_px"
             raise InputError(f"{where}:{click.line}", found, size, remedy)
         altitude, _ = grid.angles(click.x_px, click.y_px)
         side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
         if side and altitude * side < _HORIZON_DEG:
-            found = f"a {click.kind} corner {altitude:+.1f} deg from the horizon"
-            below = "below" if side < 0 else "above"
+            found = f"a {click.kind} corner at an altitude of {altitude:+.1f} deg"
+            below = "lower" if side < 0 else "higher"
+            expected = f"{side * _HORIZON_DEG:+g} deg or {below}"
             remedy = "correct the kind of this click, or its place"
-            raise InputError(f"{where}:{click.line}", found, f"{below} the horizon", remedy)
+            raise InputError(f"{where}:{click.line}", found, expected, remedy)
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
     if count["floor"] < 3 or count["ceiling"] < 1:
         found = f"{count['floor']} floor and {count['ceiling']} ceiling corners"
@@ -92,7 +93,7 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
             raise InputError(
                 where,
                 f"window {number} has {corners} corners",
-                "two opposite ones",
+                "two opposite corners",
                 "click two corners that are opposite each other",
             )
 

@@ -64,7 +64,8 @@ def read_clicks(path: Path) -> list[Click]:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != COLUMNS:
-                names = ", ".join(reader.fieldnames or ())[:80] or "an empty file"
+                names = ", ".join(reader.fieldnames or ())[:80]
+                names = f"columns {names}" if names else "an empty file"
                 expected = f"columns {', '.join(COLUMNS)}"
                 raise InputError(path, names, expected, "name the columns in the first line")
             return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
@@ -76,13 +77,17 @@ def clicks_from_rows(rows: Any) -> list[Click]:
     """Return the clicks of a page's list of dicts (keys: `COLUMNS`). Raises InputError."""
     if not isinstance(rows, list) or len(rows) > 500:
         remedy = "load the page again, and click fewer corners"
-        raise InputError("clicks", "no list of at most 500 clicks", "a list", remedy)
+        raise InputError(
+            "clicks", "no list, or over 500 clicks", "a list of at most 500 clicks", remedy
+        )
     return [_click(f"click {k}", k, row) for k, row in enumerate(rows, start=1)]
 
 
 def _click(where: str, line: int, row: Any) -> Click:
     if not isinstance(row, dict):
-        raise InputError(where, "no table", f"keys {', '.join(COLUMNS)}", "load the page again")
+        raise InputError(
+            where, "the click is no table", f"keys {', '.join(COLUMNS)}", "load the page again"
+        )
     kind = str(row.get("kind", "")).strip()
     if kind not in KINDS:
         raise InputError(
@@ -92,12 +97,17 @@ def _click(where: str, line: int, row: Any) -> Click:
         x, y = float(row["x_px"]), float(row["y_px"])
         window = int(row.get("window") or 0)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(where, str(error)[:80], "numbers", "correct the numbers") from None
+        raise InputError(
+            where,
+            f"x_px, y_px or window is no number ({error})"[:120],
+            "numbers",
+            "correct the numbers",
+        ) from None
     if not (np.isfinite(x) and np.isfinite(y)):
         raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers", "correct the numbers")
     of_window = kind in ("window", "bar", "transom")
     if of_window != (1 <= window <= 50):
-        expected = "a window's number from 1" if of_window else "no window's number"
-        found = f"{kind} with window {window}"
+        expected = "a window number from 1 to 50" if of_window else "no window number"
+        found = f"kind {kind} with window number {window}"
         raise InputError(where, found, expected, "correct the window's number")
     return Click(kind, window, x, y, line)

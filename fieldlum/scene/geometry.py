@@ -146,7 +146,9 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     or transmittance out of range.
     """
     if room.kind != "box":
-        raise InputError(where, f"kind '{room.kind}'", "kind 'box'", "this needs a box room")
+        raise InputError(
+            where, f"kind '{room.kind}'", "kind 'box'", "describe the room as a box in [room]"
+        )
     size = np.array([room.width_m, room.depth_m, room.height_m])
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     if not (size > 0).all() or room.wall_thickness_m <= 0:
@@ -245,8 +247,9 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     )
     if not fits or window.width_m <= 0 or window.height_m <= 0:
         found = (
-            f"window {window.left_m:g} to {window.left_m + window.width_m:g} m, "
-            f"{window.sill_m:g} to {top:g} m high"
+            f"a window from {window.left_m:g} to {window.left_m + window.width_m:g} m along the "
+            "wall, "
+            f"{window.sill_m:g} to {top:g} m above the floor"
         )
         raise InputError(
             where,
@@ -278,7 +281,7 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
                 raise InputError(
                     where,
                     "two windows of one wall overlap",
-                    "windows without a common part",
+                    "windows that do not overlap",
                     "correct left_m or width_m",
                 )
 

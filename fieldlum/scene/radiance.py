@@ -188,7 +188,7 @@ def _room_octree(room: Room) -> Iterator[Path]:
             path,
             "no such file",
             "a Radiance .rad or .oct file of the room",
-            "correct file in [room]",
+            "correct the key file in [room]",
         )
     if path.suffix.lower() == ".oct":
         yield path
