@@ -29,15 +29,24 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     site = setup.site
     if not -90 <= site.latitude_deg <= 90:
         raise InputError(
-            where, f"latitude_deg = {site.latitude_deg:g}", "-90 to 90", "south is negative"
+            where,
+            f"latitude_deg = {site.latitude_deg:g}",
+            "-90 to 90 deg",
+            "correct it; south is negative",
         )
     if not -180 <= site.longitude_deg <= 180:
         raise InputError(
-            where, f"longitude_deg = {site.longitude_deg:g}", "-180 to 180", "east is positive"
+            where,
+            f"longitude_deg = {site.longitude_deg:g}",
+            "-180 to 180 deg",
+            "correct it; east is positive",
         )
     if not -500 <= site.altitude_m <= 9000:
         raise InputError(
-            where, f"altitude_m = {site.altitude_m:g}", "-500 to 9000", "metres above the sea"
+            where,
+            f"altitude_m = {site.altitude_m:g}",
+            "-500 to 9000 m",
+            "state metres above the sea",
         )
     try:
         ZoneInfo(site.timezone)
@@ -54,10 +63,13 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     ):
         found = (
             f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
-            f"{abs(off_h):.1f} h from the sun's time"
+            f"whose clock is {abs(off_h):.1f} h from solar time"
         )
         raise InputError(
-            where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative"
+            where,
+            found,
+            f"at most {_MOST_OFF_SUN_H:g} h",
+            "correct one of the two; east is positive, west negative",
         )
     return setup
 
@@ -79,5 +91,5 @@ def load_site(path: Path) -> SiteFile:
         height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
         if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
             found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
-            raise InputError(path, found, "one height", "remove one of them")
+            raise InputError(path, found, "one height of the camera", "remove one of the two keys")
     return site_from_table(table, str(path))

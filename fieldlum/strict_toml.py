@@ -54,11 +54,11 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if origin is Literal:
         if value not in arguments:
             expected = "one of " + ", ".join(map(str, arguments))
-            raise InputError(where, repr(value), expected, "correct the value")
+            raise InputError(where, f"the value {value!r}", expected, "correct the value")
         return value
     if origin is tuple:
         if not isinstance(value, list | tuple):
-            raise InputError(where, repr(value), "a list", "correct the value")
+            raise InputError(where, f"the value {value!r}", "a list", "correct the value")
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
         if inner is None and len(value) != len(arguments):
             expected = f"{len(arguments)} values"
@@ -70,11 +70,11 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         )
     if origin is dict:
         if not isinstance(value, dict):
-            raise InputError(where, repr(value), "a table", "correct the value")
+            raise InputError(where, f"the value {value!r}", "a table", "correct the value")
         return {str(k): _value(arguments[1], v, f"{where}.{k}") for k, v in value.items()}
     if is_dataclass(hint):
         if not isinstance(value, dict):
-            raise InputError(where, repr(value), "a table", "correct the value")
+            raise InputError(where, f"the value {value!r}", "a table", "correct the value")
         return build(typing.cast(type, hint), value, where)
     if hint is float:
         if (
@@ -82,13 +82,13 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             or not isinstance(value, int | float)
             or not math.isfinite(value)
         ):
-            raise InputError(where, repr(value), "a number", "correct the value")
+            raise InputError(where, f"the value {value!r}", "a number", "correct the value")
         return float(value)
     if isinstance(hint, type) and (
         not isinstance(value, hint) or (hint is int and isinstance(value, bool))
     ):
         expected = {int: "an integer", str: "text", bool: "true or false"}[hint]
-        raise InputError(where, repr(value), expected, "correct the value")
+        raise InputError(where, f"the value {value!r}", expected, "correct the value")
     return value
 
 

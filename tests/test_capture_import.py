@@ -281,7 +281,7 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
         import_card.run(session, tmp_path / "other", utc_offset_s=0.0)
     with pytest.raises(
         InputError,
-        match=r"brackets from 2027-10-06 14:30 .* the plan's slots, the nearest slot at 2027",
+        match=r"brackets from 2027-10-06 14:30 .* no slot of the plan.*first bracket, at 2027",
     ):
         import_card.run(session, tmp_path / "other")
     write_card(tmp_path / "few", card(PLAN[3:6], 2.5 * 3600.0))  # neither UTC nor the place's
@@ -377,7 +377,7 @@ def test_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Pa
         "-08:00",
     ]
     without = CliRunner().invoke(main, asked)
-    assert without.exit_code == 3 and "or state one with --column ghi_wm2=NAME" in without.stderr
+    assert without.exit_code == 3 and "or name a column: --column ghi_wm2=NAME" in without.stderr
     assert CliRunner().invoke(main, [*asked, "--column", "sky=Sky_W"]).exit_code == 2
     named = CliRunner().invoke(
         main, [*asked, "--column", "ghi_wm2=Sky_W", "--column", "dhi_wm2=Shade_W"]

@@ -185,7 +185,7 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     write_jpeg(tmp_path / "b.jpg", white, Exposure(1 / 200, 5.6))
     assert doubts(tmp_path / "a.jpg", asked) == "" == bracket_doubts(tmp_path / "a.jpg")
     assert "shutter 0.005 instead of 0.004" in doubts(tmp_path / "b.jpg", asked)
-    assert bracket_doubts(tmp_path / "b.jpg").startswith("100 % of the shortest frame")
+    assert bracket_doubts(tmp_path / "b.jpg").startswith("100 % of the shortest exposure")
     counts = np.full((48, 48), 16383, np.uint16)
     write_dng(tmp_path / "c.dng", counts, asked, black_dn=(64.0,) * 4, white_dn=16383.0)
     assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(

@@ -45,11 +45,11 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"altitude_m": 52000.0}, "altitude_m = 52000; expected -500 to 9000"),
         (
             {"longitude_deg": 122.3},
-            r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h from the sun's time",
+            "122.3 with timezone America/Los_Angeles, whose clock is 7.8 h from solar time",
         ),
         (
             {"timezone": "Europe/Berlin"},
-            "9.2 h from the sun's time; expected at most 4 h; east is positive, west negative",
+            "9.2 h from solar time; expected at most 4 h; correct one of the two; east is positive",
         ),
     ],
 )

@@ -172,7 +172,7 @@ def test_harm_in_the_middle_is_skipped_not_cut(session: Session) -> None:
 def test_an_edited_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     path.write_text("a\nb\nc\nd\n")
-    with pytest.raises(InputError, match="it has no valid line"):
+    with pytest.raises(InputError, match="no valid line at the end"):
         cut_torn_tail(path, lambda line: False)
     assert path.read_text() == "a\nb\nc\nd\n"
 

@@ -301,7 +301,7 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
     """
     _write_dated(tmp_path / "w.csv", weather.shipped_seattle(), shift_min=shift_min)
     with pytest.raises(
-        InputError, match=rf"with labels moved by {-shift_min:+d} min".replace("+", r"\+")
+        InputError, match=rf"with all row times moved by {-shift_min:+d} min".replace("+", r"\+")
     ):
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 

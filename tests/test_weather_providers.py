@@ -159,11 +159,11 @@ def test_a_label_shift_mends_labels_that_are_known_to_be_wrong(tmp_path: Path) -
         rows.append(f"{t + timedelta(minutes=60):%Y-%m-%dT%H:%M:%SZ},{dni:.2f},{dhi:.2f}")
     path = tmp_path / "late.csv"
     path.write_text("\n".join(rows), encoding="ascii")
-    with pytest.raises(InputError, match="with labels moved by -"):
+    with pytest.raises(InputError, match="with all row times moved by -"):
         weather.read_weather(path, SEATTLE)
     found = weather.read_weather(path, SEATTLE, label_shift_min=-60)
     assert found.t_utc == year.t_utc
-    assert "labels moved by -60 min" in found.repairs
+    assert "times of all rows moved by -60 min" in found.repairs
 
 
 @pytest.mark.slow

@@ -92,12 +92,12 @@ def _check_stated(data: Dataset, scene: Scene) -> None:
         raise InputError(
             "the scene",
             found,
-            f"heading {scene.stated_heading_deg:g} degrees, as in its fit",
+            f"heading {scene.stated_heading_deg:g} degrees, as when the scene was fitted",
             remedy,
         )
     if data.setup.room != scene.stated_room:
-        found = "captures with another [room] than the one from which the fit started"
-        raise InputError("the scene", found, "the [room] of the fit", remedy)
+        found = "captures with another [room] than the one from which the scene was fitted"
+        raise InputError("the scene", found, "the same [room] as when the scene was fitted", remedy)
 
 
 def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:

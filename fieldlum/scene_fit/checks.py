@@ -76,8 +76,8 @@ def check_captures(data: Dataset, room: Room) -> None:
     if turn_deg is not None:
         raise InputError(
             where,
-            f"bright windows about {turn_deg:+.0f} degrees from where [room] and heading "
-            "have windows",
+            f"bright windows about {turn_deg:+.0f} degrees (clockwise) from where [room] and "
+            "heading_deg place windows",
             "windows at the places stated in [room]",
             f"check heading_deg, wall_azimuth_deg and the windows' walls; {_REMEDY}",
         )
@@ -85,10 +85,12 @@ def check_captures(data: Dataset, room: Room) -> None:
     if turn_deg is not None:
         raise InputError(
             where,
-            f"light of a room that faces {turn_deg:+.0f} degrees from the stated direction",
+            f"light that follows the sun as in a room turned by {turn_deg:+.0f} degrees "
+            "(clockwise) "
+            "from the stated one",
             "light that follows the sun in front of the stated windows",
             "check heading_deg and wall_azimuth_deg (180 degrees mean that the compass was "
-            f"read backwards) and the time zone of the times; {_REMEDY}",
+            f"read backwards) and the time zone of the captures' times; {_REMEDY}",
         )
 
 

@@ -86,8 +86,8 @@ def fit_pose(
     )
     if len(altitude) < LEAST_DISCS:
         raise NotEnoughDataError(
-            f"{len(altitude)} measured sun discs, but at least {LEAST_DISCS} are needed for "
-            "north, level and clock: capture clear hours with the sun in view"
+            f"{len(altitude)} measured sun discs, but at least {LEAST_DISCS} are needed to "
+            "fit north, level and clock: capture clear hours with the sun in view"
         )
     place = sun.position(list(t_utc), site)
     bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n] deg

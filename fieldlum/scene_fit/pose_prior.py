@@ -129,8 +129,13 @@ def prior_of(pose: PoseFit) -> PosePrior:
 def pose_note(pose: PoseFit, discs: int) -> str:
     """Return a sentence about what the discs determine."""
     found = ", ".join(
-        f"{name.rpartition('_')[0]} {pose[name]:+.2f} +- {pose.u[name]:.2f}" for name in _FITTED
+        f"{kind} {pose[name]:+.2f} +- {pose.u[name]:.2f} {unit}"
+        for name in _FITTED
+        for kind, _, unit in [name.rpartition("_")]
     )
-    left_out = f"; {len(pose.dropped)} omitted as gross errors" if pose.dropped else ""
-    open_ = f"; not determined by discs alone: {', '.join(pose.open)}" if pose.open else ""
-    return f"{discs} sun discs (rms {pose.rms_deg:.2f} degrees): {found}{left_out}{open_}"
+    left_out = f"; {len(pose.dropped)} discs omitted as gross errors" if pose.dropped else ""
+    open_ = f"; not determined by the discs alone: {', '.join(pose.open)}" if pose.open else ""
+    return (
+        f"correction by {discs} measured sun discs (residual {pose.rms_deg:.2f} degrees rms): "
+        f"{found}{left_out}{open_}"
+    )

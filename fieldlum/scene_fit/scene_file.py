@@ -73,7 +73,7 @@ def read_scene(folder: Path) -> Scene:
         remedy = "write one with: fieldlum scene fit SESSION --out DIR"
         raise InputError(path, found, "a fitted scene", remedy) from None
     if table.get("format") != FORMAT:
-        found = f"format {table.get('format')}"
+        found = f"a scene of format {table.get('format')}"
         raise InputError(
             path, found, f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
         )

@@ -105,8 +105,9 @@ def judged_scene(
         per_hour_outside = max(KEPT_OUT_EVERY, fit.hours / max(outside, 1))
         lacking = ceil(MIN_HOURS_OUTSIDE * per_hour_outside)
         note = (
-            f"{fit.hours} clear hours, {outside} of them held out of the search: too few to "
-            f"confirm the choice; capture at least {lacking} clear hours"
+            f"only {outside} of {fit.hours} clear hours were held out of the fit, too few to "
+            "confirm "
+            f"the chosen geometry; capture at least {lacking} clear hours"
         )
         scene = replace(scene, notes=(*scene.notes, note))
     return replace(
@@ -153,6 +154,6 @@ def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     mean = misfits.mean()
     shares = ", ".join(f"{name} {100 * mean[name]:.1f} %" for name in order)
     return chosen, (
-        f"{chosen}: share of wrong pixels near sun patches in {len(misfits.none)} hours held "
-        f"out of the search: {shares}"
+        f"{chosen}: chosen by the share of wrong pixels near sun patches in {len(misfits.none)} "
+        f"held-out hours: {shares}"
     )

@@ -116,9 +116,8 @@ def outside_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
     count = int(blocks.max(initial=-1)) + 1
     if count < OUTSIDE_EVERY:
         raise NotEnoughDataError(
-            f"{int(sunny.sum())} sunny hours in {count} directions of the sun, at least "
-            f"{OUTSIDE_EVERY} directions are needed to judge a scene: capture clear hours over a "
-            f"day"
+            f"{int(sunny.sum())} sunny hours with only {count} different directions of the sun; at "
+            f"least {OUTSIDE_EVERY} are needed to judge a scene: capture clear hours all over a day"
         )
     outside = np.zeros(len(data), bool)
     outside[sunny] = blocks % OUTSIDE_EVERY == OUTSIDE_EVERY - 1
@@ -183,18 +182,19 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
     share = 100.0 * chosen.trusted_share
     reason = (
         f"{chosen.name}: no richer geometry has clearly fewer wrong pixels near sun patches "
-        f"({misfits}), or as few and a smaller expected error ({errors}); {share:.0f} % of a "
-        f"year's hours are trusted"
+        f"({misfits}), or as few and a clearly smaller expected log10 MSE ({errors}); the "
+        f"model trusts {share:.0f} % of a year's hours"
     )
     least = min(scores, key=lambda s: s.expected_log10_mse)
     agrees = chosen.expected_log10_mse <= least.expected_log10_mse / _WORTH
     if not agrees:
-        reason += f"; the errors speak for {least.name}: capture more clear hours"
+        reason += f"; by the expected log10 MSE {least.name} is better: capture more clear hours"
     unexplained = chosen.misfit / max(scores[0].misfit, 1e-9)
     if chosen is not scores[0] and unexplained > MAX_UNEXPLAINED:
         reason += (
-            f"; its patches leave {100.0 * unexplained:.0f} % of the misfit without patches: the "
-            f"room has something that the scene lacks (slats, leaves, a slope), see overlay.png"
+            f"; its sun patches leave {100.0 * unexplained:.0f} % of the misfit without patches: "
+            "the "
+            f"room has something that the scene lacks (slats, leaves, a slope); see overlay.png"
         )
     return SceneVerdict(
         chosen.name,

@@ -132,7 +132,8 @@ def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
     if address.startswith("tls://") != (tls is not None):
         found = f"{address} with{'' if tls else 'out'} a table 'tls'"
         expected = "tls:// with a table tls of the files ca, certificate and key, or tcp:// without"
-        raise InputError(path, found, expected, "add the table or use tcp://")
+        remedy = "remove the table or use tls://" if tls else "add the table or use tcp://"
+        raise InputError(path, found, expected, remedy)
     return _cluster(_checked(address, str(path)), tls, say)
 
 

@@ -102,7 +102,7 @@ class ClusterCrew:
         refused = self._threads.keys() & self._avoided.keys()
         if refused and refused == self._threads.keys() and idle_s > REPLACED_S:
             name = next(iter(refused))
-            found = f"no worker is left; {name}: {self._avoided[name]}"
+            found = f"no usable worker is left (worker {name}: {self._avoided[name]})"
             raise InputError(
                 self._scheduler.address,
                 found,
@@ -111,7 +111,7 @@ class ClusterCrew:
         if idle_s > PATIENCE_S:
             found = f"no usable worker for {PATIENCE_S:.0f} s"
             remedy = (
-                "start one: dask worker ADDRESS; finished units are stored, so start "
+                "start a worker: dask worker ADDRESS; finished units are stored, so start "
                 "the command again"
             )
             raise NotEnoughDataError(f"{self._scheduler.address}: {found}; {remedy}")
@@ -174,13 +174,17 @@ class ClusterCrew:
             missing = _await_files(unit)
             if not missing:
                 return Ended(key, "value", answer.value)
-            why = f"its {missing} does not appear here: the worker may use another shared folder"
+            why = (
+                f"its output {missing} does not appear here: the worker may use another shared "
+                "folder"
+            )
         elif answer.kind == "stale":
             changed = corrected(unit, answer)
             if changed is not None:
                 return Ended(key, "changed", changed)
             why = (
-                f"it sees another {answer.text} than this computer: its file system is out of date"
+                f"its {answer.text} differs from that on this computer: its file system is out of "
+                "date"
             )
         else:
             why = answer.text
@@ -195,7 +199,7 @@ class ClusterCrew:
         future.cancel(reason="it takes too long")
         for name in names:
             self._avoid(name, "it hangs")
-        return f"worker {names[0]} hangs" if names else "no worker took it"
+        return f"worker {names[0]} hangs" if names else "no worker accepted it"
 
     def status(self) -> str:
         """Return the number of workers, as text."""

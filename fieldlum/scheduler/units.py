@@ -121,7 +121,7 @@ def relative_folder(folder: Path) -> str:
             f"start the command in a folder above it, or set {SHARED_VARIABLE} here and "
             "on each worker"
         )
-        expected = "a folder that workers can see too"
+        expected = "a folder inside it, so that workers can use it too"
         raise InputError(folder, f"outside the shared folder {shared}", expected, remedy) from None
 
 

@@ -83,8 +83,8 @@ def check_url(url: str, option: str, instead: str) -> None:
     if parts.scheme in ("", "file", "local") or "::" in url:
         raise InputError(option, url, "a URL such as s3://BUCKET/FOLDER", instead)
     if parts.password or parts.username:
-        remedy = "give it to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws"
-        raise InputError(option, "a URL with a user or password", "a URL without", remedy)
+        remedy = "give them to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws"
+        raise InputError(option, "a URL with a user or password", "a URL without these", remedy)
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -94,7 +94,9 @@ def _file_system(url: str) -> tuple[Any, str]:
         return url_to_fs(url)
     except ImportError:
         remedy = "install it with: pip install 'fieldlum[cloud]'"
-        raise InputError(url, "no client for this kind of URL", remedy=remedy) from None
+        raise InputError(
+            url, "the library for this kind of URL is not installed", remedy=remedy
+        ) from None
     except ValueError as error:
         expected = "a URL such as s3://BUCKET/FOLDER"
         raise InputError(url, str(error)[:120], expected, "correct the URL") from None

@@ -126,9 +126,9 @@ def open_session(root: Path) -> Session:
     if not session.toml.is_file():
         raise InputError(
             root,
-            "no session.toml in it",
+            "no session.toml in this folder",
             "a session folder",
-            "write one with: fieldlum plan SITE.toml",
+            "correct the path, or plan a session with: fieldlum plan SITE.toml",
         )
     try:
         session.table()
@@ -211,7 +211,7 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
                 ) from None
             raise InputError(
                 session.root,
-                f"another fieldlum {purpose}{_process_of(path)} runs in it",
+                f"another fieldlum {purpose}{_process_of(path)} runs in this session",
                 "one process at a time",
                 "stop the other process first",
             ) from None

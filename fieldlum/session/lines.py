@@ -136,7 +136,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
         if keep == 0 and tail.count(b"\n") > 2:
             raise InputError(
                 path,
-                "it has no valid line",
+                "no valid line at the end of the file",
                 "a file written by fieldlum",
                 "restore the file from a copy, or move it away",
             )

@@ -48,7 +48,7 @@ def _labelled(panorama: Panorama) -> Panorama:
     if sun is None or sun.origin != CLIPPED_SUN:
         return panorama
     note = (
-        f"every frame is clipped at the sun: its {sun.normal_illuminance_lx:.0f} lx, Ev and "
-        "DGP are lower bounds; run fieldlum pair to complete them"
+        f"every frame is clipped at the sun, so the sun's {sun.normal_illuminance_lx:.0f} lx, Ev "
+        "and DGP are lower bounds; run fieldlum pair, which computes the sun from DNI or a meter"
     )
     return replace(panorama, attributes={**panorama.attributes, "note": note})

@@ -74,7 +74,8 @@ def read_plan(path: Path) -> list[Slot]:
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
-            found = ", ".join(reader.fieldnames or ())[:120] or "an empty file"
+            names = ", ".join(reader.fieldnames or ())[:120]
+            found = f"columns {names}" if names else "an empty file"
             raise InputError(path, found, expected, remedy)
         for number, row in enumerate(reader, start=2):
             try:

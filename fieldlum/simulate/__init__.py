@@ -69,7 +69,8 @@ def sample_slots(
     free = np.array([k for k, t in enumerate(day.t_utc) if t not in taken])
     if count > len(free):
         raise NotEnoughDataError(
-            f"{count} hours requested; the year has {len(free)} with light; request fewer"
+            f"{count} hours requested, but the weather year has only {len(free)} unused hours with "
+            "light; request fewer"
         )
     rows = np.sort(np.random.default_rng(seed).permutation(free)[:count])
     times = [day.t_utc[k] for k in rows]

@@ -232,7 +232,7 @@ def ground_truth(
     if room is None or room.kind != "box":
         raise InputError(
             setup.site.name,
-            "no box room",
+            "the site has no box room",
             '[room] with kind = "box"',
             "state the geometry of the room",
         )

@@ -101,8 +101,9 @@ def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
 
 def _too_short(trial: Trial) -> str:
     return (
-        f"not judged: {trial.passes or 0.0:.3f} passes over the data, but at least one is "
-        "needed; raise --budget"
+        f"not judged: the training had time for {trial.passes or 0.0:.3f} passes over the data, "
+        "but "
+        "at least one is needed; raise --budget"
     )
 
 
@@ -204,7 +205,7 @@ def year_of(
     return year if math.isfinite(year.expected_log10_mse) else None
 
 
-_NO_CURVE = "no time for the learning curve; raise --budget"
+_NO_CURVE = "no learning curve, because the time budget was used up; raise --budget"
 
 
 def _is_too_short(trial: Trial) -> bool:
@@ -248,11 +249,12 @@ def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
         for kind, sd in zip(kinds, scatter_of_skies(arrays, groups), strict=True)
         if sd is not None
     ]
-    typical = f" (typically {', '.join(sizes)}; k = 1)" if sizes else ""
+    typical = f" (one standard deviation: {', '.join(sizes)})" if sizes else ""
     return [
-        f"the windows showed skies that differ from the Perez model for the measured "
-        f"irradiance{typical}: clouds, or an instrument that sees other light than the room, which "
-        f"changes the diffuse irradiance of sunny hours most. Each capture was learnt under its "
+        f"the skies in the windows differ from the Perez model for the measured "
+        f"irradiance{typical}. The cause is clouds, or an instrument that sees other light than "
+        "the "
+        f"room, mostly in the diffuse irradiance of sunny hours. Each capture was learnt under its "
         f"own sky. Predicted hours use the Perez model, and their uncertainty includes the "
         f"difference"
     ]
@@ -264,7 +266,7 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
     if one_day_only(data):
         notes.append(
             "all hours are from one day, so held-out hours are close to training hours and "
-            "the errors are too small: capture more days"
+            "the scores are too good: capture more days"
         )
     if patch == "none" and data.patch_cdm2 is None:
         notes.append(
@@ -276,7 +278,7 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
     if model in errors and not MODELS[model].baseline and errors[model] >= floor:
         notes.append(
             f"WARNING: {model} is no better than a baseline on held-out days: do not use it "
-            f"without finding the cause"
+            f"before the cause is found"
         )
     return tuple(notes)
 

@@ -37,7 +37,7 @@ def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
     return [
         f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong by a "
         f"factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in a way "
-        f"that the model does not know; hours like them are not trusted"
+        f"that the model does not know; hours with similar light are not trusted"
     ]
 
 
@@ -61,7 +61,8 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())
         said.append(
-            f"WARNING: held-out days are wrong by a factor of {factor:.2f}; likely causes are "
+            f"WARNING: predictions of held-out days are wrong by a factor of {factor:.2f} (rms); "
+            "likely causes are "
             f"broken cloud, wrong irradiance, or a room that changed (a wrong north or clock has "
             f"its own warning); {POOR_WORDS}"
         )

@@ -82,8 +82,8 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     if len(rows):
         notes.append(
             f"WARNING: in {len(rows)} of {len(data)} captures a part of the picture is darker "
-            "than the other days predict: a person, an object or clipped highlights. These "
-            f"pixels teach nothing in these captures; look at them: {_slots(data, rows)}"
+            "than the other days predict: a person, an object or clipped highlights. The model "
+            f"does not learn from these pixels; look at the captures: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts
         data = replace(data, counts=np.where(objects, np.float16(0.0), counts))
@@ -94,9 +94,9 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
 def _moved_warning(moved: MovedObject) -> str:
     return (
         f"WARNING: from {moved.day} on, the light is {moved.factor:.2f} times that of the "
-        f"days before in a region {moved.size_sr:.2f} sr large at azimuth "
+        f"days before in a region of {moved.size_sr:.2f} sr at azimuth "
         f"{moved.azimuth_deg:.0f}, altitude {moved.altitude_deg:.0f} degrees: a piece of "
-        "furniture was moved or added. The model is a mean of both states; for one state, "
+        "furniture was moved or added. The model is a mean of both states; for a model of one, "
         "set ok = 0 in pairs.csv for the days before or after, and train again"
     )
 
@@ -126,10 +126,11 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
     if len(changes.lamp):
         days = ", ".join(sorted({str(data.days[row]) for row in changes.lamp}))
         notes.append(
-            f"WARNING: in {len(changes.lamp)} of {len(data)} captures a lamp was on that nobody "
-            f"marked ({days}): the same light is added in all of them. They are left out; "
-            "mark them to learn the lamp (fieldlum status SESSION --mark SLOT lamp=on), and "
-            f"train again: {_slots(data, changes.lamp)}"
+            f"WARNING: {len(changes.lamp)} of {len(data)} captures ({days}) have the same "
+            "additional "
+            "light: a lamp was on, but not marked. These captures are not used; to learn the "
+            "lamp, mark them (fieldlum status SESSION --mark SLOT lamp=on) and train again: "
+            f"{_slots(data, changes.lamp)}"
         )
     groups = [(str(day), np.flatnonzero(data.days == day)) for day in changes.complete_days]
     whole = np.array([day in changes.complete_days for day in data.days[changes.unexplained]], bool)
@@ -140,7 +141,7 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
             f"the {len(rows)} captures of {day}" if day else f"{len(rows)} of {len(data)} captures"
         )
         notes.append(
-            f"WARNING: {subject} contradict the other days and are left out: their median "
+            f"WARNING: {subject} contradict the other days and are not used: their median "
             f"light is {np.median(changes.factor[rows]):.2f} times the predicted light. "
             "Possible causes are a moved blind, a lamp, snow or wrong irradiance; look at "
             "them, mark what was different (fieldlum status SESSION --mark SLOT "

@@ -68,8 +68,9 @@ def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
         gain = _daily(winner, data, shared) - _daily(trial, data, shared)
         if len(gain) > 1 and gain.mean() > standard_error(gain):
             said = (
-                f"its log10 MSE is lower by {gain.mean():.2e} than that of {winner.name}, on the "
-                f"{len(gain)} days on which both were tested"
+                f"on the {len(gain)} held-out days of both models, the log10 MSE of {trial.name} "
+                "is lower "
+                f"than that of {winner.name} by {gain.mean():.2e}"
             )
             winner, choice = trial, ModelSelection(trial.name, said)
     return choice
@@ -90,8 +91,8 @@ def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSele
     if chosen.name == best:
         return chosen, ModelSelection(
             best,
-            f"{best} is best ({spread}) and no smaller model comes within one standard "
-            f"error of it (paired days)",
+            f"{best} has the lowest log10 MSE ({spread}), and no smaller model is within one "
+            f"standard error of it",
         )
     said = (
         f"{chosen.name} (log10 MSE {means[chosen.name]:.2e}) is the smallest model within one "

@@ -46,7 +46,8 @@ def with_right_clock(
     )
     warning = (
         f"WARNING: the clock of the pictures differs between days. Sun patches and held-out days "
-        f"agree best after these corrections of the stated times: {days}. They are used here; set "
+        f"agree best after these corrections of the stated times: {days}. This training uses the "
+        "corrections; set "
         f"the camera's clock on every day of captures"
     )
     return with_clock(data, clock), [warning]
@@ -86,7 +87,9 @@ def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
     said += f"explains {share:.0%} of the misfit"
     others = [f"{_words(f)} ({f.gain / cause.gain:.0%} of that)" for f in found.alike]
     said += f"; nearly as likely: {', '.join(others)}" if others else ""
-    lines = [f"{said}. Until it is fixed, hours that depend on sun patches are doubted"]
+    lines = [
+        f"{said}. Until this is fixed, hours that depend on sun patches have a larger uncertainty"
+    ]
     lines += [f"to fix {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *found.alike)]
     return lines
 
@@ -99,8 +102,8 @@ def _measure_warning(found: Setting, measure: RoomError) -> str:
         f"changing {measure.name} by {measure.amount_m:+.2f} m would explain "
         f"{measure.gain / first.stated:.0%} of the misfit, changing {first.cause} "
         f"{first.gain / first.stated:.0%}. The captures do not show which is wrong: measure the "
-        f"camera's place and the windows again before changing north or clock. Until then hours "
-        f"that depend on sun patches are doubted"
+        f"camera's place and the windows again before changing north or clock. Until then, hours "
+        f"that depend on sun patches have a larger uncertainty"
     )
 
 

@@ -85,7 +85,9 @@ def _shifted(file: WeatherTable, minutes: float) -> WeatherTable:
         return file
     shift = timedelta(minutes=minutes)
     rows = [replace(row, when=row.when + shift) for row in file.rows]
-    return replace(file, rows=rows, notes=(*file.notes, f"labels moved by {minutes:+g} min"))
+    return replace(
+        file, rows=rows, notes=(*file.notes, f"times of all rows moved by {minutes:+g} min")
+    )
 
 
 # The place of the shipped year: Liu, Colburn, Inanici 2020, section 2.
@@ -121,7 +123,8 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
         return []
     if away > FAR_KM:
         found = (
-            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), "
+            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg), "
+            "which is "
             f"{away:.0f} km from the site"
         )
         raise InputError(
@@ -247,13 +250,16 @@ def _check_night(path: Path, weather: Weather) -> None:
     at_night = float(light[altitude < _NIGHT_BELOW_DEG].sum())
     if total > 0 and at_night > _MOST_LIGHT_AT_NIGHT * total:
         found = (
-            f"{100 * at_night / total:.0f} % of the light falls while the sun is down at "
-            f"{weather.site.name}"
+            f"{100 * at_night / total:.0f} % of the file's irradiance is at times when the sun is "
+            "down "
+            f"at {weather.site.name}"
         )
         remedy = (
-            "check the time zone, the sign of the longitude, and whether labels are hour centres"
+            "check the file's time zone, the sign of the site's longitude, and whether a row's "
+            "time "
+            "is the middle of its hour"
         )
-        raise InputError(path, found, "light only while the sun is up", remedy)
+        raise InputError(path, found, "irradiance only while the sun is up", remedy)
 
 
 def _check_sense(

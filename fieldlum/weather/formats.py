@@ -78,9 +78,10 @@ def _pvgis_epw(file: WeatherTable, place: Site, offset: timedelta, zone: timedel
     times = tuple(row.when + timedelta(minutes=30) + offset for row in file.rows)
     dni, dhi, ghi = np.array([(row.dni, row.dhi, row.ghi) for row in file.rows]).T
     year = ProviderYear(place, times, dni, dhi, ghi, typical=True)
-    stated = f"PVGIS states an irradiance time offset of {offset.total_seconds() / 60:+.0f} min"
+    minutes = offset.total_seconds() / 60
+    stated = f"rows moved by {minutes:+.0f} min, the irradiance time offset that PVGIS states"
     if zone:
-        year = best_shift(year, {"header's zone": timedelta(0), "UTC": zone}, "rows count as")
+        year = best_shift(year, {"header's zone": timedelta(0), "UTC": zone}, "row times taken in")
     rows = [replace(row, when=when) for row, when in zip(file.rows, year.t_utc, strict=True)]
     return replace(file, rows=rows, notes=(stated, *year.notes))
 
@@ -297,7 +298,7 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
             except ValueError:
                 raise InputError(
                     path,
-                    f"'{line}'",
+                    f"the comment '{line}'",
                     "'# place: NAME, LATITUDE, LONGITUDE, UTC-8'",
                     "correct that line",
                 ) from None

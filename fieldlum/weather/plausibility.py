@@ -86,15 +86,20 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
     wrong = usual if abs(usual - 60.0) > 1.0 else least
     if abs(wrong - 60.0) > 1.0:
         raise InputError(
-            path, f"rows {wrong:g} min apart", "one row an hour", "average the file to hours first"
+            path,
+            f"rows that are {wrong:g} min apart",
+            "one row for each hour",
+            "average the file to hours first",
         )
 
 
 def _check_level(path: Path, weather: Weather, station: Site, total: Array) -> None:
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
     if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
-        found = f"the light is {share:.2g} times the energy of cloudless skies at {station.name}"
-        remedy = f"check for kW or kJ; {_CORRECT_COLUMNS}"
+        found = (
+            f"the sum of irradiance is {share:.2g} times that of cloudless skies at {station.name}"
+        )
+        remedy = f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}"
         raise InputError(path, found, f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times", remedy)
 
 
@@ -108,8 +113,11 @@ def _check_limits(
     }
     name = max(over, key=lambda name: over[name])
     if over[name] > MOST_EXTREME:
-        found = f"{name} above the limit of any sky in {100 * over[name]:.0f} % of the hours"
-        remedy = f"check for another component in the column of {name}; {_CORRECT_COLUMNS}"
+        found = (
+            f"{name} is above the limit of any sky in {100 * over[name]:.0f} % of the daylight "
+            "hours"
+        )
+        remedy = f"check whether the column of {name} has another component; {_CORRECT_COLUMNS}"
         raise InputError(path, found, f"at most {100 * MOST_EXTREME:g} %", remedy)
 
 
@@ -120,8 +128,8 @@ def _check_overcast(
         return
     share = float(np.median(weather.dhi_wm2[overcast] / total[overcast]))
     if share < LEAST_DIFFUSE:
-        found = f"under overcast skies {100 * share:.0f} % of the light is diffuse"
-        remedy = f"check for global or diffuse in the column of DNI; {_CORRECT_COLUMNS}"
+        found = f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)"
+        remedy = f"check whether the column of DNI has global or diffuse; {_CORRECT_COLUMNS}"
         raise InputError(path, found, f"over {100 * LEAST_DIFFUSE:g} %", remedy)
 
 
@@ -132,7 +140,7 @@ def _check_closure(path: Path, ghi_wm2: Array, total: Array, tested: NDArray[np.
     if off > MOST_OPEN:
         found = f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)"
         remedy = (
-            "check for another component, or direct on a horizontal plane, in a column; "
+            "check whether a column has another component, or direct on a horizontal plane; "
             f"{_CORRECT_COLUMNS}"
         )
         raise InputError(path, found, f"at most {100 * MOST_OPEN:g} %", remedy)
@@ -152,16 +160,15 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
     best = min(other, key=lambda shift: other[shift])
     if other[best] < 0.5 * against:
         found = (
-            f"{against} hours are lit before sunrise or dark after it, {other[best]} with "
-            f"labels moved by {best:+d} min"
+            f"{against} hours have light while the sun is down or none while it is up; only "
+            f"{other[best]} hours with all row times moved by {best:+d} min"
         )
-        remedy = "check the time zone and whether labels are an hour's start, middle or end"
-        raise InputError(path, found, f"at most {most} in {edges // 2} days", remedy)
+        remedy = "check the time zone, and whether a row's time is its hour's start, middle or end"
+        raise InputError(path, found, f"at most {most} such hours in {edges // 2} days", remedy)
     if against > MOST_AGAINST_ALL * edges:
-        found = f"{against} hours of {edges // 2} days are lit before sunrise or dark after it"
-        raise InputError(
-            path, found, f"the sun of {station.name}", "check that the file is of this place"
-        )
+        found = f"{against} hours have light while the sun is down or none while it is up"
+        expected = f"the sunrises and sunsets of {station.name} on {edges // 2} days"
+        raise InputError(path, found, expected, "check that the file is of this place")
 
 
 def _against(weather: Weather, station: Site, shift_min: int) -> int:

@@ -124,7 +124,8 @@ def _pvgis_year(data: Any, place: Site, offset_h: float) -> ProviderYear:
     (PVGIS, "TMY generator" page).
     """
     year = _year_of(data, place, typical=True, shift=timedelta(hours=float(offset_h)))
-    note = f"PVGIS states an irradiance time offset of {60 * float(offset_h):+.0f} min"
+    minutes = 60 * float(offset_h)
+    note = f"rows moved by {minutes:+.0f} min, the irradiance time offset that PVGIS states"
     return replace(year, notes=(note,)) if offset_h else year
 
 
@@ -190,7 +191,7 @@ def _year_of(data: Any, place: Site, *, typical: bool, shift: timedelta) -> Prov
 
 
 def best_shift(
-    year: ProviderYear, shifts: dict[str, timedelta], what: str = "labels count as"
+    year: ProviderYear, shifts: dict[str, timedelta], what: str = "row times taken as"
 ) -> ProviderYear:
     """Return the year moved by the shift after which the fewest hours contradict the sun.
 
@@ -205,6 +206,6 @@ def best_shift(
         against[name] = sum(counts)
     chosen = min(against, key=lambda name: against[name])
     counts = ", ".join(f"{name} {count}" for name, count in against.items())
-    note = f"{what} {chosen}: fewest hours contradict sunrise and sunset ({counts})"
+    note = f"{what} {chosen}, with which the fewest hours contradict sunrise and sunset ({counts})"
     moved = tuple(t + shifts[chosen] for t in year.t_utc)
     return replace(year, t_utc=moved, notes=(*year.notes, note))

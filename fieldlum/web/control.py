@@ -59,9 +59,9 @@ class Control:
         if state["next"] is not None and state["next"]["state"] == "running":
             raise InputError(
                 self.session.root,
-                "a bracket is being taken",
-                "none",
-                "request it again after that bracket",
+                "a bracket is being taken now",
+                "no bracket in progress",
+                "request the extra bracket again after that bracket",
             )
         slot = add_extra(self.session, datetime.now(UTC))
         return f"An extra bracket is planned at {slot.t_utc:%H:%M} UTC."
@@ -91,7 +91,7 @@ class Control:
         if state["running"] is False:
             raise InputError(
                 self.session.root,
-                "no capture runs here",
+                "no capture runs in this session",
                 "a running capture",
                 "start fieldlum capture first",
             )

@@ -42,7 +42,7 @@ def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
     if not isinstance(version, int) or not 1 <= version <= newest:
         raise InputError(
             path,
-            f"format {version}",
+            f"a file of format {version}",
             f"format 1 to {newest}",
             "read the file with a newer fieldlum",
         )

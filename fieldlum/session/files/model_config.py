@@ -68,17 +68,20 @@ class ModelConfig:
         """Read config.json. Raises InputError if `folder` is not a model folder."""
         path = folder / "config.json"
         if not path.is_file():
-            raise InputError(folder, "no config.json in it", _EXPECTED, _REMEDY)
+            raise InputError(folder, "no config.json in this folder", _EXPECTED, _REMEDY)
         table = read_object(path, "JSON", "train the model again (fieldlum train)")
         check_format(table, FORMAT, path)
         setup = table.get("setup")
         if setup is not None and not isinstance(setup, dict):
-            raise InputError(path, f"setup of type {type(setup).__name__}", "a table", _REMEDY)
+            raise InputError(
+                path, f"the key setup has the type {type(setup).__name__}", "a table", _REMEDY
+            )
         common = {name: table[name] for name in _COMMON if name in table}
         config = build_known(cls, common, str(path))
         if not (0 <= config.height <= MAX_HEIGHT and config.width in (0, 2 * config.height)):
-            found = f"maps of {config.width} x {config.height}"
-            raise InputError(path, found, f"W = 2H, with at most {MAX_HEIGHT} rows", _REMEDY)
+            found = f"maps of {config.width} x {config.height} pixels"
+            expected = f"maps twice as wide as high, with at most {MAX_HEIGHT} rows"
+            raise InputError(path, found, expected, _REMEDY)
         training = build_known(TrainingNote, table.get("training") or {}, str(path))
         return replace(config, setup=setup or {}, training=training, state=table)
 

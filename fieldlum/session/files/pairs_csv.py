@@ -125,7 +125,7 @@ def _reader(path: Path) -> csv.DictReader[str]:
         raise InputError(
             path,
             f"no column {', '.join(missing)}",
-            f"a csv with {', '.join(NEEDED)}",
+            f"a csv with the columns {', '.join(NEEDED)}",
             _separator_remedy(names),
         )
     return reader
@@ -135,7 +135,7 @@ def _separator_remedy(names: Sequence[str]) -> str:
     mark = next((mark for mark in (";", "\t") if mark in (names or ("",))[0]), "")
     if not mark:
         return "name the columns in the first line"
-    return f"its cells are separated by {mark!r}: save it with commas, and points in numbers"
+    return f"save the file with commas instead of {mark!r} between cells, and points in numbers"
 
 
 def _format(path: Path, names: Sequence[str]) -> int:
@@ -146,7 +146,10 @@ def _format(path: Path, names: Sequence[str]) -> int:
     newest = max((int(text) if text.isdigit() else 1 for text in texts), default=FORMAT)
     if newest > FORMAT:
         raise InputError(
-            path, f"format {newest}", f"format 1 to {FORMAT}", "read the file with a newer fieldlum"
+            path,
+            f"a csv of format {newest}",
+            f"format 1 to {FORMAT}",
+            "read the file with a newer fieldlum",
         )
     return newest
 
@@ -167,7 +170,7 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         nan, panorama, why = math.nan, text["panorama"], text["why"]
         return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
     if not text["panorama"]:
-        found = f"line {line}: panorama is empty"
+        found = f"line {line}: the cell of column panorama is empty"
         raise InputError(path, found, "a picture's path", "write the picture's path, or set ok = 0")
     return PairRow(
         _time(path, line, cells["t_utc"]),

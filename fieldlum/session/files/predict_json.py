@@ -120,7 +120,7 @@ class PredictFile:
         path = folder / NAME
         if not path.is_file():
             expected, remedy = "a predicted year", "predict one with: fieldlum predict"
-            raise InputError(folder, f"no {NAME} in it", expected, remedy)
+            raise InputError(folder, f"no {NAME} in this folder", expected, remedy)
         expected, remedy = "what fieldlum predict wrote", "predict again"
         table = read_object(path, expected, remedy)
         with content_of(table, FORMAT, path, expected, remedy):
