@@ -43,7 +43,7 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
-        size = f"{shape[1]} x {shape[0]} pixels"
+        size = f"a frame of {shape[1]} x {shape[0]} pixels"
         expected = f"{body.width_px} x {body.height_px} pixels, the size of {body.name}"
         raise InputError(path, size, expected, "use a profile of this camera (--camera)")
     if model and body.model and not same_model(model, body.model):

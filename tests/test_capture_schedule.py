@@ -177,6 +177,6 @@ def test_slots_without_exposures_are_refused_at_the_start(rig: Field) -> None:
     """A session of random hours of a year has no brackets to take."""
     slots = [replace(slot, exposures=()) for slot in rig.session.slots()]
     write_plan(rig.session.plan, slots, "UTC")
-    with pytest.raises(NotEnoughDataError, match="no slot has an exposure"):
+    with pytest.raises(NotEnoughDataError, match="no slot of the plan has an exposure"):
         rig.run()
     assert "aborted" not in [row["event"] for row in read_journal(rig.session)]

@@ -410,7 +410,7 @@ def test_occupancy_files(tmp_path: Path) -> None:
         ("days,start,end\nmon,8,12\n", "line 2"),
         ("days,start,end\nmon,08:00\n", "2 cells"),
         ("days,start,end\n\n\nmon,8,12\n", "line 4"),
-        ("occupied\n1\n0\n", "2 hours"),
+        ("occupied\n1\n0\n", "2 rows"),
         ("occupied\n" + "1\n" * 8759 + "x\n", "line 8761"),
     ],
 )

@@ -57,7 +57,7 @@ def test_sidecars_give_the_pose(tmp_path: Path) -> None:
     assert len(discs) == len(TIMES)
     pose = pose_of(discs, SEATTLE, 180.0, 0.1)
     assert pose is not None and pose["heading_deg"] == pytest.approx(NORTH_DEG, abs=0.01)
-    assert pose.u["heading_deg"] < 0.05 and "5 sun discs" in pose_note(pose, len(discs))
+    assert pose.u["heading_deg"] < 0.05 and "5 measured sun discs" in pose_note(pose, len(discs))
     one = np.ones(2)
     two = MeasuredDiscs(one, one, one, tuple(TIMES[:2]))
     assert pose_of(two, SEATTLE, 180.0, 0.1) is None

@@ -153,7 +153,7 @@ def test_patches_that_are_more_wrong_than_none_are_never_chosen() -> None:
     ]
     verdict = choose_geometry(scores)
     assert verdict.chosen == "none" and not verdict.trusted
-    assert "speak for stated" in verdict.reason
+    assert "log10 MSE stated is better" in verdict.reason
 
 
 @pytest.mark.property

@@ -65,7 +65,7 @@ def test_plan_and_site_round_trip(session: Session) -> None:
             (b"; ", b", "),
             "8 values; expected columns slot",
         ),  # a bracket of one frame, its second taken for a tag
-        ((b",", b";"), "plan.csv: slot;t_utc;"),
+        ((b",", b";"), "plan.csv: columns slot;t_utc;"),
         ((b"exposures", b"shutters"), "shutters, tags; expected columns"),
     ],
 )

@@ -355,7 +355,7 @@ def test_rows_that_are_no_hours_are_refused(tmp_path, step_min: int) -> None:
     times = [start + timedelta(minutes=step_min * k) for k in range(20)]
     rows = [f"{t:%Y-%m-%dT%H:%M:%SZ},100,100" for t in times]
     (tmp_path / "w.csv").write_text("\n".join(["t_utc,dni_wm2,dhi_wm2", *rows]))
-    with pytest.raises(InputError, match=f"rows {step_min} min apart"):
+    with pytest.raises(InputError, match=f"rows that are {step_min} min apart"):
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 

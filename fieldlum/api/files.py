@@ -163,7 +163,7 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     if suffix not in PANORAMA_SUFFIXES:
         raise InputError(
             path,
-            f"suffix '{suffix}'",
+            f"the file has the suffix '{suffix}'",
             " or ".join(PANORAMA_SUFFIXES),
             "give the file one of these suffixes",
         )

@@ -79,7 +79,9 @@ def _parse_spec(text: str, at: Path) -> Spec:
             folder,
         )
     wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
-    raise InputError("--models", f"'{text}'", wanted, "correct the name after --models")
+    raise InputError(
+        "--models", f"the unknown name '{text}'", wanted, "correct the name after --models"
+    )
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:

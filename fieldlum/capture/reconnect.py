@@ -143,7 +143,7 @@ def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     thread.start()
     thread.join(seconds)
     if not result:
-        raise DeviceError(f"{what} did not answer within {seconds:g} s; check its cable and power")
+        raise DeviceError(f"{what}: no answer within {seconds:g} s; check cable and power")
     fine, value = result[0]
     if not fine:
         raise value

@@ -55,7 +55,9 @@ def parse_reading(reply: bytes) -> Spn1Reading:
     """
     match = _READING.fullmatch(reply)
     if match is None:
-        raise DeviceError(f"SPN1 answered {reply[:40]!r}; expected total, diffuse, sunshine and CR")
+        raise DeviceError(
+            f"SPN1 answered {reply[:40]!r}; expected total, diffuse, sunshine and a carriage return"
+        )
     total, diffuse = float(match[1]), float(match[2])
     if max(total, diffuse) > LARGEST_WM2:
         raise DeviceError(

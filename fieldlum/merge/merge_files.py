@@ -50,7 +50,10 @@ def files_to_picture(
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(
-            out, f"suffix '{out.suffix}'", ".exr or .hdr", "name --out with one of these suffixes"
+            out,
+            f"the file has the suffix '{out.suffix}'",
+            ".exr or .hdr",
+            "name --out with one of these suffixes",
         )
     options = options or MergeOptions()
     result = merge_frames(files, profile, options, heading_deg=heading_deg, progress=progress)

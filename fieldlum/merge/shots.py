@@ -120,7 +120,7 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
         raise InputError(
             odd,
             f"a {got} frame",
-            f"{profile.camera.kind} frames, as in {profile.camera.name}",
+            f"{profile.camera.kind} frames, for which the profile {profile.camera.name} is",
             "remove this frame, or name the profile of its camera",
         )
     apertures = profile.scale.f_numbers

@@ -77,7 +77,8 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
         f"{rows.azimuth_deg[k]:.1f} deg"
     )
     expected = (
-        f"{found.altitude_deg[k]:.1f}, {found.azimuth_deg[k]:.1f} deg, from t_utc and {site.name}"
+        f"altitude {found.altitude_deg[k]:.1f}, azimuth {found.azimuth_deg[k]:.1f} deg, computed "
+        f"from t_utc and the place of {site.name}"
     )
     remedy = (
         "check t_utc, the sign of the site's longitude and the order of the rows, or empty "

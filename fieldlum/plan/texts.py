@@ -172,6 +172,6 @@ def _covered_text(coverage: Coverage) -> str:
     if coverage.irradiance_percent is None:
         return text
     return (
-        f"{text}, {coverage.irradiance_percent:.0f} % of the weather year's skies, "
-        f"{coverage.both_percent:.0f} % in both"
+        f"{text} and {coverage.irradiance_percent:.0f} % of the weather year's skies; "
+        f"{coverage.both_percent:.0f} % of the year's hours are covered in both"
     )

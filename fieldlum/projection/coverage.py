@@ -83,9 +83,10 @@ def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
     bounds = _arcs_text([word != NOT_SEEN for word in words])
     nothing = NOT_SEEN in words
     return (
-        f"the camera sees {100 * share:.0f} % of all directions: glare can be judged for views to "
-        f"{fully or 'no direction'}; bounds of glare for {bounds or 'no direction'}"
-        + ("; other view directions get no result" if nothing else "")
+        f"the camera sees {100 * share:.0f} % of all directions: glare can be computed for views "
+        "to "
+        f"{fully or 'no direction'}, and at least bounds of glare for views to "
+        f"{bounds or 'no direction'}" + ("; other view directions get no result" if nothing else "")
     )
 
 

@@ -122,7 +122,9 @@ def relative_folder(folder: Path) -> str:
             "on each worker"
         )
         expected = "a folder inside it, so that workers can use it too"
-        raise InputError(folder, f"outside the shared folder {shared}", expected, remedy) from None
+        raise InputError(
+            folder, f"this folder is outside the shared folder {shared}", expected, remedy
+        ) from None
 
 
 def task_of(unit: WorkUnit) -> Task:

@@ -151,7 +151,7 @@ def create_session(
     if session.toml.exists():
         raise InputError(
             root,
-            "already a session",
+            "this folder is already a session",
             "a new folder",
             "choose another --out; to plan missed hours again: fieldlum plan SESSION --replan",
         )

@@ -29,7 +29,7 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
         example = min(known, default="20270320T153000Z")
         raise InputError(
             session.root,
-            f"no slot {slot}",
+            f"no slot {slot} in this session",
             f"a slot's id such as {example}",
             "choose a slot of plan.csv",
         )

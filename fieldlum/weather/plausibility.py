@@ -54,7 +54,7 @@ MOST_OF_FEW = 12  # files of a few days decide nothing below this count; not mea
 MOST_AGAINST_ALL = 0.25
 SHIFTS_MIN = tuple(m for m in range(-150, 151, 15) if m)
 _HALF = timedelta(minutes=30)  # of an hour, by definition
-_CORRECT_COLUMNS = "correct the columns, in W/m2"
+_CORRECT_COLUMNS = "write the right columns, in W/m2"
 
 
 def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Array) -> None:
