@@ -43,16 +43,20 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
-        size = f"a frame of {shape[1]} x {shape[0]} pixels"
-        expected = f"{body.width_px} x {body.height_px} pixels, the size of {body.name}"
-        raise InputError(path, size, expected, "use a profile of this camera (--camera)")
-    if model and body.model and not same_model(model, body.model):
-        remedy = (
-            "use a profile of this camera; if this profile is right, write that model "
-            "under [camera]"
+        raise InputError(
+            path,
+            f"a frame of {shape[1]} x {shape[0]} pixels",
+            f"{body.width_px} x {body.height_px} pixels, the size of {body.name}",
+            "use a profile of this camera (--camera)",
         )
-        expected = f"{body.model}, the camera of {body.name}"
-        raise InputError(path, f"the frame was taken by {model}", expected, remedy)
+    if model and body.model and not same_model(model, body.model):
+        raise InputError(
+            path,
+            f"the frame was taken by {model}",
+            f"{body.model}, the camera of {body.name}",
+            "use a profile of this camera; if this profile is right, write that model "
+            "under [camera]",
+        )
 
 
 def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
@@ -147,19 +151,17 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
     if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
         measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
-        found = f"no vignetting curve for f/{f_number:g}"
         raise InputError(
             lens.name,
-            found,
+            f"no vignetting curve for f/{f_number:g}",
             f"one of the calibrated apertures {measured}",
             "calibrate this aperture: fieldlum calibrate vignette",
         )
     wrong = check_vignetting(nearest.coefficients)
     if wrong:
-        found = f"the curve of f/{nearest.f_number:g}: {wrong}"
         raise InputError(
             lens.name,
-            found,
+            f"the curve of f/{nearest.f_number:g}: {wrong}",
             "a loss towards the edge",
             "calibrate it again: fieldlum calibrate vignette",
         )

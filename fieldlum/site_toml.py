@@ -61,13 +61,10 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
         abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
         and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H
     ):
-        found = (
-            f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
-            f"whose clock is {abs(off_h):.1f} h from solar time"
-        )
         raise InputError(
             where,
-            found,
+            f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
+            f"whose clock is {abs(off_h):.1f} h from solar time",
             f"at most {_MOST_OFF_SUN_H:g} h",
             "correct one of the two; east is positive, west negative",
         )
@@ -90,6 +87,10 @@ def load_site(path: Path) -> SiteFile:
     if isinstance(camera, dict) and isinstance(room, dict):
         height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
         if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
-            found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
-            raise InputError(path, found, "one height of the camera", "remove one of the two keys")
+            raise InputError(
+                path,
+                f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}",
+                "one height of the camera",
+                "remove one of the two keys",
+            )
     return site_from_table(table, str(path))

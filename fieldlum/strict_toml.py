@@ -61,9 +61,11 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             raise InputError(where, f"the value {value!r}", "a list", "correct the value")
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
         if inner is None and len(value) != len(arguments):
-            expected = f"{len(arguments)} values"
             raise InputError(
-                where, f"{len(value)} values", expected, "correct the number of values in the list"
+                where,
+                f"{len(value)} values",
+                f"{len(arguments)} values",
+                "correct the number of values in the list",
             )
         return tuple(
             _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
@@ -101,8 +103,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
-            found = f"more than {_MAX_BYTES / 1e6:.0f} MB"
-            raise InputError(path, found, "a TOML file", "check the path of the file")
+            raise InputError(
+                path,
+                f"more than {_MAX_BYTES / 1e6:.0f} MB",
+                "a TOML file",
+                "check the path of the file",
+            )
         # Editors of Windows write a byte order mark before the text.
         return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:

@@ -78,9 +78,11 @@ def _parse_spec(text: str, at: Path) -> Spec:
             cast(Patch, patch),
             folder,
         )
-    wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
     raise InputError(
-        "--models", f"the unknown name '{text}'", wanted, "correct the name after --models"
+        "--models",
+        f"the unknown name '{text}'",
+        f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder",
+        "correct the name after --models",
     )
 
 

@@ -109,8 +109,12 @@ def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
             "no colour chart found: the best candidate has other colours, or the colours in "
             f"another order (misfit {100 * nearest:.0f} %)"
         )
-    remedy = "state the chart's corners with --corners"
-    raise InputError(frame.path, found, "a 24-patch chart, sharp and upright", remedy)
+    raise InputError(
+        frame.path,
+        found,
+        "a 24-patch chart, sharp and upright",
+        "state the chart's corners with --corners",
+    )
 
 
 def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:

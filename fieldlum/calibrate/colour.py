@@ -185,16 +185,13 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     a = raw / scale
     residual = every.rgb @ raw / every.y - 1.0
     if choice.rms > MOST_U:
-        found = (
+        raise InputError(
+            colours.frames[0],
             f"the error of held-out readings is {100 * choice.rms:.0f} %: the meter readings do "
             "not "
-            "fit the colours of the patches"
-        )
-        remedy = (
-            "check that each line states the place of its reading, and that the light was steady"
-        )
-        raise InputError(
-            colours.frames[0], found, f"an error of at most {100 * MOST_U:.0f} %", remedy
+            "fit the colours of the patches",
+            f"an error of at most {100 * MOST_U:.0f} %",
+            "check that each line states the place of its reading, and that the light was steady",
         )
     if slips:
         choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(slips)}")

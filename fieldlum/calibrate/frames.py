@@ -64,10 +64,9 @@ class LinearFrame:
         h, w = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
         if not (r <= x <= w - r and r <= y <= h - r):
-            found = f"a patch at x {x_px:g}, y {y_px:g} px with a radius of {radius_px:g} px"
             raise InputError(
                 self.path,
-                found,
+                f"a patch at x {x_px:g}, y {y_px:g} px with a radius of {radius_px:g} px",
                 f"a patch inside the picture of {w * self.step} x {h * self.step} px",
                 "correct x_px, y_px or radius_px",
             )
@@ -77,10 +76,9 @@ class LinearFrame:
         values, bad = self.rgb[rows, columns][disc], self.bad[rows, columns][disc]
         if bad.mean() > _MOST_CLIPPED:
             share = f"{100 * bad.mean():.0f} % of the patch at x {x_px:g}, y {y_px:g} px"
-            found = f"{share} is clipped, or too dark for the camera's response"
             raise InputError(
                 self.path,
-                found,
+                f"{share} is clipped, or too dark for the camera's response",
                 f"at most {100 * _MOST_CLIPPED:.0f} % of such pixels",
                 "use a frame that exposes the patch well",
             )

@@ -273,10 +273,11 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
         _turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
     if mirrored < 0.5 * miss and miss > 0.1:
-        remedy = "check the targets for a wrong sign, or for x and y exchanged"
-        wanted = "azimuth clockwise (to the right), altitude up, x right, y down"
         raise InputError(
-            targets.source, "the targets fit a lens only as a mirror image", wanted, remedy
+            targets.source,
+            "the targets fit a lens only as a mirror image",
+            "azimuth clockwise (to the right), altitude up, x right, y down",
+            "check the targets for a wrong sign, or for x and y exchanged",
         )
     right, forward = turn[:, 0], turn[:, 1]
     azimuth = np.degrees(np.arctan2(forward[0], forward[1]))

@@ -84,10 +84,9 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
         setting = (mosaic.exposure.f_number, mosaic.exposure.iso)
         first = first or setting
         if setting != first:
-            found = f"f/{setting[0]:g} and ISO {setting[1]:g}"
             raise InputError(
                 path,
-                found,
+                f"f/{setting[0]:g} and ISO {setting[1]:g}",
                 f"f/{first[0]:g} and ISO {first[1]:g} as in the first frame",
                 "take all frames with one aperture and ISO",
             )

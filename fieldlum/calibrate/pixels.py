@@ -162,8 +162,12 @@ def _frames_of(source: Path) -> list[Path]:
 
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     if is_jpeg(path):
-        expected = f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels"
-        raise InputError(path, "a JPEG frame", expected, "use the camera's raw frames")
+        raise InputError(
+            path,
+            "a JPEG frame",
+            f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels",
+            "use the camera's raw frames",
+        )
     mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic

@@ -30,20 +30,20 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     known = (*needed, *also)
     expected = f"columns {', '.join(known)}"
     if missing := [name for name in needed if name not in names]:
-        remedy = "name the columns in the first line"
-        raise InputError(path, f"no column {missing[0]}", expected, remedy)
+        raise InputError(
+            path, f"no column {missing[0]}", expected, "name the columns in the first line"
+        )
     if unknown := [name for name in names if name not in known]:
         raise InputError(path, f"unknown column {unknown[0]}", expected, "remove or rename it")
     rows.fieldnames = names
     readings = []
     for (number, _), row in zip(numbered[1:], rows, strict=False):
         if any(text.strip() for text in row.get(None) or ()):
-            remedy = "write decimals with a point, or put semicolons between the cells"
             raise InputError(
                 f"{path}:{number}",
                 "more cells than the header has columns",
                 f"{len(names)} cells",
-                remedy,
+                "write decimals with a point, or put semicolons between the cells",
             )
         readings.append({n: _cell(path, number, n, row[n], mark) for n in names})
     if not readings:

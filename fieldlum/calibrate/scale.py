@@ -134,10 +134,9 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
     """
     known, own = picture.attributes, calibration_mark(profile)
     if known.get("calibration", own["calibration"]) != own["calibration"]:
-        found = f"the picture was merged with another calibration ({known.get('camera', '?')})"
         raise InputError(
             file,
-            found,
+            f"the picture was merged with another calibration ({known.get('camera', '?')})",
             f"the calibration of {profile.camera.name}",
             "merge it again with this profile (fieldlum merge)",
         )
@@ -217,14 +216,11 @@ def spot_cdm2(
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
-        remedy = (
-            "check the reading's azimuth (clockwise from north) and altitude (up from the horizon)"
-        )
         raise InputError(
             file,
             f"the picture is black {place}",
             "a direction within the lens's field, with light",
-            remedy,
+            "check the reading's azimuth (clockwise from north) and altitude (up from the horizon)",
         )
     spread = float(values.std() / values.mean() / np.sqrt(len(values)))
     return float(trim_mean(values, 0.1)), spread
@@ -264,15 +260,14 @@ def fit(
     u_log = np.sqrt(max(scatter, 1.0) / weight.sum())
     far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > FAR)
     if len(far) > MOST_FAR * len(log):
-        found = (
+        raise InputError(
+            source,
             f"{len(far)} of {len(log)} readings contradict the fitted factor k: "
-            f"{', '.join(far[:4])}"
-        )
-        remedy = (
+            f"{', '.join(far[:4])}",
+            "one factor between pictures and readings",
             "check the azimuths (clockwise from north), that all readings have one unit, "
-            "and that the light was steady; correct the csv and run this again"
+            "and that the light was steady; correct the csv and run this again",
         )
-        raise InputError(source, found, "one factor between pictures and readings", remedy)
     residual = meter / (image * np.exp(centre)) - 1.0
     u_rel, line = float(np.hypot(u_log, meter_u)), _held_out_line(log, u)
     return ScaleFit(float(np.exp(centre)), u_rel, residual, far, line)

@@ -110,10 +110,9 @@ def from_session(
             brackets.append(readings)
             files.append(path)
     if not brackets and others:
-        found = f"{others} panoramas were merged with another profile"
         raise InputError(
             session.panoramas,
-            found,
+            f"{others} panoramas were merged with another profile",
             "panoramas merged with the stated profile",
             "merge again (fieldlum merge), or name the other profile",
         )
@@ -251,12 +250,9 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
-        found = (
-            "the profile is of a JPEG camera: its response and shutter times cannot both be fitted"
-        )
         raise InputError(
             profile.camera.name,
-            found,
+            "the profile is of a JPEG camera: its response and shutter times cannot both be fitted",
             "a profile of a raw camera",
             "leave the shutter times as they are, and calibrate only the response",
         )

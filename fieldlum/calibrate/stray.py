@@ -149,13 +149,10 @@ def reading(
             away = np.append(away, np.arccos(np.clip(source @ toward, -1.0, 1.0)))
     stray = float(light[inside].mean()) - true_cdm2
     if stray <= 0:
-        found = (
-            f"{light[inside].mean():.3g} cd/m2 at {label}, not more than its true {true_cdm2:g} "
-            "cd/m2"
-        )
         raise InputError(
             file,
-            found,
+            f"{light[inside].mean():.3g} cd/m2 at {label}, not more than its true {true_cdm2:g} "
+            "cd/m2",
             "a higher luminance in the picture, because of stray light",
             "remove this place from the csv of dark places",
         )

@@ -81,10 +81,9 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
         half = profile.lens[0].full_angle_deg / 2
         r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
         if r.max() > BEYOND:
-            found = f"an angle_deg of {half * r.max():g} deg"
             raise InputError(
                 path,
-                found,
+                f"an angle_deg of {half * r.max():g} deg",
                 f"at most {half:g} deg, half of the profile's full_angle_deg",
                 "check that angles are from the optical axis, or correct full_angle_deg",
             )
@@ -294,11 +293,13 @@ def _refuse_rising(samples: Samples) -> None:
     theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
     rise = float(theta[1] / theta[0])
     if rise > RISING:
-        found = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
-        remedy = (
-            "state readings, not correction factors, of one patch with the same light in all frames"
+        raise InputError(
+            samples.frames[0],
+            f"the readings rise by {100 * rise:.0f} % from the axis to the edge",
+            "a loss towards the edge",
+            "state readings, not correction factors, of one patch with the same light in all "
+            "frames",
         )
-        raise InputError(samples.frames[0], found, "a loss towards the edge", remedy)
 
 
 def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:

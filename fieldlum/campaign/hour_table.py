@@ -80,8 +80,11 @@ def write_parquet(campaign: CampaignFile, path: Path) -> int:
         import pyarrow as pa  # pyright: ignore[reportMissingImports]
         import pyarrow.parquet as pq  # pyright: ignore[reportMissingImports]
     except ImportError:
-        remedy = 'install it with: pip install "fieldlum[parquet]", or name a .csv file'
-        raise InputError(path, "pyarrow is not installed", remedy=remedy) from None
+        raise InputError(
+            path,
+            "pyarrow is not installed",
+            remedy='install it with: pip install "fieldlum[parquet]", or name a .csv file',
+        ) from None
     count, writer = 0, None
     with replacing_path(path) as temporary:
         for name, annual in years(campaign):
@@ -90,7 +93,8 @@ def write_parquet(campaign: CampaignFile, path: Path) -> int:
             writer.write_table(table)
             count += table.num_rows
         if writer is None:
-            found, remedy = "no room has a predicted year", "run fieldlum campaign predict"
-            raise InputError(path, found, remedy=remedy)
+            raise InputError(
+                path, "no room has a predicted year", remedy="run fieldlum campaign predict"
+            )
         writer.close()
     return count

@@ -89,9 +89,11 @@ def web_library() -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
-        found = "the web server is not installed"
-        remedy = "install it with: pip install 'fieldlum[web]'"
-        raise InputError("fieldlum[web]", found, remedy=remedy) from None
+        raise InputError(
+            "fieldlum[web]",
+            "the web server is not installed",
+            remedy="install it with: pip install 'fieldlum[web]'",
+        ) from None
 
 
 @contextmanager

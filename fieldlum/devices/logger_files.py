@@ -101,20 +101,23 @@ def _read_csv(
             "name the columns in the first line",
         ) from None
     if len(names) == 1 and (mark := next((mark for mark in ";\t|" if mark in names[0]), "")):
-        remedy = "save it as CSV with commas between and points in the numbers"
-        raise InputError(path, f"columns separated by {mark!r}", "commas", remedy)
+        raise InputError(
+            path,
+            f"columns separated by {mark!r}",
+            "commas",
+            "save it as CSV with commas between and points in the numbers",
+        )
     lower = [name.lower() for name in names]
     when = next((lower.index(name) for name in _TIMES if name in lower), None)
     wanted = columns or {name: name for name in QUANTITIES}
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
         shown = ", ".join(names)[:120]
-        remedy = "write these names into the first line, or name a column: --column ghi_wm2=NAME"
         raise InputError(
             path,
             f"columns {shown}",
             "t_utc, and one or more of ghi_wm2, dhi_wm2 and dni_wm2",
-            remedy,
+            "write these names into the first line, or name a column: --column ghi_wm2=NAME",
         )
     samples, left_out = [], []
     try:

@@ -120,9 +120,12 @@ def load_register_profile(kind: str) -> RegisterProfile:
             not 0 < block.count <= profile.largest_request
             or not 0 <= block.start <= 65535 - block.count
         ):
-            limit = f"1 to {profile.largest_request} registers in a request, from 0 to 65535"
-            found = f"a [[poll]] block of {block.count} registers from register {block.start}"
-            raise InputError(path, found, limit, "correct the block, or split it into two")
+            raise InputError(
+                path,
+                f"a [[poll]] block of {block.count} registers from register {block.start}",
+                f"1 to {profile.largest_request} registers in a request, from 0 to 65535",
+                "correct the block, or split it into two",
+            )
     polled = {r for block in profile.poll for r in block.numbers}
     read = polled | {r for block in profile.at_open for r in block.numbers}
     for entry in profile.entry:

@@ -168,8 +168,12 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
     for name, angle in zip(("-vh", "-vv"), angles, strict=True):
         if not 0.0 < angle <= _LARGEST_DEG[kind]:
-            expected = f"an angle above 0 and at most {_LARGEST_DEG[kind]:g} deg"
-            raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
+            raise InputError(
+                source,
+                f"{name} {angle:g} with -vt{kind}",
+                f"an angle above 0 and at most {_LARGEST_DEG[kind]:g} deg",
+                HOW,
+            )
     up = up - forward * float(up @ forward)
     shift, lift = (_number(options.get(name, "0"), f"-{name}", source) for name in ("vs", "vl"))
     return PictureView(kind, forward, up / np.linalg.norm(up), angles[0], angles[1], shift, lift)
@@ -183,8 +187,9 @@ def _options(text: str, source: Path) -> dict[str, str]:
     try:
         words = shlex.split(text)
     except ValueError as error:
-        shown = f"VIEW {text[:80]!r} ({error})"
-        raise InputError(source, shown, "Radiance's view options", HOW) from None
+        raise InputError(
+            source, f"VIEW {text[:80]!r} ({error})", "Radiance's view options", HOW
+        ) from None
     options: dict[str, str] = {}
     at = 0
     while at < len(words):

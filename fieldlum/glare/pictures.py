@@ -82,14 +82,20 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
 def _check_views(header: RadianceHeader, path: Path) -> None:
     """Raise InputError for views of different types, or for a panorama with a view."""
     if header.heading_deg is not None and header.views:
-        shown = f"the header has both a panorama (FIELDLUM_VIEW=) and VIEW= {header.view[:80]}"
         raise InputError(
-            path, shown, "one of the two", "remove one of the two lines from the header"
+            path,
+            f"the header has both a panorama (FIELDLUM_VIEW=) and VIEW= {header.view[:80]}",
+            "one of the two",
+            "remove one of the two lines from the header",
         )
     types = {word for text in header.views for word in text.split() if word.startswith("-vt")}
     if len(types) > 1:
-        shown = f"VIEW lines of several types: {', '.join(sorted(types))}"
-        raise InputError(path, shown, "one VIEW", "state the true view with --view")
+        raise InputError(
+            path,
+            f"VIEW lines of several types: {', '.join(sorted(types))}",
+            "one VIEW",
+            "state the true view with --view",
+        )
     if not header.view and header.inherited_views:
         raise InputError(
             path,

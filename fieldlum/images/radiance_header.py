@@ -198,8 +198,12 @@ def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> NDArray[
         except ValueError:
             row = []
         if len(row) != count or not all(np.isfinite(v) and v > 0 for v in row):
-            expected = f"{key} and {'a number' if count == 1 else f'{count} numbers'} above 0"
-            raise InputError(path, repr(line)[:80], expected, "correct the header line")
+            raise InputError(
+                path,
+                repr(line)[:80],
+                f"{key} and {'a number' if count == 1 else f'{count} numbers'} above 0",
+                "correct the header line",
+            )
         rows.append(row)
     return np.asarray(rows, float).reshape(-1, count)
 

@@ -137,15 +137,12 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     first = shots[0].exposure.f_number
     for shot in shots:
         if abs(shot.exposure.f_number / first - 1) > _ONE_APERTURE:
-            remedy = (
-                "merge the frames of each aperture separately, because their light and vignetting "
-                "differ"
-            )
             raise InputError(
                 shot.path,
                 f"a frame with f/{shot.exposure.f_number:g} in a bracket with f/{first:g}",
                 "one aperture in a bracket",
-                remedy,
+                "merge the frames of each aperture separately, because their light and vignetting "
+                "differ",
             )
 
     def collected(shot: Shot) -> float:

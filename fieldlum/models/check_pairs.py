@@ -55,9 +55,11 @@ def _check_once(
     first: dict[datetime | Path, int] = {}
     for line, value in zip(lines, values, strict=True):
         if value in first:
-            found = f"lines {first[value]} and {line} {finding}"
             raise InputError(
-                path, found, "each bracket once", "remove one of the lines, or set its ok = 0"
+                path,
+                f"lines {first[value]} and {line} {finding}",
+                "each bracket once",
+                "remove one of the lines, or set its ok = 0",
             )
         first[value] = line
 
@@ -72,19 +74,15 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
     if not (apart > MOST_SUN_DEG).any():
         return
     k = int(np.nanargmax(apart))
-    finding = (
+    raise InputError(
+        path,
         f"line {rows.lines[k]}: sun at altitude {rows.altitude_deg[k]:.1f}, azimuth "
-        f"{rows.azimuth_deg[k]:.1f} deg"
-    )
-    expected = (
+        f"{rows.azimuth_deg[k]:.1f} deg",
         f"altitude {found.altitude_deg[k]:.1f}, azimuth {found.azimuth_deg[k]:.1f} deg, computed "
-        f"from t_utc and the place of {site.name}"
-    )
-    remedy = (
+        f"from t_utc and the place of {site.name}",
         "check t_utc, the sign of the site's longitude and the order of the rows, or empty "
-        "both sun columns"
+        "both sun columns",
     )
-    raise InputError(path, finding, expected, remedy)
 
 
 def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64]) -> None:

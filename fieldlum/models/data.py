@@ -137,10 +137,9 @@ def _usable_rows(pairs: PairsFile) -> list[PairRow]:
         for name in (row.panorama, row.sunpatch):
             picture = pairs.path.parent / name
             if name and not picture.is_file():
-                found = f"line {row.line}: no file {picture}"
                 raise InputError(
                     pairs.path,
-                    found,
+                    f"line {row.line}: no file {picture}",
                     "an existing picture",
                     "copy the picture there, or set ok = 0",
                 )
@@ -302,13 +301,10 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
     """
     other = [row.line for row in rows if row.refraction != rows[0].refraction]
     if other:
-        found = (
-            f"line {other[0]}: the value of the column refraction differs from that of the first "
-            "row"
-        )
         raise InputError(
             path,
-            found,
+            f"line {other[0]}: the value of the column refraction differs from that of the first "
+            "row",
             "1 in all rows (camera pictures) or 0 in all rows (renderings with the true sun)",
             "write camera pictures and renderings into separate csv files",
         )

@@ -70,7 +70,9 @@ def restore(
         EOFError,
         AttributeError,
     ) as error:
-        found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
         raise InputError(
-            path, found, "a checkpoint of this training", "delete the file to start again"
+            path,
+            f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})",
+            "a checkpoint of this training",
+            "delete the file to start again",
         ) from None

@@ -115,13 +115,19 @@ def _checked(
 ) -> Panorama:
     found = panorama.luminance_cdm2.shape
     if found != shape:
-        text = f"{found[1]} x {found[0]} pixels"
-        expected = f"{shape[1]} x {shape[0]} pixels, as the panorama of the first row"
-        raise InputError(path, text, expected, remedy)
+        raise InputError(
+            path,
+            f"{found[1]} x {found[0]} pixels",
+            f"{shape[1]} x {shape[0]} pixels, as the panorama of the first row",
+            remedy,
+        )
     if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
-        found = f"a heading of {_heading(panorama, path, setup):g} deg"
-        expected = f"{heading:g} deg, as the panorama of the first row"
-        raise InputError(path, found, expected, remedy)
+        raise InputError(
+            path,
+            f"a heading of {_heading(panorama, path, setup):g} deg",
+            f"{heading:g} deg, as the panorama of the first row",
+            remedy,
+        )
     return panorama
 
 

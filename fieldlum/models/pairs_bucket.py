@@ -67,21 +67,26 @@ def read_pairs(url: str) -> Dataset:
     store = store_of(url.rstrip("/").removesuffix(f"/{NAME}"))
     about = store.attributes()
     if about is None:
-        remedy = "write it with: fieldlum pair SESSION --pairs-to URL"
         raise InputError(
-            store.target, "no complete pairs.zarr at this URL", "training data", remedy
+            store.target,
+            "no complete pairs.zarr at this URL",
+            "training data",
+            "write it with: fieldlum pair SESSION --pairs-to URL",
         )
     if about.get("format") != FORMAT:
-        found = f"format {about.get('format')}"
-        raise InputError(store.target, found, f"format {FORMAT}", "read it with a newer fieldlum")
+        raise InputError(
+            store.target,
+            f"format {about.get('format')}",
+            f"format {FORMAT}",
+            "read it with a newer fieldlum",
+        )
     data = _read_store(store.target, about)
     if not store.is_made_from(data.digest()):
-        remedy = "write it again with: fieldlum pair SESSION --pairs-to URL"
         raise InputError(
             store.target,
             "content that was changed or damaged",
             "the content that fieldlum pair wrote",
-            remedy,
+            "write it again with: fieldlum pair SESSION --pairs-to URL",
         )
     return data
 

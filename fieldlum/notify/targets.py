@@ -85,8 +85,12 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
             sender = apprise.Apprise()
             understood = [sender.add(target) for target in targets]
     except ImportError:
-        remedy = "install it with: pip install 'fieldlum[notify]'"
-        raise InputError(source, "messages cannot be sent", "the package apprise", remedy) from None
+        raise InputError(
+            source,
+            "messages cannot be sent",
+            "the package apprise",
+            "install it with: pip install 'fieldlum[notify]'",
+        ) from None
     if not all(understood):
         raise InputError(
             f"{source}:{understood.index(False) + 1}",

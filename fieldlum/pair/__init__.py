@@ -108,9 +108,11 @@ def _slot_time(path: Path) -> datetime:
     try:
         return parse_utc(path.stem)
     except ValueError as error:
-        remedy = "merge the bracket again, or move the panorama out of panoramas/"
         raise InputError(
-            path, f"the file's name is no slot ({error})", "a name such as 20270320T153000Z", remedy
+            path,
+            f"the file's name is no slot ({error})",
+            "a name such as 20270320T153000Z",
+            "merge the bracket again, or move the panorama out of panoramas/",
         ) from None
 
 

@@ -35,17 +35,19 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
     busy = timedelta(seconds=seconds) + MARGIN
     for slot in (slot for slot in slots if slot.t_utc >= now_utc):
         if EXTRA in slot.tags:
-            found = f"an extra bracket is already planned, at {slot.id}"
             raise InputError(
                 session.plan,
-                found,
+                f"an extra bracket is already planned, at {slot.id}",
                 "one extra bracket at a time",
                 "request it again after that bracket",
             )
         if at - busy < slot.t_utc < at + busy:
-            needs = f"{busy.total_seconds():.0f} s before and after it without a planned bracket"
-            found = f"the extra bracket would be too close to the planned bracket {slot.id}"
-            raise InputError(session.plan, found, needs, "request it again after that bracket")
+            raise InputError(
+                session.plan,
+                f"the extra bracket would be too close to the planned bracket {slot.id}",
+                f"{busy.total_seconds():.0f} s before and after it without a planned bracket",
+                "request it again after that bracket",
+            )
     where = sun.position([at], setup.site)
     altitude = float(where.altitude_deg[0])
     if altitude <= 0:

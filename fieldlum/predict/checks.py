@@ -76,18 +76,16 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
         first = read_panorama(pictures[0])
         height, width = first.luminance_cdm2.shape
         if (height, width) != (room.height, room.width):
-            found = f"a model with pictures of {room.width} x {room.height} pixels"
             raise InputError(
                 model_folder,
-                found,
+                f"a model with pictures of {room.width} x {room.height} pixels",
                 f"{width} x {height} pixels, as in this session",
                 "train the model again (fieldlum train)",
             )
         if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
-            found = f"a model with a heading of {heading_deg:g} deg"
             raise InputError(
                 model_folder,
-                found,
+                f"a model with a heading of {heading_deg:g} deg",
                 f"{first.heading_deg:g} deg, as in this session",
                 "train the model again (fieldlum train)",
             )

@@ -87,17 +87,23 @@ def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
     periods = []
     for number, row in rows:
         if len(row) != 3:
-            found = f"line {number}: {len(row)} cells"
-            raise InputError(path, found, "three cells: days,start,end", "correct that line")
+            raise InputError(
+                path,
+                f"line {number}: {len(row)} cells",
+                "three cells: days,start,end",
+                "correct that line",
+            )
         try:
             start, end = (
                 time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:]
             )
             days = _days(row[0])
         except ValueError as error:
-            found = f"line {number}: {error}"
             raise InputError(
-                path, found, "days and times such as mon-fri,08:00,18:00", "correct that line"
+                path,
+                f"line {number}: {error}",
+                "days and times such as mon-fri,08:00,18:00",
+                "correct that line",
             ) from None
         if not start < end:
             raise InputError(
@@ -136,8 +142,9 @@ def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occup
     for k, (number, row) in enumerate(rows):
         cell = row[column] if len(row) > column else ""
         if cell not in ("0", "1"):
-            found = f"line {number}: occupied is '{cell}'"
-            raise InputError(path, found, "0 or 1", "correct the value")
+            raise InputError(
+                path, f"line {number}: occupied is '{cell}'", "0 or 1", "correct the value"
+            )
         hours[k] = cell == "1"
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
 

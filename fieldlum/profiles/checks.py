@@ -75,8 +75,9 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
         counts = f"{len(p.sensor.black_dn)} values of black_dn, {len(p.sensor.saturation_dn)}"
-        found = f"[sensor] has {counts} of saturation_dn"
-        raise _impossible(where, found, "four values of each: R, G1, G2, B")
+        raise _impossible(
+            where, f"[sensor] has {counts} of saturation_dn", "four values of each: R, G1, G2, B"
+        )
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
         raise _impossible(
             where,
@@ -85,35 +86,47 @@ def check_camera(profile: CameraProfile, where: str) -> None:
             "a black level below saturation_dn and white_dn",
         )
     if not rises(p.sensor.linearity):
-        found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
         raise InputError(
             where,
-            found,
+            f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}",
             "corrected counts that rise with the raw counts",
             "calibrate it again: fieldlum calibrate linearity",
         )
     if abs(p.sensor.exposure_offset_s) >= 0.01:
-        found = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
-        remedy = "write it in seconds, or calibrate it again: fieldlum calibrate linearity"
-        raise InputError(where, found, "an offset in seconds, smaller than 0.01", remedy)
+        raise InputError(
+            where,
+            f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}",
+            "an offset in seconds, smaller than 0.01",
+            "write it in seconds, or calibrate it again: fieldlum calibrate linearity",
+        )
     if len(p.colour.rgb_to_radiance) not in (0, 9):
-        found = f"colour.rgb_to_radiance has {len(p.colour.rgb_to_radiance)} values"
-        raise _impossible(where, found, "9 values, or none")
+        raise _impossible(
+            where,
+            f"colour.rgb_to_radiance has {len(p.colour.rgb_to_radiance)} values",
+            "9 values, or none",
+        )
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
-        found = f"response.low_code {p.response.low_code}, high_code {p.response.high_code}"
-        raise _impossible(where, found, "0 <= low < high <= 255")
+        raise _impossible(
+            where,
+            f"response.low_code {p.response.low_code}, high_code {p.response.high_code}",
+            "0 <= low < high <= 255",
+        )
 
 
 def _check_stray(kernel: StrayLight, where: str) -> None:
     angles, values = kernel.angle_deg, kernel.per_sr
     rising = all(a < b for a, b in pairwise(angles))
     if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
-        found = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
-        raise _impossible(where, found, "rising angles from 0 to 180, and a value for each")
+        raise _impossible(
+            where,
+            f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr",
+            "rising angles from 0 to 180, and a value for each",
+        )
     falling = all(a >= b for a, b in pairwise(values))
     if not falling or min(values, default=0.0) < 0:
-        found = f"[stray] per_sr = {list(values)}"
-        raise _impossible(where, found, "values of 0 or more that do not rise")
+        raise _impossible(
+            where, f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise"
+        )
 
 
 def _check_mapping(lens: Lens, where: str) -> None:

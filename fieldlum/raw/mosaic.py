@@ -96,8 +96,9 @@ def _check_strips(path: Path) -> None:
     except InputError:
         raise
     except Exception as error:
-        found = f"broken TIFF structure ({type(error).__name__})"
-        raise _damaged(path, found, "a raw file") from None
+        raise _damaged(
+            path, f"broken TIFF structure ({type(error).__name__})", "a raw file"
+        ) from None
 
 
 def _cut_short(path: Path, size: int) -> InputError:

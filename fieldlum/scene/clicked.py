@@ -70,23 +70,31 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for click in clicks:
         inside = 0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px
         if not inside:
-            found = f"a click at x {click.x_px:g}, y {click.y_px:g} px"
-            size = f"a click within {grid.width_px} x {grid.height_px} px"
-            remedy = "click on the panorama, or correct x_px and y_px"
-            raise InputError(f"{where}:{click.line}", found, size, remedy)
+            raise InputError(
+                f"{where}:{click.line}",
+                f"a click at x {click.x_px:g}, y {click.y_px:g} px",
+                f"a click within {grid.width_px} x {grid.height_px} px",
+                "click on the panorama, or correct x_px and y_px",
+            )
         altitude, _ = grid.angles(click.x_px, click.y_px)
         side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
         if side and altitude * side < _HORIZON_DEG:
             found = f"a {click.kind} corner at an altitude of {altitude:+.1f} deg"
             below = "lower" if side < 0 else "higher"
-            expected = f"{side * _HORIZON_DEG:+g} deg or {below}"
-            remedy = "correct the kind of this click, or its place"
-            raise InputError(f"{where}:{click.line}", found, expected, remedy)
+            raise InputError(
+                f"{where}:{click.line}",
+                found,
+                f"{side * _HORIZON_DEG:+g} deg or {below}",
+                "correct the kind of this click, or its place",
+            )
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
     if count["floor"] < 3 or count["ceiling"] < 1:
-        found = f"{count['floor']} floor and {count['ceiling']} ceiling corners"
-        expected = "three corners of the floor and one of the ceiling"
-        raise InputError(where, found, expected, "click more corners")
+        raise InputError(
+            where,
+            f"{count['floor']} floor and {count['ceiling']} ceiling corners",
+            "three corners of the floor and one of the ceiling",
+            "click more corners",
+        )
     for number in _numbers(clicks):
         corners = sum(click.kind == "window" and click.window == number for click in clicks)
         if corners < 2:
@@ -141,9 +149,12 @@ def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _S
         walls[number] = wall
         at = np.array([_on_wall(turned[k], wall, distances) for k in own])
         if np.ptp(at[:, 0]) < 0.02 or np.ptp(at[:, 1]) < 0.02:
-            found = f"the corners of window {number} have no width or no height"
-            remedy = "click its opposite corners again"
-            raise InputError(where, found, "two opposite corners at least", remedy)
+            raise InputError(
+                where,
+                f"the corners of window {number} have no width or no height",
+                "two opposite corners at least",
+                "click its opposite corners again",
+            )
         values += [*np.sort(at[:, 0])[[0, -1]], *(np.sort(at[:, 1])[[0, -1]] + h)]
     sides = [
         _side(click, turned[k], distances, walls, numbers, values, h)
@@ -184,9 +195,12 @@ def _distances(xy: Array, where: str) -> list[float]:
     """Return distances [m] from the camera to south, west, north and east."""
     parts = [-xy[xy[:, 1] < 0, 1], -xy[xy[:, 0] < 0, 0], xy[xy[:, 1] >= 0, 1], xy[xy[:, 0] >= 0, 0]]
     if any(len(part) == 0 for part in parts):
-        found = "all floor corners are on one side of the camera"
-        expected = "three corners of the floor around the camera"
-        raise InputError(where, found, expected, "click a floor corner on the other side")
+        raise InputError(
+            where,
+            "all floor corners are on one side of the camera",
+            "three corners of the floor around the camera",
+            "click a floor corner on the other side",
+        )
     return [float(part.mean()) for part in parts]
 
 

@@ -66,8 +66,12 @@ def read_clicks(path: Path) -> list[Click]:
             if tuple(reader.fieldnames or ()) != COLUMNS:
                 names = ", ".join(reader.fieldnames or ())[:80]
                 names = f"columns {names}" if names else "an empty file"
-                expected = f"columns {', '.join(COLUMNS)}"
-                raise InputError(path, names, expected, "name the columns in the first line")
+                raise InputError(
+                    path,
+                    names,
+                    f"columns {', '.join(COLUMNS)}",
+                    "name the columns in the first line",
+                )
             return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, str(error), "a csv of clicks", "check the path of the csv") from None
@@ -76,9 +80,11 @@ def read_clicks(path: Path) -> list[Click]:
 def clicks_from_rows(rows: Any) -> list[Click]:
     """Return the clicks of a page's list of dicts (keys: `COLUMNS`). Raises InputError."""
     if not isinstance(rows, list) or len(rows) > 500:
-        remedy = "load the page again, and click fewer corners"
         raise InputError(
-            "clicks", "no list, or over 500 clicks", "a list of at most 500 clicks", remedy
+            "clicks",
+            "no list, or over 500 clicks",
+            "a list of at most 500 clicks",
+            "load the page again, and click fewer corners",
         )
     return [_click(f"click {k}", k, row) for k, row in enumerate(rows, start=1)]
 
@@ -108,6 +114,10 @@ def _click(where: str, line: int, row: Any) -> Click:
     of_window = kind in ("window", "bar", "transom")
     if of_window != (1 <= window <= 50):
         expected = "a window number from 1 to 50" if of_window else "no window number"
-        found = f"kind {kind} with window number {window}"
-        raise InputError(where, found, expected, "correct the window's number")
+        raise InputError(
+            where,
+            f"kind {kind} with window number {window}",
+            expected,
+            "correct the window's number",
+        )
     return Click(kind, window, x, y, line)

@@ -227,11 +227,10 @@ def _check_values(room: Room, where: str) -> None:
             )
     for k, w in enumerate(room.window, start=1):
         if not 0 < w.transmittance <= 0.92 or w.panes < 1:
-            expected = "transmittance above 0 up to .92 (clear float glass), panes 1 or more"
             raise InputError(
                 f"{where} window {k}",
                 f"transmittance {w.transmittance:g}, panes {w.panes}",
-                expected,
+                "transmittance above 0 up to .92 (clear float glass), panes 1 or more",
                 "correct the window",
             )
 
@@ -246,14 +245,11 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
         and 0 <= window.sill_m <= top <= room.height_m
     )
     if not fits or window.width_m <= 0 or window.height_m <= 0:
-        found = (
-            f"a window from {window.left_m:g} to {window.left_m + window.width_m:g} m along the "
-            "wall, "
-            f"{window.sill_m:g} to {top:g} m above the floor"
-        )
         raise InputError(
             where,
-            found,
+            f"a window from {window.left_m:g} to {window.left_m + window.width_m:g} m along the "
+            "wall, "
+            f"{window.sill_m:g} to {top:g} m above the floor",
             f"a window inside the {window.wall} wall of {length:g} x {room.height_m:g} m",
             "correct the window",
         )

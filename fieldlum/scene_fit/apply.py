@@ -88,16 +88,19 @@ def _check_stated(data: Dataset, scene: Scene) -> None:
     remedy = "fit the scene again (fieldlum scene fit), or train with --scene none"
     turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
     if turned_deg > _SAME_HEADING_DEG:
-        found = f"captures with heading {data.heading_deg:g} degrees"
         raise InputError(
             "the scene",
-            found,
+            f"captures with heading {data.heading_deg:g} degrees",
             f"heading {scene.stated_heading_deg:g} degrees, as when the scene was fitted",
             remedy,
         )
     if data.setup.room != scene.stated_room:
-        found = "captures with another [room] than the one from which the scene was fitted"
-        raise InputError("the scene", found, "the same [room] as when the scene was fitted", remedy)
+        raise InputError(
+            "the scene",
+            "captures with another [room] than the one from which the scene was fitted",
+            "the same [room] as when the scene was fitted",
+            remedy,
+        )
 
 
 def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:

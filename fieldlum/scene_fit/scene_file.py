@@ -70,11 +70,14 @@ def read_scene(folder: Path) -> Scene:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         found = getattr(error, "strerror", None) or str(error)
-        remedy = "write one with: fieldlum scene fit SESSION --out DIR"
-        raise InputError(path, found, "a fitted scene", remedy) from None
-    if table.get("format") != FORMAT:
-        found = f"a scene of format {table.get('format')}"
         raise InputError(
-            path, found, f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
+            path, found, "a fitted scene", "write one with: fieldlum scene fit SESSION --out DIR"
+        ) from None
+    if table.get("format") != FORMAT:
+        raise InputError(
+            path,
+            f"a scene of format {table.get('format')}",
+            f"format {FORMAT}",
+            "fit the scene again (fieldlum scene fit)",
         )
     return build(Scene, table, str(path))

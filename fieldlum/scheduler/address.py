@@ -66,13 +66,21 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
     if text.startswith("processes:") or text.isdigit():
         count = text.removeprefix("processes:")
         if not count.isdigit() or int(count) < 1:
-            expected, remedy = "processes:N with N of 1 or more", "write, for example, processes:2"
-            raise InputError("--scheduler", f"'{text}'", expected, remedy)
+            raise InputError(
+                "--scheduler",
+                f"'{text}'",
+                "processes:N with N of 1 or more",
+                "write, for example, processes:2",
+            )
         return Scheduler("processes", int(count), say=say)
     if text.startswith(("tcp://", "tls://")):
         if text.startswith("tls://"):
-            remedy = "name the certificates in a FILE.json (docs/scale.md)"
-            raise InputError("--scheduler", f"'{text}'", "tcp://HOST:PORT or FILE.json", remedy)
+            raise InputError(
+                "--scheduler",
+                f"'{text}'",
+                "tcp://HOST:PORT or FILE.json",
+                "name the certificates in a FILE.json (docs/scale.md)",
+            )
         return _cluster(_checked(text, "--scheduler"), None, say)
     if text.endswith(".json"):
         return _from_file(Path(text), say)
@@ -105,8 +113,9 @@ def _checked(address: str, where: str) -> str:
     except ValueError:
         usable = False
     if not usable:
-        remedy = "write, for example, tcp://127.0.0.1:8786"
-        raise InputError(where, f"'{address}'", "tcp://HOST:PORT", remedy)
+        raise InputError(
+            where, f"'{address}'", "tcp://HOST:PORT", "write, for example, tcp://127.0.0.1:8786"
+        )
     return address
 
 
@@ -115,11 +124,16 @@ def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        remedy = "start one with: dask scheduler --scheduler-file FILE.json"
-        raise InputError(path, error.strerror or str(error), "a scheduler file", remedy) from None
+        raise InputError(
+            path,
+            error.strerror or str(error),
+            "a scheduler file",
+            "start one with: dask scheduler --scheduler-file FILE.json",
+        ) from None
     except ValueError as error:
-        remedy = "let dask scheduler --scheduler-file write the file again"
-        raise InputError(path, str(error), "JSON", remedy) from None
+        raise InputError(
+            path, str(error), "JSON", "let dask scheduler --scheduler-file write the file again"
+        ) from None
     address = table.get("address") if isinstance(table, dict) else None
     if not isinstance(address, str) or not address.startswith(("tcp://", "tls://")):
         raise InputError(
@@ -159,8 +173,10 @@ def _tls(path: Path, table: Any) -> TlsFiles | None:
                 "check the path in the table tls",
             )
     if files[2].stat().st_mode & 0o077:
-        found = "a private key that other users can read"
         raise InputError(
-            files[2], found, "a key that only its owner can read", "run chmod 600 on it"
+            files[2],
+            "a private key that other users can read",
+            "a key that only its owner can read",
+            "run chmod 600 on it",
         )
     return TlsFiles(*files)

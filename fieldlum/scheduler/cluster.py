@@ -102,10 +102,9 @@ class ClusterCrew:
         refused = self._threads.keys() & self._avoided.keys()
         if refused and refused == self._threads.keys() and idle_s > REPLACED_S:
             name = next(iter(refused))
-            found = f"no usable worker is left (worker {name}: {self._avoided[name]})"
             raise InputError(
                 self._scheduler.address,
-                found,
+                f"no usable worker is left (worker {name}: {self._avoided[name]})",
                 remedy="finished units are stored; start the command again",
             )
         if idle_s > PATIENCE_S:
@@ -249,8 +248,11 @@ def _connect(scheduler: Scheduler) -> Any:
     try:
         from distributed import Client, Security
     except ImportError:
-        found, remedy = "dask is not installed", 'install it with: pip install "fieldlum[cluster]"'
-        raise InputError("--scheduler", found, remedy=remedy) from None
+        raise InputError(
+            "--scheduler",
+            "dask is not installed",
+            remedy='install it with: pip install "fieldlum[cluster]"',
+        ) from None
     security: Any = None
     if scheduler.tls is not None:
         security = Security(
@@ -268,9 +270,11 @@ def _connect(scheduler: Scheduler) -> Any:
             name="fieldlum",
         )
     except (OSError, TimeoutError) as error:
-        remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
-        found = f"no scheduler answers ({type(error).__name__})"
-        raise InputError(scheduler.address, found, remedy=remedy) from None
+        raise InputError(
+            scheduler.address,
+            f"no scheduler answers ({type(error).__name__})",
+            remedy="start one with: dask scheduler --host 127.0.0.1, or check the certificates",
+        ) from None
 
 
 def _await_files(unit: WorkUnit) -> str:

@@ -117,13 +117,12 @@ def relative_folder(folder: Path) -> str:
     try:
         return folder.resolve().relative_to(shared.resolve()).as_posix()
     except ValueError:
-        remedy = (
-            f"start the command in a folder above it, or set {SHARED_VARIABLE} here and "
-            "on each worker"
-        )
-        expected = "a folder inside it, so that workers can use it too"
         raise InputError(
-            folder, f"this folder is outside the shared folder {shared}", expected, remedy
+            folder,
+            f"this folder is outside the shared folder {shared}",
+            "a folder inside it, so that workers can use it too",
+            f"start the command in a folder above it, or set {SHARED_VARIABLE} here and "
+            "on each worker",
         ) from None
 
 

@@ -72,9 +72,12 @@ class BucketStore:
         try:
             yield
         except Exception as error:
-            found = f"{type(error).__name__}: {str(error)[:160]}"
-            remedy = "check address, bucket and credentials, then run the command again"
-            raise InputError(self.target, found, "a bucket that answers", remedy) from error
+            raise InputError(
+                self.target,
+                f"{type(error).__name__}: {str(error)[:160]}",
+                "a bucket that answers",
+                "check address, bucket and credentials, then run the command again",
+            ) from error
 
 
 def check_url(url: str, option: str, instead: str) -> None:
@@ -83,8 +86,12 @@ def check_url(url: str, option: str, instead: str) -> None:
     if parts.scheme in ("", "file", "local") or "::" in url:
         raise InputError(option, url, "a URL such as s3://BUCKET/FOLDER", instead)
     if parts.password or parts.username:
-        remedy = "give them to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws"
-        raise InputError(option, "a URL with a user or password", "a URL without these", remedy)
+        raise InputError(
+            option,
+            "a URL with a user or password",
+            "a URL without these",
+            "give them to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws",
+        )
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -93,10 +100,12 @@ def _file_system(url: str) -> tuple[Any, str]:
 
         return url_to_fs(url)
     except ImportError:
-        remedy = "install it with: pip install 'fieldlum[cloud]'"
         raise InputError(
-            url, "the library for this kind of URL is not installed", remedy=remedy
+            url,
+            "the library for this kind of URL is not installed",
+            remedy="install it with: pip install 'fieldlum[cloud]'",
         ) from None
     except ValueError as error:
-        expected = "a URL such as s3://BUCKET/FOLDER"
-        raise InputError(url, str(error)[:120], expected, "correct the URL") from None
+        raise InputError(
+            url, str(error)[:120], "a URL such as s3://BUCKET/FOLDER", "correct the URL"
+        ) from None

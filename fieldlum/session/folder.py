@@ -202,10 +202,9 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
             lock_now(file.fileno())
         except OSError as error:
             if error.errno in NO_LOCKS:  # a network share without locks
-                found = f"a folder that cannot be locked ({error.strerror})"
                 raise InputError(
                     session.root,
-                    found,
+                    f"a folder that cannot be locked ({error.strerror})",
                     "a folder on a disk of this computer",
                     "move the session to a disk of this computer",
                 ) from None

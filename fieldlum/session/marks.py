@@ -50,9 +50,11 @@ def add_note(session: Session, text: str) -> str:
     """
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     if not 0 < len(line) <= MAX_NOTE:
-        found = f"a note of {len(line)} characters"
         raise InputError(
-            session.root, found, f"1 to {MAX_NOTE} characters", "shorten the note, or write one"
+            session.root,
+            f"a note of {len(line)} characters",
+            f"1 to {MAX_NOTE} characters",
+            "shorten the note, or write one",
         )
     append_event(session, NOTE, datetime.now(UTC), text=line)
     return line

@@ -25,8 +25,12 @@ def pause(session: Session, duration: timedelta) -> datetime:
     """
     if not timedelta(0) < duration <= MAX_PAUSE:
         longest = f"{MAX_PAUSE.total_seconds() / 60:.0f}"
-        asked = f"a pause of {duration.total_seconds() / 60:.0f} minutes"
-        raise InputError(session.root, asked, f"1 to {longest} minutes", "choose a shorter pause")
+        raise InputError(
+            session.root,
+            f"a pause of {duration.total_seconds() / 60:.0f} minutes",
+            f"1 to {longest} minutes",
+            "choose a shorter pause",
+        )
     now = datetime.now(UTC).replace(microsecond=0)
     until = now + duration
     with replacing(session.pause, "w", encoding="utf-8") as file:

@@ -147,8 +147,9 @@ def load_troubles(path: Path) -> Troubles:
         size, most = getattr(troubles, name).size, LIMITS[name]
         least = -most if name in _SIGNED else 0.0
         if not least <= size <= most:
-            expected = f"{least:g} to {most:g}"
-            raise InputError(path, f"[{name}] size = {size:g}", expected, "correct the size")
+            raise InputError(
+                path, f"[{name}] size = {size:g}", f"{least:g} to {most:g}", "correct the size"
+            )
     return troubles
 
 

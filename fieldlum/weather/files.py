@@ -122,14 +122,11 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     if away <= NEAR_KM:
         return []
     if away > FAR_KM:
-        found = (
-            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg), "
-            "which is "
-            f"{away:.0f} km from the site"
-        )
         raise InputError(
             path,
-            found,
+            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg), "
+            "which is "
+            f"{away:.0f} km from the site",
             f"at most {FAR_KM:g} km",
             "use the file of a nearer station, or correct the site's coordinates",
         )
@@ -157,14 +154,19 @@ def _in_order(path: Path, found: WeatherTable, site: Site, repairs: list[str]) -
     rows = sorted(rows, key=lambda row: row.when)
     for a, b in pairwise(rows):
         if a.when == b.when:
-            found_text = f"lines {a.line} and {b.line} are of the same hour"
-            raise InputError(path, found_text, "every hour once", "remove one of the lines")
-        if b.when - a.when > LONGEST_GAP:
-            found_text = (
-                f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
+            raise InputError(
+                path,
+                f"lines {a.line} and {b.line} are of the same hour",
+                "every hour once",
+                "remove one of the lines",
             )
-            expected = f"at most {LONGEST_GAP.days} days between two rows"
-            raise InputError(path, found_text, expected, "correct the dates")
+        if b.when - a.when > LONGEST_GAP:
+            raise InputError(
+                path,
+                f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}",
+                f"at most {LONGEST_GAP.days} days between two rows",
+                "correct the dates",
+            )
     return rows
 
 
@@ -249,17 +251,16 @@ def _check_night(path: Path, weather: Weather) -> None:
     total = float(light.sum())
     at_night = float(light[altitude < _NIGHT_BELOW_DEG].sum())
     if total > 0 and at_night > _MOST_LIGHT_AT_NIGHT * total:
-        found = (
+        raise InputError(
+            path,
             f"{100 * at_night / total:.0f} % of the file's irradiance is at times when the sun is "
             "down "
-            f"at {weather.site.name}"
-        )
-        remedy = (
+            f"at {weather.site.name}",
+            "irradiance only while the sun is up",
             "check the file's time zone, the sign of the site's longitude, and whether a row's "
             "time "
-            "is the middle of its hour"
+            "is the middle of its hour",
         )
-        raise InputError(path, found, "irradiance only while the sun is up", remedy)
 
 
 def _check_sense(

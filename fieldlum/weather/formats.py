@@ -140,9 +140,11 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     if value in (9999.0, 99999.0, 999999.0, -9900.0, -9999.0):
         return math.nan
     if not LOWEST_WM2 <= value <= HIGHEST_WM2:
-        expected = f"{LOWEST_WM2:g} to {HIGHEST_WM2:g} W/m2"
         raise InputError(
-            path, f"line {line}: {name} is {text} W/m2", expected, "correct or empty that cell"
+            path,
+            f"line {line}: {name} is {text} W/m2",
+            f"{LOWEST_WM2:g} to {HIGHEST_WM2:g} W/m2",
+            "correct or empty that cell",
         )
     return value
 
@@ -160,8 +162,12 @@ def _header_place(
         name = cells[1].strip('" ') or "weather station"
         place, offset = Site(name, latitude, longitude, "UTC", altitude), timedelta(hours=zone)
     except (IndexError, ValueError):
-        remedy = "correct the header, or download the file again"
-        raise InputError(path, f"line 1 is '{line[:60]}'", expected, remedy) from None
+        raise InputError(
+            path,
+            f"line 1 is '{line[:60]}'",
+            expected,
+            "correct the header, or download the file again",
+        ) from None
     _check_zone(path, place, offset)
     return place, offset
 
@@ -177,8 +183,12 @@ def _rows_with(
         if not row:
             continue
         if len(row) < cells:
-            found, remedy = f"line {number}: {len(row)} cells", "the file is cut: download it again"
-            raise InputError(path, found, expected, remedy)
+            raise InputError(
+                path,
+                f"line {number}: {len(row)} cells",
+                expected,
+                "the file is cut: download it again",
+            )
         yield number, row
 
 
@@ -248,9 +258,11 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     dated = "t_utc" in names
     wanted = ("t_utc",) if dated else ("month", "day", "hour")
     if missing := [n for n in (*wanted, "dni_wm2", "dhi_wm2") if n not in names]:
-        expected = "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2"
         raise InputError(
-            path, f"no column {', '.join(missing)}", expected, "name the columns in the first row"
+            path,
+            f"no column {', '.join(missing)}",
+            "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2",
+            "name the columns in the first row",
         )
     rows = []
     for number, line in table[1:]:
@@ -321,18 +333,20 @@ def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float)
         if not 0 <= hour <= 24:
             raise ValueError(f"hour {hour:g} is outside 0 to 24")
     except ValueError as error:
-        found = f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})"
-        raise _bad_row(path, found, "a date of the calendar and an hour of 0 to 24") from None
+        raise _bad_row(
+            path,
+            f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})",
+            "a date of the calendar and an hour of 0 to 24",
+        ) from None
     return start + timedelta(seconds=round(hour * 3600))
 
 
 def _check_zone(path: Path, place: Site, offset: timedelta) -> None:
     hours = offset.total_seconds() / 3600
     if abs(hours - place.longitude_deg / 15) > _LARGEST_ZONE_OFFSET_H:
-        found = f"time zone UTC{hours:+g} at longitude {place.longitude_deg:g} deg"
         raise InputError(
             path,
-            found,
+            f"time zone UTC{hours:+g} at longitude {place.longitude_deg:g} deg",
             f"about UTC{place.longitude_deg / 15:+.0f}",
             "correct the header (east is positive)",
         )

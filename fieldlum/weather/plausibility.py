@@ -96,11 +96,12 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
 def _check_level(path: Path, weather: Weather, station: Site, total: Array) -> None:
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
     if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
-        found = (
-            f"the sum of irradiance is {share:.2g} times that of cloudless skies at {station.name}"
+        raise InputError(
+            path,
+            f"the sum of irradiance is {share:.2g} times that of cloudless skies at {station.name}",
+            f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times",
+            f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}",
         )
-        remedy = f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}"
-        raise InputError(path, found, f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times", remedy)
 
 
 def _check_limits(
@@ -113,12 +114,13 @@ def _check_limits(
     }
     name = max(over, key=lambda name: over[name])
     if over[name] > MOST_EXTREME:
-        found = (
+        raise InputError(
+            path,
             f"{name} is above the limit of any sky in {100 * over[name]:.0f} % of the daylight "
-            "hours"
+            "hours",
+            f"at most {100 * MOST_EXTREME:g} %",
+            f"check whether the column of {name} has another component; {_CORRECT_COLUMNS}",
         )
-        remedy = f"check whether the column of {name} has another component; {_CORRECT_COLUMNS}"
-        raise InputError(path, found, f"at most {100 * MOST_EXTREME:g} %", remedy)
 
 
 def _check_overcast(
@@ -128,9 +130,12 @@ def _check_overcast(
         return
     share = float(np.median(weather.dhi_wm2[overcast] / total[overcast]))
     if share < LEAST_DIFFUSE:
-        found = f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)"
-        remedy = f"check whether the column of DNI has global or diffuse; {_CORRECT_COLUMNS}"
-        raise InputError(path, found, f"over {100 * LEAST_DIFFUSE:g} %", remedy)
+        raise InputError(
+            path,
+            f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)",
+            f"over {100 * LEAST_DIFFUSE:g} %",
+            f"check whether the column of DNI has global or diffuse; {_CORRECT_COLUMNS}",
+        )
 
 
 def _check_closure(path: Path, ghi_wm2: Array, total: Array, tested: NDArray[np.bool_]) -> None:
@@ -138,12 +143,13 @@ def _check_closure(path: Path, ghi_wm2: Array, total: Array, tested: NDArray[np.
         return
     off = float(np.median(np.abs(ghi_wm2 - total)[tested] / ghi_wm2[tested]))
     if off > MOST_OPEN:
-        found = f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)"
-        remedy = (
+        raise InputError(
+            path,
+            f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)",
+            f"at most {100 * MOST_OPEN:g} %",
             "check whether a column has another component, or direct on a horizontal plane; "
-            f"{_CORRECT_COLUMNS}"
+            f"{_CORRECT_COLUMNS}",
         )
-        raise InputError(path, found, f"at most {100 * MOST_OPEN:g} %", remedy)
 
 
 def _check_labels(path: Path, weather: Weather, station: Site) -> None:
@@ -159,16 +165,20 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
     other = {shift: _against(weather, station, shift) for shift in SHIFTS_MIN}
     best = min(other, key=lambda shift: other[shift])
     if other[best] < 0.5 * against:
-        found = (
+        raise InputError(
+            path,
             f"{against} hours have light while the sun is down or none while it is up; only "
-            f"{other[best]} hours with all row times moved by {best:+d} min"
+            f"{other[best]} hours with all row times moved by {best:+d} min",
+            f"at most {most} such hours in {edges // 2} days",
+            "check the time zone, and whether a row's time is its hour's start, middle or end",
         )
-        remedy = "check the time zone, and whether a row's time is its hour's start, middle or end"
-        raise InputError(path, found, f"at most {most} such hours in {edges // 2} days", remedy)
     if against > MOST_AGAINST_ALL * edges:
-        found = f"{against} hours have light while the sun is down or none while it is up"
-        expected = f"the sunrises and sunsets of {station.name} on {edges // 2} days"
-        raise InputError(path, found, expected, "check that the file is of this place")
+        raise InputError(
+            path,
+            f"{against} hours have light while the sun is down or none while it is up",
+            f"the sunrises and sunsets of {station.name} on {edges // 2} days",
+            "check that the file is of this place",
+        )
 
 
 def _against(weather: Weather, station: Site, shift_min: int) -> int:

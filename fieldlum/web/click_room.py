@@ -49,11 +49,19 @@ class ClickedPicture:
         files = session.panorama_files()
         chosen = next((path for path in files if path.stem == slot), None) if slot else None
         if not files:
-            expected, remedy = "a merged session", f"run fieldlum merge {session.root}"
-            raise InputError(session.root, "no merged panorama", expected, remedy)
+            raise InputError(
+                session.root,
+                "no merged panorama",
+                "a merged session",
+                f"run fieldlum merge {session.root}",
+            )
         if slot and chosen is None:
-            expected, remedy = f"a slot such as {files[-1].stem}", "see panoramas/"
-            raise InputError(session.root, f"no panorama {slot}", expected, remedy)
+            raise InputError(
+                session.root,
+                f"no panorama {slot}",
+                f"a slot such as {files[-1].stem}",
+                "see panoramas/",
+            )
         path = chosen or files[-1]
         panorama = read_panorama(path)
         height, width = panorama.luminance_cdm2.shape

@@ -81,10 +81,9 @@ class Control:
         """Return the present state; raise InputError unless a capture runs in real time."""
         state = self.state()
         if state["rehearsal"]:
-            found = "a rehearsal in simulated time"
             raise InputError(
                 self.session.root,
-                found,
+                "a rehearsal in simulated time",
                 "a capture in real time",
                 "start fieldlum capture without --clock fast",
             )

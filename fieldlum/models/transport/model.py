@@ -153,10 +153,11 @@ class Transport:
                 "add [room] to the site, or train with --patch none",
             )
         if patch is not None and patch.shape != (len(light), *self.shape):
-            wanted = f"{len(light)} x {self.shape[0]} x {self.shape[1]} (hours, height, width)"
-            shape = f"an array of {' x '.join(map(str, patch.shape))}"
             raise InputError(
-                "sun patches", shape, wanted, "compute the sun patches at the model's size"
+                "sun patches",
+                f"an array of {' x '.join(map(str, patch.shape))}",
+                f"{len(light)} x {self.shape[0]} x {self.shape[1]} (hours, height, width)",
+                "compute the sun patches at the model's size",
             )
 
     def doubting(self, slip_deg: float) -> Transport:

@@ -45,11 +45,12 @@ class CleanIrradiance:
         import pandas as pd
 
         if not path.is_file():
-            expected = "quality-checked irradiance"
-            remedy = (
-                "log or import irradiance (fieldlum log, fieldlum import), then run fieldlum pair"
+            raise InputError(
+                path,
+                "no such file",
+                "quality-checked irradiance",
+                "log or import irradiance (fieldlum log, fieldlum import), then run fieldlum pair",
             )
-            raise InputError(path, "no such file", expected, remedy)
         try:
             table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
             when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
@@ -59,9 +60,11 @@ class CleanIrradiance:
                 table[name].fillna("").to_numpy(object) for name in ("source", "flags")
             )
         except (ValueError, KeyError, TypeError) as error:
-            remedy = "delete the file and run fieldlum pair, which writes it again"
             raise InputError(
-                path, f"{error}", "the columns that fieldlum pair writes", remedy
+                path,
+                f"{error}",
+                "the columns that fieldlum pair writes",
+                "delete the file and run fieldlum pair, which writes it again",
             ) from None
         return cls(t, ghi, dhi, dni, source, flags)
 

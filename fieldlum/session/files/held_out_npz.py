@@ -83,9 +83,11 @@ class HeldOutMaps:
                     raise ValueError(f"format {int(stored['format'])}")
                 return cls(*(stored[name] for name in _ARRAYS))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            expected = f"held-out maps of format 1 to {FORMAT}"
             raise InputError(
-                path, str(error), expected, "train the model again (fieldlum train)"
+                path,
+                str(error),
+                f"held-out maps of format 1 to {FORMAT}",
+                "train the model again (fieldlum train)",
             ) from None
 
 

@@ -93,8 +93,9 @@ class HourlyFile:
             }
             return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
         except (ValueError, KeyError, IndexError) as error:
-            expected, remedy = "what fieldlum predict wrote", "run fieldlum predict again"
-            raise InputError(path, str(error), expected, remedy) from None
+            raise InputError(
+                path, str(error), "what fieldlum predict wrote", "run fieldlum predict again"
+            ) from None
 
     def write(self, folder: Path, timezone: str) -> None:
         """Write all rows; `t_local` is in the time zone of the site."""

@@ -79,9 +79,12 @@ class ModelConfig:
         common = {name: table[name] for name in _COMMON if name in table}
         config = build_known(cls, common, str(path))
         if not (0 <= config.height <= MAX_HEIGHT and config.width in (0, 2 * config.height)):
-            found = f"maps of {config.width} x {config.height} pixels"
-            expected = f"maps twice as wide as high, with at most {MAX_HEIGHT} rows"
-            raise InputError(path, found, expected, _REMEDY)
+            raise InputError(
+                path,
+                f"maps of {config.width} x {config.height} pixels",
+                f"maps twice as wide as high, with at most {MAX_HEIGHT} rows",
+                _REMEDY,
+            )
         training = build_known(TrainingNote, table.get("training") or {}, str(path))
         return replace(config, setup=setup or {}, training=training, state=table)
 

@@ -116,8 +116,12 @@ def _reader(path: Path) -> csv.DictReader[str]:
             path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
-        remedy = "check the path, or write the file again with: fieldlum pair SESSION"
-        raise InputError(path, str(error), "a readable csv of pairs", remedy) from None
+        raise InputError(
+            path,
+            str(error),
+            "a readable csv of pairs",
+            "check the path, or write the file again with: fieldlum pair SESSION",
+        ) from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     names = reader.fieldnames or ()
     missing = [name for name in NEEDED if name not in names]
@@ -156,8 +160,12 @@ def _format(path: Path, names: Sequence[str]) -> int:
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
     if None in cells or any(value is None for value in cells.values()):
-        found = f"line {line}: the number of cells differs from the header"
-        raise InputError(path, found, "one cell for each column", "correct that line")
+        raise InputError(
+            path,
+            f"line {line}: the number of cells differs from the header",
+            "one cell for each column",
+            "correct that line",
+        )
 
     def number(name: str, default: float = math.nan) -> float:
         return _number(path, line, name, cells.get(name) or "", default)
@@ -170,8 +178,12 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         nan, panorama, why = math.nan, text["panorama"], text["why"]
         return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
     if not text["panorama"]:
-        found = f"line {line}: the cell of column panorama is empty"
-        raise InputError(path, found, "a picture's path", "write the picture's path, or set ok = 0")
+        raise InputError(
+            path,
+            f"line {line}: the cell of column panorama is empty",
+            "a picture's path",
+            "write the picture's path, or set ok = 0",
+        )
     return PairRow(
         _time(path, line, cells["t_utc"]),
         text["panorama"],
@@ -220,20 +232,27 @@ def _number(path: Path, line: int, name: str, text: str, default: float) -> floa
     try:
         value = float(text)
     except ValueError:
-        found = f"line {line}: {name} is '{text}'"
-        raise InputError(path, found, "a number", "correct that row") from None
+        raise InputError(
+            path, f"line {line}: {name} is '{text}'", "a number", "correct that row"
+        ) from None
     if not math.isfinite(value):
-        found = f"line {line}: {name} is {text}"
-        raise InputError(path, found, "a finite number", "correct that row or set ok = 0")
+        raise InputError(
+            path,
+            f"line {line}: {name} is {text}",
+            "a finite number",
+            "correct that row or set ok = 0",
+        )
     return value
 
 
 def _irradiance(path: Path, line: int, name: str, text: str) -> float:
     value = _number(path, line, name, text, math.nan)
     if not MIN_IRRADIANCE_WM2 <= value <= MAX_IRRADIANCE_WM2:
-        expected = f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2"
         raise InputError(
-            path, f"line {line}: {name} is '{text}'", expected, "correct that cell, or set ok = 0"
+            path,
+            f"line {line}: {name} is '{text}'",
+            f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2",
+            "correct that cell, or set ok = 0",
         )
     return max(value, 0.0)
 

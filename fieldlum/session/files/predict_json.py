@@ -119,8 +119,12 @@ class PredictFile:
         """Read predict.json. Raises InputError if `folder` has no complete year."""
         path = folder / NAME
         if not path.is_file():
-            expected, remedy = "a predicted year", "predict one with: fieldlum predict"
-            raise InputError(folder, f"no {NAME} in this folder", expected, remedy)
+            raise InputError(
+                folder,
+                f"no {NAME} in this folder",
+                "a predicted year",
+                "predict one with: fieldlum predict",
+            )
         expected, remedy = "what fieldlum predict wrote", "predict again"
         table = read_object(path, expected, remedy)
         with content_of(table, FORMAT, path, expected, remedy):

@@ -66,8 +66,9 @@ def read_suns(path: Path) -> dict[str, SunRow]:
                 row = _row(cells)
                 rows[row.panorama] = row
     except (OSError, KeyError, TypeError, ValueError) as error:
-        found = f"line {line}: {type(error).__name__}: {error}"
-        raise InputError(path, found, _EXPECTED, _REMEDY) from None
+        raise InputError(
+            path, f"line {line}: {type(error).__name__}: {error}", _EXPECTED, _REMEDY
+        ) from None
     return rows
 
 
