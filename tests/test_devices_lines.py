@@ -402,7 +402,7 @@ def test_toa5_damage() -> None:
         ("TIMESTAMP,GHI\n", "no TOA5 header"),
         (TOA5.replace("GHI_Avg", "Volt").replace("DHI_Avg", "Amp"), "a column of irradiance"),
         (TOA5.replace("W/m^2", "mV"), "GHI_Avg is in 'mV'"),
-        (TOA5.replace("DHI_Avg", "GHI_2_Avg"), "columns GHI_Avg, GHI_2_Avg for ghi_wm2"),
+        (TOA5.replace("DHI_Avg", "GHI_2_Avg"), "several columns for ghi_wm2: GHI_Avg, GHI_2_Avg"),
     ):
         with pytest.raises(InputError, match=said):
             parse_toa5(text, timedelta())

@@ -106,7 +106,7 @@ def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.nda
         ("-vta -vh 180 -vv 90", "width over height"),
         ("-vtv -vh 180 -vv 180", "-vtv"),
         ("-vtl -vh 180 -vv 180", "view type -vtl"),
-        ("-vh 180 -vv 180", "without a type"),
+        ("-vh 180 -vv 180", "without a view type"),
         ("-vta -vd 0 0 1 -vu 0 0 1 -vh 180 -vv 180", "-vd and -vu are parallel"),
         ("-vta -vd 0 0 0 -vh 180 -vv 180", "not all 0"),
         ("-vta -vh nan -vv 180", "a number"),

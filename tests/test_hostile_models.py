@@ -77,7 +77,7 @@ def test_a_size_that_no_model_has(copy: Path, width: int) -> None:
     path = copy / "config.json"
     table = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(table | {"width": width}), encoding="utf-8")
-    with pytest.raises(InputError, match="W = 2H"):
+    with pytest.raises(InputError, match="twice as wide as high"):
         read_config(copy)
 
 

@@ -235,8 +235,8 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
     )
     without = [room.session for room in rooms if room.worst is None and not room.broken]
     text = (
-        "Rooms with a predicted year, the worst first. A grey class is not decided by the "
-        "captures so far."
+        "Rooms with a predicted year, the worst first. A class in grey is not certain yet: the "
+        "captures do not decide it."
     )
     if without:
         text += f" Without a predicted year: {', '.join(without)}."
@@ -267,10 +267,11 @@ def _drift(rooms: Sequence[RoomOverview]) -> Section:
     )
     limits = ", ".join(f"{kind} {limit:g} {UNITS[kind]}" for kind, limit in LIMITS.items())
     text = (
-        "Change of a robust line from the first to the last capture with its 95 % interval "
-        f"({FEWEST} captures on {FEWEST_DAYS} days or more). A camera drifts when the change is "
-        f"sure and exceeds {limits}. k compares the sky in the window with the Perez sky of the "
-        "logged irradiance: dirt on the pane or on the pyranometer counts as drift too."
+        "The change of a robust fitted line from the first to the last capture, with its 95 % "
+        f"interval, for {FEWEST} or more captures on {FEWEST_DAYS} or more days. A camera drifts "
+        f"if the change is larger than its interval and than the limit ({limits}). k compares the "
+        "sky in the window with the Perez sky of the logged irradiance: dirt on the pane or on the "
+        "pyranometer counts as drift too."
     )
     rows = (Row(tuple(figures)),) if figures else ()
     return Section("drift", "Which camera drifts", text, rows, (Table(head, tuple(body)),))

@@ -149,10 +149,12 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     options = _options(text, source)
     kind = options.get("vt", "")
     if kind not in VIEW_TYPES:
-        found, remedy = "a VIEW without a type", HOW
+        known = "-vta, -vth, -vts or -vtv"
         if kind:
-            found, remedy = f"view type -vt{kind}", "render the picture with -vta"
-        raise InputError(source, found, "-vta, -vth, -vts or -vtv", remedy)
+            raise InputError(
+                source, f"the view type -vt{kind}", known, "render the picture with -vta"
+            )
+        raise InputError(source, "a VIEW without a view type", known, HOW)
     forward = direction(0.0, heading_deg)
     if "vd" in options:
         forward = _vector(options["vd"], "-vd", source)

@@ -79,12 +79,11 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
         altitude, _ = grid.angles(click.x_px, click.y_px)
         side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
         if side and altitude * side < _HORIZON_DEG:
-            found = f"a {click.kind} corner at an altitude of {altitude:+.1f} deg"
             below = "lower" if side < 0 else "higher"
             raise InputError(
                 f"{where}:{click.line}",
-                found,
-                f"{side * _HORIZON_DEG:+g} deg or {below}",
+                f"a {click.kind} corner at an altitude of {altitude:+.1f} deg",
+                f"an altitude of {side * _HORIZON_DEG:+g} deg or {below}",
                 "correct the kind of this click, or its place",
             )
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
