@@ -143,7 +143,10 @@ class RawSignal:
         return wide[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 over photon plus read variance, [rows, ...] as predicted_cdm2."""
+        """Return per_cdm2 over photon plus read variance, [rows, ...] as predicted_cdm2.
+
+        The weight is 0 where the prediction is close to saturation.
+        """
         w = predicted_cdm2 * self._per_gain
         w += np.float32(self.noise_dn2)
         np.divide(self.per_cdm2, w, out=w)

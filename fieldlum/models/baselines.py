@@ -112,7 +112,7 @@ def light_features(light: Light) -> NDArray[np.float64]:
 
 
 def outside(light: Light) -> NDArray[np.float64]:
-    """Return the light outside by which maps are scaled: global horizontal irradiance, [n] W/m2."""
+    """Return global horizontal irradiance plus 1 W/m2, [n], by which maps are scaled."""
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
     return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
 

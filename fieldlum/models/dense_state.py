@@ -26,7 +26,7 @@ def keep(
     mark: str,
     best: dict[str, Tensor],
 ) -> None:
-    """Write a checkpoint atomically; mark: the SHA-256 of the training data."""
+    """Write a checkpoint atomically; mark: digest of the training data, patch mode and seed."""
     state = {
         "net": net.state_dict(),
         "best": best,

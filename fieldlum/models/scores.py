@@ -78,7 +78,7 @@ class Scores:
 
 
 def join(parts: Sequence[Scores]) -> Scores:
-    """Return the scores of several tests as one."""
+    """Return the scores of several tests as those of one: rows in sequence, times added."""
     others = ("seconds", "cpu_s", "slots", "maps")
     arrays = [f.name for f in fields(Scores) if f.name not in others]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}

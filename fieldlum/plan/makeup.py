@@ -140,9 +140,9 @@ def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
 
 
 def run(session: Session, now_utc: datetime) -> MakeUpPlan:
-    """Add make-up slots to plan.csv; no slot is ever removed.
+    """Add make-up slots for missed ones to plan.csv, and return both.
 
-    The earlier plan is stored as plan.N.csv.
+    No slot is ever removed. The earlier plan is stored as plan.N.csv if slots are added.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)

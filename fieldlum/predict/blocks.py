@@ -107,7 +107,8 @@ def blocks(
 ) -> Iterator[HourBlock]:
     """Predict all hours of `light`, block by block.
 
-    Raises InputError if the size of the maps differs from that in config.json.
+    Raises InputError if the size of the maps differs from that in config.json, FloatingPointError
+    for values that are not finite.
     """
     count = len(light)
     for patch, known_disc_lx, rows in _patches(room, light):

@@ -33,7 +33,10 @@ class MapStore(Protocol):
         ...
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Write the coordinates and the description of the maps; delete an earlier store."""
+        """Begin a new store in `target`: write the coordinates and the description of the maps.
+
+        What `target` already holds is deleted.
+        """
         ...
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
@@ -54,7 +57,10 @@ class FolderMapStore:
         return str(self._work)
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Write the coordinates and the description of the maps; delete an earlier store."""
+        """Begin a new store: write the coordinates and the description of the maps to `target`.
+
+        A complete store under the final name remains until `finish`.
+        """
         shutil.rmtree(self._work, ignore_errors=True)
         describe(self._work, t_utc, room, {"site": site_name})
 

@@ -43,7 +43,10 @@ class SceneView:
     plain: NDArray[np.float32]
 
     def sun_points(self, pixels: NDArray[np.intp] | None = None) -> SunPoints:
-        """Return the surface points of all pixels or of flat `pixels` [k]; targets are pixels."""
+        """Return the surface points of all pixels, or of the flat indices `pixels` [k].
+
+        Their targets are pixels: flat indices for all, else positions in `pixels`.
+        """
         weight = self.weight * self.scene.reflectance[self.box] / np.pi
         count = 2 * self.height**2
         if pixels is None:

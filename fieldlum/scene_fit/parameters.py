@@ -48,10 +48,11 @@ def _tuple_at(values: tuple[float, ...], index: int, by: float) -> tuple[float, 
 def room_parameters(
     guess: Guess, *, with_wall: bool = True, clock_sd_min: float = CLOCK_SD_MIN
 ) -> list[Parameter]:
-    """Return north, clock, level, sizes, camera, wall thickness and window edges as parameters.
+    """Return a guess's parameters: pose, clock, sizes, camera, wall thickness and window edges.
 
-    with_wall: include the walls' azimuth; clock_sd_min: standard deviation of the clock's prior.
-    The camera's height is not a parameter: it is the known length that sets the scale.
+    Pose is north, tilt and roll. with_wall: include the walls' azimuth; clock_sd_min: standard
+    deviation of the clock's prior. The camera's height is not a parameter: it is the known length
+    that sets the scale.
     """
     size, camera = guess.size_m, guess.camera_m
 

@@ -143,8 +143,8 @@ def judge_fit(
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     """Return the geometry that the held-out hours support, and why.
 
-    Beginning with the simplest, a geometry replaces the one chosen so far unless that one is not
-    worse by the one-standard-error rule, with independent hours.
+    In the order none, stated, fitted, a geometry replaces the one chosen so far if it is better by
+    more than one standard error over the hours.
     """
     order: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen: Chosen = "none"

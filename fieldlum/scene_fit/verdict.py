@@ -98,7 +98,10 @@ def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
 
 
 def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return a mask [n] of the hours with direct sun over 1 000 lx on a window's plane."""
+    """Return a mask [n] of the hours with strong direct sun on the plane of a window.
+
+    Strong is over 1 000 lx and a tenth of the total light, from a sun over 2 degrees.
+    """
     normals = facades_of(room).normals
     facing = np.maximum(data.light.sun_direction @ normals.T, 0.0).max(axis=1)
     onto = facing * data.light.direct_lx

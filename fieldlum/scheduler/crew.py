@@ -185,7 +185,7 @@ class ProcessCrew:
         return Ended(key, "error", error=error)
 
     def give_up(self, key: int) -> str:
-        """Kill the process of a unit and replace it."""
+        """Kill the process of a unit and replace it; return this as a text."""
         future, (_, pool) = next(
             (future, entry) for future, entry in self._running.items() if entry[0] == key
         )

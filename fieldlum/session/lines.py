@@ -150,7 +150,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
 
 
 def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
-    """Append all of `data`; if the disk is full, restore the earlier length of the file."""
+    """Append all of `data`; on failure restore the file's earlier length and raise the OSError."""
     before = os.fstat(handle).st_size
     try:
         append_durably(handle, data, flush=flush)

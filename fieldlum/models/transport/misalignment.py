@@ -103,7 +103,10 @@ class Evidence:
 def moved(
     maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float
 ) -> Array:
-    """Return maps [n, H, W] moved right and down, linear between pixels, at `pixels`, [n, m]."""
+    """Return maps [n, H, W] moved right and down, linear between pixels, [n, m].
+
+    pixels: flat indices of those that are returned [m].
+    """
     height, width = maps.shape[1:]
     row, column = np.divmod(pixels, width)
     y, x = np.clip(row - down_px, 0.0, height - 1.0), column - right_px

@@ -161,7 +161,7 @@ class Transport:
             )
 
     def doubting(self, slip_deg: float) -> Transport:
-        """Return the same model with sun patches that are uncertain by `slip_deg`."""
+        """Return the same model with sun patches whose places are uncertain by `slip_deg`."""
         return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
 
     def _weights(self) -> Array:

@@ -37,7 +37,7 @@ class OpenSky:
         return light.sky_at(self.directions) * self.share
 
     def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask [H, W] of these pixels."""
+        """Return a mask [H, W] of the window pixels; seen: mask [H, W] of what the lenses saw."""
         flat = np.zeros(int(seen.sum()), bool)
         flat[self.index] = True
         out = np.zeros(seen.shape, bool)

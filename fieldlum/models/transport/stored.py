@@ -109,7 +109,7 @@ def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Room
 
 
 def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Uncertainty:
-    """Return the uncertainty that `table_of` and `arrays_of` described, shapes included."""
+    """Return the uncertainty that `table_of` and `arrays_of` stored."""
     trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
     noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
     return Uncertainty(**{**own["trust"], **trust, **noise})
