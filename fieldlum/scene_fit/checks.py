@@ -49,7 +49,7 @@ _VIEW_ROWS = 24
 _FLOOR_CDM2 = 0.1
 _ROUNDS = 20
 _REMEDY = (
-    "nothing was written, and train uses the stated [room], or no sun patches with --scene none"
+    "nothing was written, and train uses the stated [room], or no sun patches with --patch none"
 )
 
 

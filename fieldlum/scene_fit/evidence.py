@@ -259,20 +259,28 @@ def require_box(room: Room) -> None:
         )
 
 
-def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) -> SceneEvidence:
+def gather(
+    data: Dataset,
+    room: Room,
+    *,
+    pixels: int = PIXELS,
+    seed: int = 0,
+    min_hours: int = MIN_SUNNY_HOURS,
+) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
     room: the stated box; pixels: number of pixels to draw. Raises InputError for a room that is not
-    a box or has no window, NotEnoughDataError for fewer than six captures with direct sun on a
-    window.
+    a box or has no window, NotEnoughDataError for fewer than `min_hours` captures with direct sun
+    on a window.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)
     rows = _sunny(data, guess)
-    if len(rows) < MIN_SUNNY_HOURS:
+    if len(rows) < min_hours:
         raise NotEnoughDataError(
             f"{len(rows)} captures have direct sun on a window, but at least "
-            f"{MIN_SUNNY_HOURS} are needed: capture clear hours, or use the stated room"
+            f"{min_hours} are needed: capture clear hours; train then uses the stated [room] or no "
+            f"sun patch, and states why"
         )
     chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
     rays, pixel = _rays(data, chosen)

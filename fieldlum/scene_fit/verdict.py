@@ -40,7 +40,7 @@ _LOWEST_SUN_DEG = 2.0
 _WORTH = 0.95
 # Patch misfits within 10 % agree, because over ten held-out hours the mean is not known better (4.7
 # and 4.6 % for the exact and the fitted room of the demo). Chosen.
-_SAME_MISFIT = 1.1
+SAME_MISFIT = 1.1
 # Chosen: a scene that leaves more than this share of the misfit without patches lacks something.
 MAX_UNEXPLAINED = 0.5
 MIN_TRUSTED_SHARE = 0.5  # chosen: of a year's hours; with less, most of the year is a guess
@@ -211,8 +211,8 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
 
 def _is_better(richer: GeometryScore, simpler: GeometryScore) -> bool:
     """Return whether the richer of two geometries is to be chosen."""
-    if richer.misfit * _SAME_MISFIT < simpler.misfit:
+    if richer.misfit * SAME_MISFIT < simpler.misfit:
         return True
-    if richer.misfit > _SAME_MISFIT * simpler.misfit:
+    if richer.misfit > SAME_MISFIT * simpler.misfit:
         return False
     return richer.expected_log10_mse < _WORTH * simpler.expected_log10_mse

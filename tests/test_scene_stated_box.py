@@ -1,0 +1,83 @@
+"""With few clear hours and no scene, captures choose between the stated box and no sun patch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scene_captures import ROOM, room_captures
+
+from fieldlum.light import Light
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport.features import training_arrays_of
+from fieldlum.records import Room, Site
+from fieldlum.scene.view import look
+from fieldlum.scene_fit.apply import with_patches
+from fieldlum.scene_fit.stated_box import judge_box, with_judged_box
+
+HEIGHT = 24
+SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
+SHIFTED = replace(ROOM, window=(replace(ROOM.window[0], wall="east"),))
+
+
+@pytest.fixture(scope="module")
+def captures() -> Dataset:
+    """Four clear hours and eight overcast ones of a room."""
+
+    def rest_cdm2(light: Light) -> np.ndarray:
+        facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
+        base = 0.004 * light.diffuse_lx + 0.002 * facing * light.direct_lx
+        glass = look(ROOM, HEIGHT, 180.0).sky
+        return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
+
+    every = room_captures(SITE, ROOM, HEIGHT, rest_cdm2)
+    clear = np.flatnonzero((every.light.dni_wm2 > 0.0) & (every.light.sun_altitude_deg > 15.0))
+    overcast = np.flatnonzero(every.light.dni_wm2 == 0.0)
+    return every.take(np.sort(np.concatenate([clear[1:20:5], overcast])))
+
+
+def _stated(captures: Dataset, room: Room) -> Dataset:
+    return replace(captures, setup=replace(captures.setup, room=room))
+
+
+@pytest.mark.property
+def test_a_box_that_explains_the_patches_is_used_and_learnt_robustly(captures: Dataset) -> None:
+    judged, patch = with_judged_box(captures, "absolute")
+    assert patch == "absolute" and judged.patch_cdm2 is not None
+    assert training_arrays_of(judged, with_patch=True).fitted_patches
+    assert judged.notes[-1].startswith("stated [room]: share of wrong pixels")
+
+
+@pytest.mark.property
+def test_a_box_that_explains_no_patch_is_not_used(captures: Dataset) -> None:
+    judged, patch = with_judged_box(_stated(captures, SHIFTED), "absolute")
+    assert patch == "none" and judged.patch_cdm2 is None
+    assert judged.notes[-1].startswith("no sun patch: ")
+    assert "clear hours: capture at least 12" in judged.notes[-1]
+
+
+@pytest.mark.property
+def test_without_a_clear_hour_the_box_is_used_untested(captures: Dataset) -> None:
+    overcast = captures.take(captures.light.dni_wm2 == 0.0)
+    judged, patch = with_judged_box(overcast, "absolute")
+    assert patch == "absolute" and "no capture has direct sun" in judged.notes[-1]
+    assert training_arrays_of(judged, with_patch=True).fitted_patches
+
+
+@pytest.mark.property
+def test_other_captures_do_not_change(captures: Dataset) -> None:
+    rendered = _stated(captures, replace(ROOM, kind="radiance", file="room.rad"))
+    bare = _stated(captures, replace(ROOM, window=()))
+    for data, patch in ((captures, "none"), (rendered, "absolute"), (bare, "absolute")):
+        same, mode = with_judged_box(data, patch)
+        assert same is data and mode == patch
+    assert captures.patch_cdm2 is None
+    other = with_patches(_stated(captures, SHIFTED)).patch_cdm2  # of a 3D model
+    modelled = replace(captures, patch_cdm2=other)
+    assert with_judged_box(modelled, "absolute")[0] is modelled
+    own = with_patches(captures)
+    assert with_judged_box(own, "absolute")[0].scene is not None
+    more = captures.take(np.tile(np.arange(len(captures)), 3))  # twelve clear hours
+    assert judge_box(more, ROOM) is None
+    assert with_judged_box(more, "absolute")[0] is more
