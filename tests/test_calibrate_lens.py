@@ -2,20 +2,22 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from fieldlum.calibrate import (
     boards,
     lens,
     lens_circle,
 )
+from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.profiles import (
-    Lens,
-)
-from fieldlum.projection import LensGeometry, direction, lens_pixels
+from fieldlum.photometry import vignetting_at
+from fieldlum.profiles import Lens, Vignetting, load_camera_profile
+from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
 
 
 def _targets(
@@ -181,3 +183,39 @@ def test_circle_and_shift() -> None:
     assert lens_circle.shift_px(picture, moved) == pytest.approx((-5, 3), abs=0.1)
     with pytest.raises(InputError):
         lens_circle.circle(np.full((200, 300), 90, np.uint8))
+
+
+@pytest.mark.property
+@pytest.mark.parametrize(
+    ("mapping", "coefficients"),
+    [("equidistant", ()), ("equisolid", ()), ("polynomial", (0.9, 0.0, 0.1))],
+)
+def test_a_trimmed_lens_maps_and_darkens_as_before(
+    mapping: Any, coefficients: tuple[float, ...]
+) -> None:
+    curve = Vignetting(5.6, (1.0, 0.0, 0.2, 0.0, -0.5))
+    lens = Lens((300.0, 200.0), 190.0, 186.0, mapping, coefficients, vignetting=(curve,))
+    new = lens_circle.trimmed(lens, 2.5)
+    assert new.full_angle_deg == 181.0
+    rays = lens_rays(lens.geometry, np.linspace(130.0, 300.0, 9), np.full(9, 200.0))
+    np.testing.assert_allclose(
+        lens_pixels(new.geometry, rays), lens_pixels(lens.geometry, rays), atol=1e-6
+    )
+    angles = np.linspace(0.0, 90.5, 20)
+    np.testing.assert_allclose(
+        vignetting_at(new.vignetting[0].coefficients, angles / 90.5),
+        vignetting_at(curve.coefficients, angles / 93.0),
+        rtol=1e-12,
+    )
+
+
+@pytest.mark.contract
+def test_trim_needs_no_source_and_writes_the_profile(tmp_path: Path) -> None:
+    out = tmp_path / "mine.toml"
+    words = ["calibrate", "lens", "--camera", "canon-5d2-8mm-f5.6", "--out", str(out)]
+    start = load_camera_profile("canon-5d2-8mm-f5.6").lens[0]
+    result = CliRunner().invoke(main, [*words, "--trim", "1.5"])
+    assert result.exit_code == 0, result.output
+    assert load_camera_profile(str(out)).lens[0].full_angle_deg == start.full_angle_deg - 3.0
+    for more in ([], ["--trim", "1", "--circle"], ["--trim", "1", str(out)]):
+        assert CliRunner().invoke(main, [*words, *more]).exit_code == 2

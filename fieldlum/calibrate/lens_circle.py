@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.profiles import Lens
+from fieldlum.projection import radius_of_angle
 from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
@@ -159,4 +160,29 @@ def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
         centre_px=(round(found.centre_px[0], 2), round(found.centre_px[1], 2)),
         radius_px=round(found.radius_px, 2),
         full_angle_deg=full_angle_deg,
+    )
+
+
+def trimmed(lens: Lens, width_deg: float) -> Lens:
+    """Return the lens with an image circle that is `width_deg` narrower all round.
+
+    Angles map to the same pixels, with the same vignetting. Raises ValueError for a width that is
+    not positive or leaves no picture.
+    """
+    half_deg = lens.full_angle_deg / 2.0 - width_deg
+    if width_deg <= 0.0 or half_deg <= 0.0:
+        raise ValueError(f"the image circle of {lens.full_angle_deg:g} degrees, {width_deg:g} less")
+    share = half_deg / (lens.full_angle_deg / 2.0)
+    radius = float(radius_of_angle(lens.geometry, np.radians(half_deg)))  # of the old one
+    coefficients = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
+    vignetting = tuple(
+        replace(v, coefficients=tuple(c * share**k for k, c in enumerate(v.coefficients)))
+        for v in lens.vignetting
+    )
+    return replace(
+        lens,
+        radius_px=lens.radius_px * radius,
+        full_angle_deg=2.0 * half_deg,
+        coefficients=coefficients,
+        vignetting=vignetting,
     )

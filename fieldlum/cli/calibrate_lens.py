@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument(
-    "sources", metavar="TARGETS.csv|FRAME...", nargs=-1, required=True, type=EXISTING_PATH
-)
+@click.argument("sources", metavar="TARGETS.csv|FRAME...", nargs=-1, type=EXISTING_PATH)
 @lens_option
 @click.option(
     "--full-angle",
@@ -46,6 +44,12 @@ if TYPE_CHECKING:
     type=EXISTING_PATH,
     help="An older frame; the centre is moved by the shift from it to FRAME.",
 )
+@click.option(
+    "--trim",
+    "trim_deg",
+    type=click.FloatRange(0.1, 30),
+    help="Leave out this many degrees at the edge of the image, where the lens is dark.",
+)
 @calibration_options
 def command(
     sources: tuple[Path, ...],
@@ -54,36 +58,54 @@ def command(
     circle: bool,
     chessboard: str | None,
     against: Path | None,
+    trim_deg: float | None,
     refit: Refit,
 ) -> None:
     """Fit centre, circle, mapping and pose of a lens.
 
     TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; angles are relative to the
-    camera's heading and the horizon.
+    camera's heading and the horizon. --trim needs no source.
 
     \b
     Example:
       fieldlum calibrate lens targets.csv --full-angle 186 --camera mine.toml --out mine.toml
       fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
       fieldlum calibrate lens flat.jpg --circle --full-angle 186 --camera mine.toml --out mine.toml
+      fieldlum calibrate lens --trim 2.5 --camera mine.toml --out mine.toml
     """
     from dataclasses import replace
 
     profile = refit.profile()
-    if sum((circle, chessboard is not None, against is not None)) > 1:
+    ways = (circle, chessboard is not None, against is not None, trim_deg is not None)
+    if sum(ways) > 1:
         raise click.UsageError(
-            "--circle, --chessboard and --against exclude each other: use one of them"
+            "--circle, --chessboard, --against and --trim exclude each other: use one of them"
         )
+    if bool(sources) == (trim_deg is not None):
+        raise click.UsageError("name TARGETS.csv or FRAMEs; with --trim, name none")
     index = lens_index(profile, lens_number)
     start = profile.lens[index]
     if full_angle_deg is not None:
         start = replace(start, full_angle_deg=full_angle_deg)
-    if circle or against is not None:
+    if trim_deg is not None:
+        new, line, figures = _trim(start, trim_deg)
+    elif circle or against is not None:
         new, line, figures = _edge(sources, start, against, refit)
     else:
         new, line, figures = _mapping(sources, start, chessboard, profile, refit)
     frames = [*sources, *([against] if against else [])]
     refit.write(profile, frames, [line], figures, lens=with_lens(profile, index, new))
+
+
+def _trim(start: Lens, trim_deg: float) -> tuple[Lens, str, JsonTable]:
+    from fieldlum.calibrate.lens_circle import trimmed
+
+    new = trimmed(start, trim_deg)
+    line = (
+        f"lens: image circle of {new.full_angle_deg:g} degrees, radius {new.radius_px:.2f} px "
+        f"(before: {start.full_angle_deg:g} degrees, {start.radius_px:.2f} px)"
+    )
+    return new, line, {"full_angle_deg": new.full_angle_deg, "radius_px": new.radius_px}
 
 
 def _edge(

@@ -15,6 +15,7 @@ from fieldlum.merge.disc import MEASURED, sun_on_sensor, take_out_disc
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.quality import report_of, verdict
+from fieldlum.merge.rim import dark_rims
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.profiles import CameraProfile
@@ -96,7 +97,7 @@ def merge_shots(
         blend(views), profile, target, heading_deg=heading_deg, t_utc=middle_of(shots)
     )
     assert panorama.flags is not None  # `finish` always sets the flags
-    report = report_of(findings, panorama.flags, target, profile)
+    report = report_of(findings, panorama.flags, target, profile, dark_rims(views))
     sun = None
     if sun_deg is not None and isinstance(target, Equirect):
         panorama, disc = take_out_disc(panorama, *sun_deg)

@@ -31,7 +31,7 @@ _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
 # where every pixel sees all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
 # width of the rim in which a lens fades out if another lens sees the same directions; chosen
-_TAPER_RAD = 0.06
+TAPER_RAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class ProjectedImage:
     """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
 
     variance: of the random error. coverage: share of the pixel that is seen. edge: 0 at the lens's
-    edge, rising to 1 at `_TAPER_RAD` inside it. u_vignetting, u_ratio: relative standard
+    edge, rising to 1 at `TAPER_RAD` inside it. u_vignetting, u_ratio: relative standard
     uncertainties.
     """
 
@@ -111,7 +111,7 @@ def view_through(
     parts = np.maximum(rgb * weights, 0.0) + 1e-30
     u_ratio = (parts * sensor.u_curve.at(rgb)).sum(axis=1) / parts.sum(axis=1)
     rgb, var = rgb / v[:, None], var / v[:, None] ** 2
-    edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
+    edge = np.clip((geometry.half_angle_rad - angle) / TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
     light, u_stray = rgb @ weights, np.zeros(len(rgb))

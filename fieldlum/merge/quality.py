@@ -12,7 +12,7 @@ from fieldlum.merge.sensor import Findings
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection.grids import Target
 from fieldlum.records import Flag
-from fieldlum.session.files.merge_report import FrameQuality, MergeReport, ShiftQuality
+from fieldlum.session.files.merge_report import DarkRim, FrameQuality, MergeReport, ShiftQuality
 
 # Limits of the verdict, chosen with simulated and real brackets (docs/merge.md, "Verdicts").
 RESIDUAL_WARN_PERCENT = 3.0
@@ -26,6 +26,7 @@ def report_of(
     flags: NDArray[np.integer],
     target: Target,
     profile: CameraProfile,
+    rims: Sequence[DarkRim] = (),
 ) -> MergeReport:
     """Return the figures of one merged bracket.
 
@@ -60,6 +61,7 @@ def report_of(
         shutter_law=parts[0].law,
         u_ratio_percent=100 * float(np.sqrt(np.mean([p.trust.u_rel**2 for p in parts]))),
         orientation_conflict=orientation_conflict([s for p in parts for s in p.shots], profile),
+        dark_rims=tuple(rims),
     )
 
 
@@ -129,6 +131,13 @@ def verdict(report: MergeReport) -> str:
         f"and {m.short}: fix the tripod"
         for m in report.shifts
         if m.sure_px > SHIFT_WARN_PX
+    ]
+    notes += [
+        f"the outer {rim.width_deg:.1f} degrees of lens '{rim.lens}' are dark (at its edge "
+        f"{100 * rim.share:.0f} % of the luminance further in): the profile's full_angle_deg and "
+        "radius_px are larger than the lens's image, and luminance is too low there: leave this "
+        f"edge out (fieldlum calibrate lens --trim {rim.width_deg:.1f})"
+        for rim in report.dark_rims
     ]
     if clipped := report.clipped_percent or 0.0:
         notes.append(

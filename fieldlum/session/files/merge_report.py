@@ -98,6 +98,18 @@ class ShiftQuality:
 
 
 @dataclass(frozen=True, slots=True)
+class DarkRim:
+    """The dark edge of a lens's image.
+
+    width_deg: of the dark part; share: luminance at the edge over that a few degrees further in.
+    """
+
+    lens: str
+    width_deg: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class MergeReport:
     """The figures of one merged bracket; shares are percent of the solid angle seen.
 
@@ -126,10 +138,11 @@ class MergeReport:
     orientation_conflict: str = ""
     vertical_illuminance_lx: float | None = None
     lost: tuple[str, ...] = ()
+    dark_rims: tuple[DarkRim, ...] = ()
 
     def table(self) -> JsonTable:
         """Return the object of the sidecar, without the optional keys that this bracket lacks."""
-        optional = ("shutter_law", "vertical_illuminance_lx", "lost")
+        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims")
         return {
             _KEYS.get(name, name): value
             for name, value in to_json(self).items()

@@ -1,0 +1,58 @@
+"""A lens whose image is dark at its edge: the profile states a larger image circle than it has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.merge.project import TAPER_RAD, ProjectedImage
+from fieldlum.session.files.merge_report import DarkRim
+
+# Rings from the edge of the image inwards, each of 0.5 degrees; the innermost is the reference.
+_RINGS = 7
+_LEAST_PIXELS = 50  # of a ring, for its median; chosen
+# A ring below this share of the reference is dark. The last degree of the rendered lenses of our
+# simulator has 0.9 to 1.1, that of a real 8 mm fisheye 0.2 (docs/results/merge-real.md).
+_DARK_SHARE = 0.6
+_BRIGHT_SHARE = 0.9  # the rim ends at the first ring above it; chosen
+_TAPER_DEG = float(np.degrees(TAPER_RAD))
+
+
+def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
+    """Return the dark rims of the lenses, at most one for each lens.
+
+    Only pixels that a single lens and heading sees are tested, because `blend` gives the edge of a
+    lens little weight elsewhere.
+    """
+    alone = sum((view.coverage > 0).astype(int) for view in views) == 1  # [n]
+    rims: dict[str, DarkRim] = {}
+    for view in views:
+        if view.lens is None:
+            continue
+        inside = alone & (view.coverage > 0.99) & (view.edge < 1.0)
+        rim = dark_rim(view.luminance[inside], view.edge[inside] * _TAPER_DEG)
+        if rim is not None:
+            rims.setdefault(view.lens.name, DarkRim(view.lens.name, *rim))
+    return tuple(rims.values())
+
+
+def dark_rim(
+    luminance_cdm2: NDArray[np.float64], from_edge_deg: NDArray[np.float64]
+) -> tuple[float, float] | None:
+    """Return the width [degrees] of a dark rim and its luminance over that further in, or None.
+
+    The arrays [n] are of the outer 3.4 degrees of a lens's image. The median luminance of rings
+    must fall to the outermost one. None also for a picture with too few pixels in a ring.
+    """
+    step = _TAPER_DEG / _RINGS
+    ring = np.minimum((from_edge_deg / step).astype(int), _RINGS - 1)
+    if (np.bincount(ring, minlength=_RINGS) < _LEAST_PIXELS).any():
+        return None
+    median = np.array([np.median(luminance_cdm2[ring == k]) for k in range(_RINGS)])
+    share = median / max(median[-1], 1e-9)
+    if share[0] > _DARK_SHARE or not (np.diff(share[:3]) > 0.0).all():
+        return None
+    width = int(np.argmax(share > _BRIGHT_SHARE))
+    return round(width * step, 1), round(float(share[0]), 3)
