@@ -147,7 +147,10 @@ def test_lens_from_chessboards() -> None:
         better = boards.fit(seen, Lens((630.0, 490.0), 440.0, 180.0, azimuth_deg=azimuth))
         assert better.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
         assert better.lens.centre_px == pytest.approx(truth.centre_px, abs=0.1)
-        assert better.lens.azimuth_deg == azimuth and "the centre has u = 0.0" in better.choice.line
+        assert (
+            better.lens.azimuth_deg == azimuth
+            and "uncertainty of the centre 0.0" in better.choice.line
+        )
     with pytest.raises(NotEnoughDataError):
         boards.from_boards(corners[:3], columns, rows, (1280, 960))
 
