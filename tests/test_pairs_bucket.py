@@ -47,7 +47,7 @@ def test_the_data_are_those_of_the_session_or_are_refused(
     (shard, *_) = [n for n in store.find(f"/bucket/{tmp_path.name}") if "dni_wm2/c/" in n]
     (other, *_) = [n for n in store.find(f"/bucket/{tmp_path.name}") if "dhi_wm2/c/" in n]
     store.pipe_file(shard, store.cat_file(other))
-    with pytest.raises(InputError, match="differs from what was written"):
+    with pytest.raises(InputError, match="content that was changed or damaged"):
         pairs_bucket.read_pairs(url)
 
 

@@ -143,7 +143,7 @@ def test_command_names_the_page_and_refuses_what_is_no_session(
 def test_a_session_without_pairs_has_nothing_to_report(tmp_path: Path) -> None:
     create_session(tmp_path / "s", SETUP, [], {})
     shown = CliRunner().invoke(main, ["report", str(tmp_path / "s")])
-    assert shown.exit_code == 5 and "nothing paired yet" in shown.output
+    assert shown.exit_code == 5 and "no bracket was paired yet" in shown.output
 
 
 @pytest.mark.slow

@@ -311,10 +311,10 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda y: {"dni": y.dhi_wm2, "dhi": y.dni_wm2}, "DHI above the limit of any sky"),
-        (lambda y: {"dhi": y.ghi_wm2}, "DHI above the limit of any sky"),
-        (lambda y: {"dni": y.ghi_wm2}, "global or diffuse in the column of DNI"),
-        (lambda y: {"dni": y.dni_wm2 / 1e3, "dhi": y.dhi_wm2 / 1e3}, "check for kW"),
+        (lambda y: {"dni": y.dhi_wm2, "dhi": y.dni_wm2}, "DHI is above the limit of any sky"),
+        (lambda y: {"dhi": y.ghi_wm2}, "DHI is above the limit of any sky"),
+        (lambda y: {"dni": y.ghi_wm2}, "the column of DNI has global or diffuse"),
+        (lambda y: {"dni": y.dni_wm2 / 1e3, "dhi": y.dhi_wm2 / 1e3}, "values are in kW"),
         (
             lambda y: {"dni": 0.5 * y.dni_wm2, "dhi": 0.6 * y.dhi_wm2, "ghi": True},
             "GHI differs from DHI",
