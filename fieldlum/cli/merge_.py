@@ -101,7 +101,9 @@ def command(
         _merge_files([session, *more], camera, out, options, heading, as_json)
         return
     if more:
-        raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
+        raise click.UsageError(
+            f"name one SESSION, not {1 + len(more)} paths; to merge files use --frames"
+        )
     if camera or out or projection != "equirect":
         raise click.UsageError("--camera, --out and --projection need --frames")
     scheduler = scheduler_of(scheduler_text)

@@ -110,9 +110,10 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
     ):
         if (wrong & up).any():
             k = int(np.argmax(wrong & up))
-            found = (
+            raise InputError(
+                path,
                 f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} W/m2 with "
-                f"the sun at "
+                f"the sun at {altitude_deg[k]:.0f} deg is {finding}",
+                "possible irradiance in W/m2",
+                remedy,
             )
-            found += f"{altitude_deg[k]:.0f} deg is {finding}"
-            raise InputError(path, found, "possible irradiance in W/m2", remedy)
