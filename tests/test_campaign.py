@@ -16,7 +16,10 @@ from fieldlum.campaign.drift import FEWEST, series
 from fieldlum.campaign.overview import RoomOverview
 from fieldlum.cli import main
 from fieldlum.errors import InputError
+from fieldlum.models import read_config
+from fieldlum.models.data import load_pairs
 from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Slot
+from fieldlum.scene_fit.scene_file import Scene, write_scene
 from fieldlum.session import create_session
 from fieldlum.session.files.predict_json import DirectionYear
 
@@ -127,6 +130,20 @@ def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Pat
     assert {row["room"] for row in rows} == {"good"} and rows[0]["t_utc"] == first["t_utc"]
     azimuth = rows[1]["azimuth_deg"]
     assert float(rows[1]["dgp"]) == float(first[f"dgp@{azimuth}"])
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_room_is_trained_with_the_scene_of_its_session(three_rooms: Path, tmp_path: Path) -> None:
+    data = load_pairs(tmp_path / "good")
+    assert data.setup.room is not None
+    heading_deg, room = data.heading_deg, data.setup.room
+    scene = Scene(1.0, 2.0, room, "none", "no patch", heading_deg, room)
+    write_scene(tmp_path / "good" / "scene", scene)
+    results = {r.session: r for r in run_stage(read_campaign(three_rooms), "train")}
+    assert results["good"].state == "done", results["good"].text
+    trained = read_config(tmp_path / "good" / "models" / "nearest")
+    assert trained.scene is not None and trained.scene["chosen"] == "none"
 
 
 @pytest.mark.slow

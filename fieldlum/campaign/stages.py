@@ -146,7 +146,8 @@ def _train(
             yield failed
             continue
         job = _TrainJob(room.model, room.seed, room.budget_min)
-        files = ("session.toml", "pairs.csv")
+        scene = "scene/scene.toml"
+        files = ("session.toml", "pairs.csv", *([scene] if (folder / scene).is_file() else []))
         units.append(WorkUnit(room.session, train_room, folder, job, files=files))
     for outcome in run_units(units, scheduler, progress=progress):
         yield guarded(outcome.unit.name, outcome.result)
@@ -163,14 +164,23 @@ def without_pairs(room: CampaignRoom, folder: Path) -> RoomResult | None:
 def train_room(folder: Path, job: _TrainJob) -> str:
     """Train one room's model from the session in `folder`; return a line about the result.
 
-    Runs as a unit of work. Raises NotEnoughDataError for too few hours.
+    A fitted scene in the session is used, as by `fieldlum train`. Runs as a unit of work. Raises
+    NotEnoughDataError for too few hours.
     """
     from fieldlum import train
     from fieldlum.models.data import load_pairs
+    from fieldlum.scene_fit.stated_box import training_captures
 
-    data = load_pairs(folder)
+    data, patch = training_captures(load_pairs(folder), folder, "", "absolute")
     out = train.default_folder(folder, job.model)
-    answer = train.run(data, job.model, budget_min=job.budget_min, seed=job.seed, out=out)
+    answer = train.run(
+        data,
+        job.model,
+        budget_min=job.budget_min,
+        patch="none" if patch == "none" else "absolute",
+        seed=job.seed,
+        out=out,
+    )
     chosen = next(row for row in answer["models"] if row["name"] == answer["chosen"])
     error = chosen["log10_mse_weighted"]
     figure = "" if error is None else f", log10 MSE {error:.2g} on held-out days"

@@ -81,8 +81,7 @@ def command(
     """
     from fieldlum.models.data import load_pairs
     from fieldlum.models.pairs_bucket import read_pairs
-    from fieldlum.scene_fit.apply import in_scene
-    from fieldlum.scene_fit.stated_box import with_judged_box
+    from fieldlum.scene_fit.stated_box import training_captures
     from fieldlum.train import default_folder, run
 
     started = time.monotonic()
@@ -98,9 +97,7 @@ def command(
         data = (
             read_pairs(pairs) if isinstance(pairs, str) else load_pairs(pairs, site, progress=show)
         )
-        data, patch = in_scene(data, place, scene, patch, progress=show)
-        if not scene:
-            data, patch = with_judged_box(data, patch, progress=show)
+        data, patch = training_captures(data, place, scene, patch, progress=show)
     pixels = data.shape[0] * data.shape[1]
     say_if(estimate_text(train_s(model, len(data), pixels, budget)))
     with progress("training") as show:

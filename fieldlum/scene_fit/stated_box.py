@@ -7,13 +7,14 @@ search judge a fitted scene (decision 17).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
-from fieldlum.scene_fit.apply import with_patches, with_scene
+from fieldlum.scene_fit.apply import in_scene, with_patches, with_scene
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
@@ -71,6 +72,18 @@ def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
         f"sun: {100.0 * none:.1f} % without patches, {100.0 * stated:.1f} % with those of [room], "
         f"which must not be over 10 % larger{cause}; {remedy}",
     )
+
+
+def training_captures(
+    data: Dataset, pairs: Path, option: str, patch: str, *, progress: Progress = quiet
+) -> tuple[Dataset, str]:
+    """Return captures as `train` learns them, and the patch mode for training.
+
+    The scene is used as `in_scene` describes. Without a scene and without `option`, captures with
+    few clear hours decide on the stated box as `with_judged_box` describes.
+    """
+    data, patch = in_scene(data, pairs, option, patch, progress=progress)
+    return (data, patch) if option else with_judged_box(data, patch, progress=progress)
 
 
 def with_judged_box(
