@@ -162,7 +162,7 @@ def opened(path: Path) -> Any:
             path,
             f"LibRaw: {text}",
             "a raw file that LibRaw supports",
-            "copy it again, or convert it to DNG",
+            "name only frames; if this is one, copy it from the card again or convert it to DNG",
         ) from None
     if damage:
         raw.close()
