@@ -17,7 +17,8 @@ class ModelKind:
     module: its import path. size: order from small to large for the one-standard-error rule.
     fit: the fitting function's name. baseline: always tried, next to any model that is named;
     its fit has nothing random. slow: no closed form; it is trained again for each fold within a
-    share of the budget, continues from a checkpoint, and is never refitted for a report.
+    share of the budget (its fit takes budget_s and least_passes), continues from a checkpoint, and
+    is never refitted for a report.
     """
 
     module: str

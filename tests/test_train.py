@@ -13,7 +13,9 @@ from learning_room import dataset, room, write_pairs
 from fieldlum import models, train
 from fieldlum.cli import main, train_
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.models import dense_training
 from fieldlum.models.data import Dataset
+from fieldlum.models.dense_network import Shape
 from fieldlum.models.scores import Scores
 from fieldlum.models.year_sample import light_of_year
 from fieldlum.projection import equirect_solid_angles
@@ -199,12 +201,20 @@ def test_a_network_that_saw_less_than_every_pixel_once_is_not_judged(
 ) -> None:
     answer = run(DATA, "dense", budget_min=1e-5, out=tmp_path, captures=False)
     row = next(row for row in answer["models"] if row["name"] == "dense")
-    assert row["not_judged_because"].startswith("not judged: 0.")
+    assert row["not_judged_because"].startswith("not judged: no time")
     assert set(row) >= KEYS and row["log10_mse_weighted"] is None and row["worst"] is None
     assert any("not judged" in note for note in answer["notes"])
     train_._show(answer)
     shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("dense")]
     assert len(shown) == 1 and "not judged" in shown[0] and "e+0" not in shown[0]
+
+
+@pytest.mark.contract
+def test_a_network_without_time_for_a_pass_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dense_training, "_pixels_per_second", lambda *_: 0.01)
+    few = DATA.take(range(0, len(DATA), 6))
+    record = dense_training.train(few, Shape(), budget_s=600.0, least_passes=1.0).record
+    assert record.steps == 1 and record.pixels_seen_per_pixel < 1.0
 
 
 @pytest.mark.property

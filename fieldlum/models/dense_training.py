@@ -46,6 +46,10 @@ if TYPE_CHECKING:
 RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
 _MICRO_PIXELS = {"cpu": 8192, "cuda": 131_072}  # pixels of a micro-batch; not measured
 _TIMED_BATCHES = 3  # number of micro-batches whose time decides between the schedules; not measured
+# A budget that allows less than this share of the passes that are needed is not used: the speed is
+# measured to better than a factor of two. Chosen.
+_HOPELESS_SHARE = 0.5
+_ONE_UPDATE_S = 1e-3  # a budget that ends after one update
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +146,7 @@ def train(
     patch: Patch = "absolute",
     seed: int = 0,
     budget_s: float | None = None,
+    least_passes: float = 0.0,
     plan: TrainingPlan | None = None,
     checkpoint: Path | None = None,
     stop_after_epochs: int | None = None,
@@ -151,8 +156,9 @@ def train(
     """Train the network; return it with the weights of the best validation.
 
     plan: None uses the paper's schedule if it fits in the budget, else a short one by measured
-    speed. checkpoint: written after each epoch; an existing one is continued. stop_after_epochs:
-    end early, as an interruption would.
+    speed. least_passes: end after one update if the budget clearly allows fewer passes over the
+    training pixels. checkpoint: written after each epoch; an existing one is continued.
+    stop_after_epochs: end early, as an interruption would.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()
@@ -168,7 +174,8 @@ def train(
     base = canvas(average, data.heading_deg)
     pixels = pixels_of(data.take(teach), base, shape, patch, device)
     exam = pixels_of(data.take(check), base, shape, patch, device)
-    plan = plan or _make_plan(net, pixels, budget_s, half)
+    if plan is None:
+        plan, budget_s = _make_plan(net, pixels, budget_s, half, least_passes)
     run, mark = Run(rate=plan.rate), data_digest(data.digest(), patch, seed)
     best = _weights(net)
     if checkpoint is not None and checkpoint.is_file():
@@ -227,13 +234,17 @@ def _weights(net: Net) -> dict[str, Tensor]:
     return {name: value.clone() for name, value in net.state_dict().items()}
 
 
-def _make_plan(net: Net, pixels: PixelSampler, budget_s: float | None, half: bool) -> TrainingPlan:
-    """Return the paper's schedule if it fits in the budget or there is none, else a short one."""
+def _make_plan(
+    net: Net, pixels: PixelSampler, budget_s: float | None, half: bool, least_passes: float
+) -> tuple[TrainingPlan, float | None]:
+    """Return a plan and the time for it [s]; see `train`."""
     micro = _MICRO_PIXELS[pixels.target.device.type]
     if budget_s is None:
-        return TrainingPlan(micro_pixels=micro)
+        return TrainingPlan(micro_pixels=micro), None
     speed = distributed.agreed(_pixels_per_second(net, pixels, micro, half), pixels.target.device)
-    return affordable_plan(speed, len(pixels), budget_s, micro)
+    plan = affordable_plan(speed, len(pixels), budget_s, micro)
+    hopeless = budget_s * speed / len(pixels) < _HOPELESS_SHARE * least_passes
+    return plan, _ONE_UPDATE_S if hopeless else budget_s
 
 
 def _pixels_per_second(net: Net, pixels: PixelSampler, micro: int, half: bool) -> float:

@@ -47,6 +47,7 @@ FOLD_SHARE = 0.5
 # speed (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the
 # model suits a room. Chosen.
 MIN_PASSES_TO_JUDGE = 1.0
+_TOO_SHORT = "not judged: no time to train on every pixel of the captures once; raise --budget"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,16 +96,8 @@ def row(trial: Trial, seed: int) -> ScoreRow:
 def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
     """Return the row of a trial that was too short: every score is null, with the reason."""
     blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0}
-    reason = {"not_judged_because": _too_short(trial)}
+    reason = {"not_judged_because": _TOO_SHORT}
     return cast(ScoreRow, {**row(trial, seed), **blank, **reason})
-
-
-def _too_short(trial: Trial) -> str:
-    return (
-        f"not judged: the training had time for {trial.passes or 0.0:.3f} passes over the data, "
-        "but "
-        "at least one is needed; raise --budget"
-    )
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -164,9 +157,9 @@ def fit_and_score(
             if model == name:
                 raise
             left_out.append(f"{name} was not tried: {error}")
-    not_judged = tuple(trial for trial in trials if _is_too_short(trial))
-    trials = [trial for trial in trials if not _is_too_short(trial)]
-    left_out += [f"{trial.name}: {_too_short(trial)}" for trial in not_judged]
+    not_judged = tuple(trial for trial in trials if _is_TOO_SHORT)
+    trials = [trial for trial in trials if not _is_TOO_SHORT]
+    left_out += [f"{trial.name}: {_TOO_SHORT}" for trial in not_judged]
     choice = choose(trials, data) if model == "auto" else ModelSelection(model, "requested")
     more: dict[str, Any] = {}
     if checkpoint is not None and MODELS[choice.name].slow:

@@ -78,12 +78,15 @@ def evaluate_folds(
     budget_s: for all folds together [s]. A slow model divides it among the folds. A quick model
     skips the remaining folds if the next one would exceed it, but always runs two, so that large
     maps of a month do not delay the result. least_passes: a network that saw its training data less
-    often is compared with one hour only, since nobody will read its scores.
+    often is compared with one hour only, since nobody will read its scores; a slow model gets it as
+    an option, so that it can end at once.
     """
     parts: list[Scores] = []
     passes: list[float] = []
     wall_s, cpu_s, taught = 0.0, 0.0, 0
     share = budget_s / len(folds) if budget_s else None
+    if MODELS[name].slow:
+        more["least_passes"] = least_passes
     started = clock()
     for fold in folds:
         if budget_s is not None and not MODELS[name].slow and len(parts) >= LEAST_FOLDS:
