@@ -157,8 +157,8 @@ def fit_and_score(
             if model == name:
                 raise
             left_out.append(f"{name} was not tried: {error}")
-    not_judged = tuple(trial for trial in trials if _is_TOO_SHORT)
-    trials = [trial for trial in trials if not _is_TOO_SHORT]
+    not_judged = tuple(trial for trial in trials if _is_too_short(trial))
+    trials = [trial for trial in trials if not _is_too_short(trial)]
     left_out += [f"{trial.name}: {_TOO_SHORT}" for trial in not_judged]
     choice = choose(trials, data) if model == "auto" else ModelSelection(model, "requested")
     more: dict[str, Any] = {}
