@@ -54,7 +54,7 @@ def test_a_box_that_explains_no_patch_is_not_used(captures: Dataset) -> None:
     judged, patch = with_judged_box(_stated(captures, SHIFTED), "absolute")
     assert patch == "none" and judged.patch_cdm2 is None
     assert judged.notes[-1].startswith("no sun patch: ")
-    assert "clear hours: capture at least 12" in judged.notes[-1]
+    assert "capture 12 clear hours for a trusted scene" in judged.notes[-1]
 
 
 @pytest.mark.property

@@ -15,7 +15,7 @@ import numpy as np
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.apply import in_scene, with_patches, with_scene
-from fieldlum.scene_fit.evidence import gather
+from fieldlum.scene_fit.evidence import MIN_SUNNY_HOURS, gather
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_file import Chosen, Scene
@@ -53,7 +53,10 @@ def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     clear = int(sunny_hours(data, room).sum())
     if clear >= MIN_CLEAR_HOURS:
         return None
-    remedy = f"{clear} clear hours: capture at least {MIN_CLEAR_HOURS}, then run fieldlum scene fit"
+    remedy = (
+        f"run fieldlum scene fit (from {MIN_SUNNY_HOURS} captures with direct sun), and capture "
+        f"{MIN_CLEAR_HOURS} clear hours for a trusted scene ({clear} so far)"
+    )
     try:
         evidence = gather(data, room, min_hours=1)
     except NotEnoughDataError:
