@@ -48,3 +48,10 @@ class NotEnoughDataError(FieldlumError):
     """Readable input that has too few usable data for an answer."""
 
     exit_code = 5
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an exception reports, in words for a reader who does not know Python."""
+    if isinstance(error, KeyError):
+        return f"no entry {error}"
+    return str(error) or type(error).__name__

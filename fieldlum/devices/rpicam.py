@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.uri import DeviceUri, number
-from fieldlum.errors import DeviceError
+from fieldlum.errors import DeviceError, reason_of
 from fieldlum.photometry import SAME_SETTING_EV
 from fieldlum.records import Exposure, shutter_text
 
@@ -70,8 +70,10 @@ def parse_metadata(text: str) -> FrameMetadata:
         values = [float(table[key]) for key in ("ExposureTime", "AnalogueGain")]
         digital = float(table.get("DigitalGain", 1.0))
     except (ValueError, KeyError, TypeError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else str(error)[:120]
-        raise DeviceError(f"rpicam: the metadata of the frame cannot be used: {what}") from None
+        raise DeviceError(
+            f"rpicam: the metadata of the frame cannot be used: {reason_of(error)[:120]}; expected "
+            "JSON with ExposureTime and AnalogueGain; install a newer rpicam-apps"
+        ) from None
     if not all(math.isfinite(v) and v > 0 for v in (*values, digital)):
         raise DeviceError(
             f"rpicam: impossible metadata: an exposure of {values[0]:g} us at gain {values[1]:g}; "

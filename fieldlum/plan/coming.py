@@ -79,7 +79,7 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
                 folder,
-                f"a model that cannot be read ({type(error).__name__}: {error})",
+                f"a model that cannot be read ({reason_of(error)})",
                 "a transport model",
                 "train the model again (fieldlum train)",
             ) from None

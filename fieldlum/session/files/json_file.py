@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, reason_of
 from fieldlum.records import parse_utc
 from fieldlum.session.writing import replacing
 from fieldlum.strict_toml import build
@@ -71,7 +71,7 @@ def content_of(
     try:
         yield
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise InputError(path, f"{type(error).__name__}: {error}", expected, remedy) from None
+        raise InputError(path, reason_of(error), expected, remedy) from None
 
 
 def from_json(cls: type[T], table: Mapping[str, Any]) -> T:

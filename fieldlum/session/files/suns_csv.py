@@ -6,7 +6,7 @@ import csv
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, reason_of
 from fieldlum.records import SunSource
 from fieldlum.session.files.json_file import from_json
 from fieldlum.session.writing import write_table
@@ -66,9 +66,7 @@ def read_suns(path: Path) -> dict[str, SunRow]:
                 row = _row(cells)
                 rows[row.panorama] = row
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            path, f"line {line}: {type(error).__name__}: {error}", _EXPECTED, _REMEDY
-        ) from None
+        raise InputError(path, f"line {line}: {reason_of(error)}", _EXPECTED, _REMEDY) from None
     return rows
 
 
