@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError, reason_of
 from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
