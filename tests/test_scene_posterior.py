@@ -10,8 +10,10 @@ import pytest
 from click.testing import CliRunner
 from learning_room import SEATTLE, dataset, write_pairs
 
+import fieldlum
 from fieldlum import models, sun
 from fieldlum.cli import main
+from fieldlum.errors import InputError
 from fieldlum.light import light_at
 from fieldlum.models.baselines import fit_mean
 from fieldlum.models.data import Dataset
@@ -122,3 +124,16 @@ def test_bench_takes_a_scene_for_its_test_hours_too(tmp_path: Path) -> None:
     assert ran.exit_code == 3 and "another [room]" in ran.output, ran.output
     ran = CliRunner().invoke(main, [*asked, *more, "--scene", "none"])
     assert ran.exit_code == 0, ran.output
+
+
+@pytest.mark.contract
+def test_the_python_api_uses_the_scene_as_train_does(tmp_path: Path) -> None:
+    write_pairs(tmp_path, dataset(DAYS[:2]))
+    pairs = tmp_path / "pairs.csv"
+    assert fieldlum.load_pairs(pairs).scene is None
+    write_scene(tmp_path / "scene", _scene(ROOM, {}))  # of another [room] than site.toml states
+    with pytest.raises(InputError, match=r"another \[room\]"):
+        fieldlum.load_pairs(pairs)
+    assert fieldlum.load_pairs(pairs, scene="none").scene is None
+    with pytest.raises(InputError, match="scene fit"):
+        fieldlum.load_pairs(pairs, scene=str(tmp_path))

@@ -21,9 +21,13 @@ if TYPE_CHECKING:
 
 
 def load_pairs(
-    pairs: Session | str | Path, site: str | Path | None = None, *, progress: Progress = quiet
+    pairs: Session | str | Path,
+    site: str | Path | None = None,
+    *,
+    scene: str = "",
+    progress: Progress = quiet,
 ) -> Dataset:
-    """Read captured hours with their irradiance for training.
+    """Read captured hours with their irradiance for training, as `fieldlum train` does.
 
     Parameters
     ----------
@@ -31,6 +35,9 @@ def load_pairs(
         A session, its folder, or a pairs.csv with its pictures (docs/file-formats.md).
     site
         A SITE.toml; None: the session's, or site.toml in the folder of the csv.
+    scene
+        A folder that `fieldlum scene fit` wrote; "none" ignores any scene; "" uses scene/ next to
+        the pairs, if it exists.
     progress
         Called as progress(done, total, text).
 
@@ -54,9 +61,13 @@ def load_pairs(
     (108, 230, 460)
     """
     from fieldlum.models import data
+    from fieldlum.scene_fit.stated_box import training_captures
+    from fieldlum.session import Session
 
-    source = Path(pairs) if isinstance(pairs, str) else pairs
-    return data.load_pairs(source, None if site is None else Path(site), progress=progress)
+    source = pairs.root if isinstance(pairs, Session) else Path(pairs)
+    stated = None if site is None else Path(site)
+    captures = data.load_pairs(source, stated, progress=progress)
+    return training_captures(captures, source, scene, "absolute", progress=progress)[0]
 
 
 def fit(
