@@ -399,7 +399,7 @@ def test_toa5_damage() -> None:
     assert len(table.samples) == 3 and len(table.broken) == 3
     assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "line feed" in table.broken[2]
     for text, said in (
-        ("TIMESTAMP,GHI\n", "no TOA5 header"),
+        ("TIMESTAMP,GHI\n", "no complete TOA5 header in 2 lines"),
         (TOA5.replace("GHI_Avg", "Volt").replace("DHI_Avg", "Amp"), "a column of irradiance"),
         (TOA5.replace("W/m^2", "mV"), "GHI_Avg is in 'mV'"),
         (TOA5.replace("DHI_Avg", "GHI_2_Avg"), "several columns for ghi_wm2: GHI_Avg, GHI_2_Avg"),

@@ -190,7 +190,8 @@ def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
         verdict = merge.run(session, SMALL)[0]
         assert verdict.state == "merged"
         assert verdict.text.startswith(
-            "merged without 1.dng, because the pixels cannot be read: copy from the card again; "
+            "merged without 1.dng, because the pixels cannot be read: copy these frames from the "
+            "card again if it still has them; "
         )
     note = json.loads((session.panoramas / f"{slot}.json").read_text())
     assert note["quality"]["lost"] == ["1.dng"] and note["verdict"] == verdict.text

@@ -179,11 +179,18 @@ def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
     simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
 
 
-@pytest.mark.slow
 @pytest.mark.contract
-def test_a_room_is_needed() -> None:
+def test_a_room_is_needed_before_a_session_is_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="box room"):
         simulate.ground_truth(replace(SMALL, room=None))
+    site = tmp_path / "site.toml"
+    site.write_text(
+        '[site]\nname = "A"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\n'
+        'timezone = "America/Los_Angeles"\n'
+    )
+    ran = CliRunner().invoke(main, ["simulate", str(site), "--out", str(tmp_path / "out")])
+    assert ran.exit_code == 3 and "no box room" in ran.output, ran.output
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

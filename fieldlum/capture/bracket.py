@@ -31,7 +31,7 @@ from fieldlum.session.tables import DeviceTable
 STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured
 _FOLDER_BYTES = 1 << 14  # a new folder with its entries; not measured
 Check = Callable[[Path, Exposure], str]
-"Checks a new frame; returns what is wrong with it, or ."
+"""Checks a new frame; returns what is wrong with it, or nothing ("") if it is good."""
 
 
 def no_check(path: Path, exposure: Exposure) -> str:

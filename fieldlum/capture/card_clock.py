@@ -63,7 +63,7 @@ def clock_offset(
             f"{near.t_utc:%Y-%m-%d %H:%M} UTC"
             if near
             else "a plan with slots",
-            "check that this is the right card; correct a wrong date with exiftool -AllDates",
+            'check that this is the right card; correct a wrong date, for example with exiftool -AllDates+="0:0:1 0:0:0" (one day)',
         )
     if start is None:
         raise InputError(
@@ -199,7 +199,7 @@ def _steadiest(hits: np.ndarray) -> list[int]:
     value, came = hits[0].astype(float), []
     for day in hits[1:]:
         best = int(np.argmax(value))
-        change = value[best] - _EVIDENCE > value
+        change = value[best] - _EVIDENCE >= value
         came.append(np.where(change, best, np.arange(len(value))))
         value = np.where(change, value[best] - _EVIDENCE, value) + day
     path = [int(np.argmax(value))]

@@ -1,4 +1,4 @@
-"""`fieldlum calibrate PART`: one module for each part of a profile."""
+"""The command group `fieldlum calibrate`; each PART is a command in a module calibrate_PART."""
 
 from __future__ import annotations
 

@@ -120,6 +120,7 @@ def command(
     import_module("pyradiance")  # so that a missing package is reported before any file is written
     from fieldlum import simulate
     from fieldlum.session import open_session
+    from fieldlum.simulate.truth import box_room
     from fieldlum.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
@@ -129,6 +130,7 @@ def command(
         )
     troubles = None if troubles_file is None else simulate.load_troubles(troubles_file)
     setup = session.site_file() if session is not None else load_site(site)
+    box_room(setup)  # before a session is written
     weather = simulate.weather_for(setup, weather_file, seed)
     for repair in weather.repairs:
         terminal.say(f"weather: {repair}")

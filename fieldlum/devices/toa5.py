@@ -76,9 +76,9 @@ def parse_toa5(
     if not is_toa5(text) or len(lines) < 4:
         raise InputError(
             source,
-            "no TOA5 header",
-            "a Campbell Scientific TOA5 table",
-            "convert it with LoggerNet",
+            f"no complete TOA5 header in {len(lines)} lines",
+            "four header lines of a Campbell Scientific TOA5 table",
+            "copy the file from the logger again",
         )
     try:
         about, names, units = (

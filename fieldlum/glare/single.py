@@ -62,7 +62,7 @@ def picture_glare(
     if not ev or ev <= 0.0:
         raise InputError(
             path,
-            "no light in the first view direction",
+            "no light was seen in the first view direction",
             "light there, so that the picture can be scaled to the measured illuminance",
             "check the view direction, or omit the measured illuminance",
         )

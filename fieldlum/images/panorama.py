@@ -1,4 +1,4 @@
-"""Read panoramas: fieldlum's own EXR, or a Radiance picture that is twice as wide as high."""
+"""Read panoramas: pictures of all directions, as EXR or Radiance files."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from fieldlum.records import Panorama
 
 
 def read_panorama(path: Path) -> Panorama:
-    """Read a panorama: fieldlum's .exr, or a Radiance .hdr that is twice as wide as high.
+    """Read a panorama: an .exr or a Radiance .hdr that is twice as wide as high.
 
-    A .hdr without a heading line gets the heading 180 (south). Raises InputError for a missing or
-    broken file, and for other kinds and shapes.
+    A file without a heading gets 180 (south). The file's view is not checked. Raises InputError for
+    a missing or broken file, and for other shapes.
     """
     if not path.is_file():
         raise InputError(

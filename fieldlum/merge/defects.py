@@ -1,6 +1,7 @@
 """Find the sensor pixels to ignore.
 
-These are the profile's bad pixels, and pixels whose frames contradict each other.
+These are the profile's bad pixels and, for raw cameras, isolated pixels whose frames contradict
+each other while all neighbours of the same colour agree. Pixels of moving objects are kept.
 """
 
 from __future__ import annotations

@@ -190,8 +190,8 @@ def _with_session_facts(
     )
     if lost:
         text = (
-            f"merged without {', '.join(lost)}, because the pixels cannot be read: copy from "
-            f"the card again; {text}"
+            f"merged without {', '.join(lost)}, because the pixels cannot be read: copy "
+            f"these frames from the card again if it still has them; {text}"
         )
     return replace(result, report=report, verdict=text + _sun_note(panorama.sun, profile))
 

@@ -231,8 +231,8 @@ def _assemble(
     seen, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
         notes.append(
-            f"{filled} single pixels without a value got the same pixel's median over the other "
-            "maps"
+            f"{filled} missing values of pixels that have one in most maps were filled with the "
+            "pixel's median over those maps"
         )
     if not seen.all():
         notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")

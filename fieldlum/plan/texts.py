@@ -168,7 +168,7 @@ def sentences(summary: PlanSummary) -> list[str]:
 
 
 def _covered_text(coverage: Coverage) -> str:
-    text = f"covers {coverage.sun_band_percent:.0f} % of the year's sun band"
+    text = f"the plan covers {coverage.sun_band_percent:.0f} % of the year's sun band"
     if coverage.irradiance_percent is None:
         return text
     return (

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.light import Light, light_at
 from fieldlum.projection import equirect_rays
-from fieldlum.records import Panorama, Progress, SiteFile, SunSource, quiet
+from fieldlum.records import Panorama, Progress, Room, SiteFile, SunSource, quiet
 from fieldlum.scene.patches import disc_visibility
 from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.view import SceneView, look
@@ -212,6 +212,18 @@ class GroundTruth:
 # computing and storing
 
 
+def box_room(setup: SiteFile) -> Room:
+    """Return the room of a site. Raises InputError for a site without a box room."""
+    if setup.room is None or setup.room.kind != "box":
+        raise InputError(
+            setup.site.name,
+            "the site has no box room",
+            '[room] with kind = "box"',
+            "state the geometry of the room in SITE.toml",
+        )
+    return setup.room
+
+
 def ground_truth(
     setup: SiteFile,
     *,
@@ -228,14 +240,7 @@ def ground_truth(
     the same room and quality at another height, which is not computed again. Raises InputError for
     a setup without a box room.
     """
-    room = setup.room
-    if room is None or room.kind != "box":
-        raise InputError(
-            setup.site.name,
-            "the site has no box room",
-            '[room] with kind = "box"',
-            "state the geometry of the room",
-        )
+    room = box_room(setup)
     how = QUALITIES[quality]
     heading = setup.camera.heading_deg % 360.0
     view = look(room, height, heading)

@@ -2,5 +2,6 @@
 
 `follow` reads a session's files as they grow, `snapshot` turns them into plain tables, `access`
 decides which requests are answered, and `server` answers them. The pages only read the files of a
-session, so a running capture does not depend on them.
+session; with --control they also write notes, marks, pauses and extra slots, which a capture reads
+(`control`). A capture never waits for the pages.
 """
