@@ -63,7 +63,8 @@ def clock_offset(
             f"{near.t_utc:%Y-%m-%d %H:%M} UTC"
             if near
             else "a plan with slots",
-            'check that this is the right card; correct a wrong date, for example with exiftool -AllDates+="0:0:1 0:0:0" (one day)',
+            "check that this is the right card; correct a wrong date, for example by one day: "
+            'exiftool -AllDates+="0:0:1 0:0:0" FOLDER',
         )
     if start is None:
         raise InputError(
