@@ -141,10 +141,10 @@ def _remedy(finding: SettingFinding, setup: SiteFile, pixel_deg: float) -> str:
     again = "then merge, pair and train again"
     minutes = a[-1]
     clock = (
-        f"the times of the pictures are {abs(minutes):.1f} min too "
-        f"{'late' if minutes > 0 else 'early'}: check the "
+        f"the recorded times of the pictures are {abs(minutes):.1f} min too "
+        f"{'late' if minutes > 0 else 'early'}: check the camera's clock and its offset "
+        "(fieldlum import --utc-offset)"
     )
-    clock += "camera's clock and its offset (fieldlum import --utc-offset)"
     if finding.cause == "north":
         return f"check the compass; in SITE.toml {wall} and {camera}, {again}"
     if finding.cause == "clock":
