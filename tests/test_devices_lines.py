@@ -169,8 +169,8 @@ def test_what_is_known_of_a_line_is_held_against_it() -> None:
         (b"G=081.24W T=024.1\n", "with 1 decimals"),
         (b"G=0812.4 T=024.1\n", "and 'W'"),
         (b"G=1812.4W T=024.1\n", "expected -10 to 1600"),
-        (b"G=0812.4W T=024.1 X=1\n", "expected G, T and no others"),
-        (b"T=024.1 G=0812.4W\n", "expected G, T and no others"),
+        (b"G=0812.4W T=024.1 X=1\n", "expected exactly G, T, in this order"),
+        (b"T=024.1 G=0812.4W\n", "expected exactly G, T, in this order"),
     ):
         with pytest.raises(DeviceError, match=said):
             parse_line(FIXED, line)

@@ -112,7 +112,8 @@ def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
     made = _plan(SEATTLE, profile, "even", start=date(2027, 6, 1), days=3, count=500)
     assert (
         len(made.slots) == 48
-        and "--count 500: the plan has fewer slots, because its days have only 48 daylight hours"
+        and "--count 500: the plan has only 48 slots, because no more hours of its days are "
+        "suitable"
         in made.warnings
     )
 

@@ -1,7 +1,8 @@
 """Camera profiles from ordinary captures: response, vignetting, scale, lens and colour.
 
-Every fit tries small models first and takes the smallest whose held-out error is within one
-standard error of the best. A line with the choice goes into the profile.
+Fits with several models try small ones first and take the smallest whose held-out error is within
+one standard error of the best; a line with the choice goes into the profile. Scale, image circle
+and bad pixels have one model.
 """
 
 from fieldlum.calibrate.readings_csv import save_calibration

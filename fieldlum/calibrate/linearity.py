@@ -79,7 +79,7 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
     seconds: list[float] = []
     first = None
     for path in paths:
-        mosaic = read_mosaic(path)
+        mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
         check_frame(path, mosaic.counts.shape, mosaic.model, profile)
         setting = (mosaic.exposure.f_number, mosaic.exposure.iso)
         first = first or setting

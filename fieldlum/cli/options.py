@@ -167,7 +167,7 @@ _LARGEST_PX = 16384  # largest width: a map of 134 million pixels, 0.5 GB in flo
 def dimensions(size: str) -> tuple[int, int]:
     """Parse --size WxH to width and height [px]. Raises click.UsageError for anything else."""
     width, _, height = size.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
+    if not (width.isdecimal() and height.isdecimal()):
         raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
     if not (8 <= int(width) <= _LARGEST_PX and 8 <= int(height) <= _LARGEST_PX // 2):
         raise click.UsageError(

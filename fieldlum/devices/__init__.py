@@ -190,7 +190,7 @@ class IlluminanceMeter(Protocol):
 
     @property
     def info(self) -> InstrumentInfo:
-        """Return what the meter reports about itself."""
+        """Return the meter's kind, model and port; nothing is sent to the meter."""
         ...
 
     def read(self) -> IlluminanceReading:

@@ -233,8 +233,8 @@ def _having(profile: AsciiProfile, found: Mapping[str, object], text: str) -> Ma
         raise DeviceError(f"line {text[:60]!r} has no key {', '.join(missing)}")
     if profile.only and list(found) != keys:
         raise DeviceError(
-            f"line {text[:60]!r} has keys {', '.join(found)}; expected {', '.join(keys)} and no "
-            f"others"
+            f"line {text[:60]!r} has keys {', '.join(found)}; expected exactly "
+            f"{', '.join(keys)}, in this order; correct the instrument's program or the profile"
         )
     return found
 

@@ -143,7 +143,7 @@ class Cl200a:
 
     @property
     def info(self) -> InstrumentInfo:
-        """Return what the meter reports about itself."""
+        """Return the meter's kind, model and port; nothing is sent to the meter."""
         return InstrumentInfo(
             "cl200a", "Konica Minolta CL-200A", port=self._port.name, gives=("illuminance",)
         )

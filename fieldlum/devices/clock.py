@@ -89,7 +89,7 @@ class FastClock:
 
     @property
     def true_utc(self) -> datetime:
-        """The true time, which steps of the wall clock do not change."""
+        """Time of the simulation (UTC), which steps of its simulated wall clock do not change."""
         with self._lock:
             return self._true
 

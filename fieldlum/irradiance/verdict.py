@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -126,7 +127,7 @@ def _of_clock(raw: Series, off_s: float | None, site: Site) -> list[str]:
             "file again"
         )
     if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
-        day, step_s = was_set
+        day, step_s = was_set[0].astimezone(ZoneInfo(site.timezone)), was_set[1]
         warnings.append(
             f"from {day:%Y-%m-%d} on, the middle of the logged daylight is {step_s / 60:+.0f} min "
             "from "

@@ -76,7 +76,7 @@ class ExposureTrust:
     """Uncertainty of a bracket's exposures.
 
     neighbours: disagreement of frames that are neighbours in exposure. u_rel: relative uncertainty
-    of a typical frame. u_curve: relative uncertainty of a merged value over its luminance.
+    of a typical frame. u_curve: relative uncertainty of a merged value, by luminance.
     tolerance: relative difference of two frames that does not count as motion.
     """
 

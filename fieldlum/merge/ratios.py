@@ -142,7 +142,7 @@ def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
 
 
 def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
-    """Return the corrections that the pairs alone give, with a mean of 1.
+    """Return the corrections that the pairs alone give, with a geometric mean of 1.
 
     Frames that no pair includes get 1. Neighbours that agree within 2 % can add up to 30 % over a
     bracket, if the light changed or the response is wrong.

@@ -26,7 +26,7 @@ def read_address(option: str) -> str:
     if not option.startswith("@"):
         raise InputError(
             "--heartbeat",
-            "an address on the command line, where every user can see it",
+            "a value without @ (every user can see an address on the command line)",
             "@FILE",
             "write the address into a file, and write --heartbeat @FILE",
         )

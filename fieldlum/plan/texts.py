@@ -54,8 +54,8 @@ def plan_warnings(
         )
     if request.count and len(hours) < request.count:
         texts.append(
-            f"--count {request.count}: the plan has fewer slots, because its days have only "
-            f"{len(hours)} daylight hours"
+            f"--count {request.count}: the plan has only {len(hours)} slots, because no more hours "
+            "of its days are suitable"
         )
     texts += clock_texts(days, site)
     if site.timezone == "UTC" and abs(site.longitude_deg) > 30:

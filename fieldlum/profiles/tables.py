@@ -10,7 +10,7 @@ from fieldlum.projection import LensGeometry
 
 @dataclass(frozen=True, slots=True)
 class CameraBody:
-    """Name, kind and size of the camera."""
+    """Name and kind of the camera, the size of its frames [px], and a lens's fixed aperture."""
 
     name: str
     kind: Literal["raw", "jpeg"]

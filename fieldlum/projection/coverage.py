@@ -80,12 +80,11 @@ def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
     weights = equirect_solid_angles(*seen.shape)
     share = float(weights[seen].sum() / weights.sum())
     fully = _arcs_text([word == SEEN for word in words])
-    bounds = _arcs_text([word != NOT_SEEN for word in words])
+    bounds = _arcs_text([word not in (SEEN, NOT_SEEN) for word in words])
     nothing = NOT_SEEN in words
     return (
         f"the camera sees {100 * share:.0f} % of all directions: glare can be computed for views "
-        "to "
-        f"{fully or 'no direction'}, and at least bounds of glare for views to "
+        f"to {fully or 'no direction'}, and only bounds of glare for views to "
         f"{bounds or 'no direction'}" + ("; other view directions get no result" if nothing else "")
     )
 

@@ -10,7 +10,7 @@ DeviceTable = dict[str, str | int | float | bool]
 
 
 class PlanTable(TypedDict, total=False):
-    """[plan] of session.toml: the request, and the time and space that the plan needs."""
+    """[plan] of session.toml: the request, and the time [s] and disk space that each slot needs."""
 
     set: str
     start: date
