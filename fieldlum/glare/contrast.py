@@ -127,10 +127,11 @@ class ViewRegions:
     def ratios(self, luminance_cdm2: Float) -> dict[str, NDArray[np.float64]]:
         """Return three figures of n maps [n, H, W] in cd/m2 by name, [n, d] each.
 
-        task_cdm2 : mean of a cone of 15 degrees radius, 30 degrees below the line of sight. window_to_task :
-        mean of the pixels in view brighter than `WINDOW_CDM2`, over task_cdm2; NaN without such
-        pixels. uniformity : harmonic over arithmetic mean of the band within 20 degrees
-        of the horizon: 1 if it is uniform, less with dark corners.
+        task_cdm2 : mean of a cone of 15 degrees radius, 30 degrees below the line of sight.
+        window_to_task : mean of the pixels in view brighter than `WINDOW_CDM2`, over task_cdm2; NaN
+        without such pixels. uniformity : harmonic over arithmetic mean of the band within 20
+        degrees of the horizon: 1 if it is uniform, less with dark corners. A figure of a region
+        that no lens saw is NaN.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)
