@@ -143,7 +143,7 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
     """Return the coefficients of V and the relative uncertainty at the edge, for an aperture.
 
-    An aperture without a curve uses the nearest curve, at most a third of a stop away; a lens
+    An aperture without a curve uses the nearest curve, at most 0.4 stops away; a lens
     without any curve has V = 1. Raises InputError for other apertures and for an impossible curve.
     """
     if not lens.vignetting:

@@ -241,7 +241,7 @@ def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPa
     )
     scene_ = stage.judged_scene(CAPTURES, few)
     assert scene_.chosen == "fitted" and not scene_.trusted
-    assert any("capture at least 12 clear hours" in note for note in scene_.notes)
+    assert any("until there are 12 clear hours in all" in note for note in scene_.notes)
     # Three held out of fifteen: four of them need twenty.
     more = stage.judged_scene(CAPTURES, replace(few, hours=15))
-    assert any("capture at least 20 clear hours" in note for note in more.notes)
+    assert any("until there are 20 clear hours in all" in note for note in more.notes)

@@ -50,7 +50,8 @@ def _columns(name: str, annual: Annual) -> dict[str, Any]:
 def write_csv(campaign: CampaignFile, path: Path) -> int:
     """Write a csv row for each room, hour and direction; return the number of rows.
 
-    Only one room is in memory at a time. Without a predicted year the file is empty.
+    Only one room is in memory at a time. Without a predicted year the file has no
+    bytes, not even a header.
     """
     count = 0
     with replacing(path, "w", newline="", encoding="utf-8") as file:

@@ -247,8 +247,8 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
     for before, after in pairwise(parts):
         return (
             f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests "
-            "that "
-            f"the camera's clock was changed between {before[-1].frames[0].path} and "
-            f"{after[0].frames[0].path}: import these two parts from separate folders"
+            f"that the camera's clock was changed between {before[-1].frames[0].path} and "
+            f"{after[0].frames[0].path}: import these two parts from separate folders, each with "
+            "its own --utc-offset"
         )
     return ""

@@ -192,7 +192,10 @@ def crc16(data: bytes) -> int:
 def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     match = re.fullmatch(profile.pattern, text, re.ASCII)
     if match is None:
-        raise DeviceError(f"line {text[:60]!r} does not fit the pattern of the profile")
+        raise DeviceError(
+            f"line {text[:60]!r} does not fit the pattern of the instrument's profile; correct the "
+            "pattern, or the instrument's program"
+        )
     return match.groupdict()
 
 

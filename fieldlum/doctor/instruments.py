@@ -79,7 +79,7 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
         return []
     text = (
         f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), for "
-        "which the exposures were planned: use a profile of this camera"
+        f"which the exposures were planned: use a profile of the {info.model}, and plan again"
     )
     return [Finding("profile", "warn", text)]
 

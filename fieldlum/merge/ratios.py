@@ -169,8 +169,9 @@ def ratio_curve(
 ) -> RatioCurve:
     """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
-    Its square is s C s, with C the covariance [frames, frames] and s the share of information that
-    each frame has at that luminance. Errors of frames are correlated, because pictures contain only
+    Its square is s C s + extra^2, with C the covariance of the log exposures [frames, frames], s the
+    share of information that each frame has at that luminance, and extra the relative uncertainty
+    that disagreement of the frames adds. Errors of frames are correlated, because pictures contain only
     ratios of exposures. A single value for the bracket would be too small at luminances that only
     an uncertain frame can read.
     """

@@ -103,11 +103,10 @@ def judged_scene(
     if outside < MIN_HOURS_OUTSIDE:
         # Blocks of sun directions are held out: their share of the hours can be below a third.
         per_hour_outside = max(KEPT_OUT_EVERY, fit.hours / max(outside, 1))
-        lacking = ceil(MIN_HOURS_OUTSIDE * per_hour_outside)
+        needed = ceil(MIN_HOURS_OUTSIDE * per_hour_outside)
         note = (
             f"only {outside} of {fit.hours} clear hours were held out of the fit, too few to "
-            "confirm "
-            f"the chosen geometry; capture at least {lacking} clear hours"
+            f"confirm the chosen geometry; capture until there are {needed} clear hours in all"
         )
         scene = replace(scene, notes=(*scene.notes, note))
     return replace(

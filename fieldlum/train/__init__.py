@@ -183,9 +183,10 @@ def fit_and_score(
 def year_of(
     fitted: Fitted, data: Dataset, patch: Patch, seed: int, progress: Progress
 ) -> YearExpectation | None:
-    """Return what the model expects of a year under the captures' skies.
+    """Return the error that the model expects over a year, under skies drawn from the captures.
 
-    None if the model does not know its error, or needs sun patches that no room can give.
+    None if the model does not know its error, or if the data have sun patches but SITE.toml has no
+    [room] to compute those of other hours.
     """
     from fieldlum.models.year_sample import expect, light_of_year
 

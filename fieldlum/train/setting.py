@@ -1,6 +1,7 @@
 """Report where the captures contradict the stated setting, and lower the model's trust there.
 
-A clock that differs between days is corrected in the captures; all else must be fixed in SITE.toml.
+A clock that differs between days is corrected in the captures. All else the user must fix: north,
+room and heading in SITE.toml, a clock that is always off by `fieldlum import --utc-offset`.
 """
 
 from __future__ import annotations
