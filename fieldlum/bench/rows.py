@@ -81,7 +81,7 @@ def _parse_spec(text: str, at: Path) -> Spec:
     raise InputError(
         "--models",
         f"the unknown name '{text}'",
-        f"{', '.join(MODELS)}, alone or with :absolute (default), :gain or :none; or a model folder",
+        f"{', '.join(MODELS)}, alone or with :absolute (default), :gain, :none; or a model folder",
         "correct the name after --models",
     )
 

@@ -169,11 +169,11 @@ def ratio_curve(
 ) -> RatioCurve:
     """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
-    Its square is s C s + extra^2, with C the covariance of the log exposures [frames, frames], s the
-    share of information that each frame has at that luminance, and extra the relative uncertainty
-    that disagreement of the frames adds. Errors of frames are correlated, because pictures contain only
-    ratios of exposures. A single value for the bracket would be too small at luminances that only
-    an uncertain frame can read.
+    Its square is s C s + extra^2, with C the covariance of the log exposures [frames, frames], s
+    the share of information that each frame has at that luminance, and extra the relative
+    uncertainty that disagreement of the frames adds. Errors of frames are correlated, because
+    pictures contain only ratios of exposures. A single value for the bracket would be too small at
+    luminances that only an uncertain frame can read.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
     largest = [float(np.max(s.largest_cdm2())) for s in small]
