@@ -12,6 +12,7 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
+from fieldlum.scene.view import look
 
 DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
 ROOM = Room(
@@ -68,3 +69,15 @@ def room_captures(
         np.ones((height, 2 * height), bool),
         np.zeros(count),
     )
+
+
+def window_captures(site: Site, height: int) -> Dataset:
+    """Return `room_captures` of `ROOM`: skylight, a bright window, light of the sun's direction."""
+
+    def rest_cdm2(light: Light) -> np.ndarray:
+        facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
+        base = 0.004 * light.diffuse_lx + 0.002 * facing * light.direct_lx
+        glass = look(ROOM, height, 180.0).sky
+        return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
+
+    return room_captures(site, ROOM, height, rest_cdm2)

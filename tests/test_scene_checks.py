@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_captures import ROOM, room_captures
+from scene_captures import ROOM, window_captures
 
 from fieldlum.errors import InputError
-from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.records import Site
-from fieldlum.scene.view import look
 from fieldlum.scene_fit.checks import check_captures
 from fieldlum.scene_fit.stage import run
 
@@ -25,13 +23,7 @@ SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
 def captures() -> Dataset:
     """Clear and overcast hours of a room: skylight, a bright window, the sun's own light."""
 
-    def rest_cdm2(light: Light) -> np.ndarray:
-        facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
-        base = 0.004 * light.diffuse_lx + 0.002 * facing * light.direct_lx
-        glass = look(ROOM, HEIGHT, 180.0).sky
-        return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
-
-    return room_captures(SITE, ROOM, HEIGHT, rest_cdm2)
+    return window_captures(SITE, HEIGHT)
 
 
 @pytest.mark.property

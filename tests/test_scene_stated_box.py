@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene_captures import ROOM, room_captures
+from scene_captures import ROOM, window_captures
 
-from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.records import Room, Site
-from fieldlum.scene.view import look
 from fieldlum.scene_fit.apply import with_patches
 from fieldlum.scene_fit.stated_box import judge_box, with_judged_box
 
@@ -25,13 +23,7 @@ SHIFTED = replace(ROOM, window=(replace(ROOM.window[0], wall="east"),))
 def captures() -> Dataset:
     """Four clear hours and eight overcast ones of a room."""
 
-    def rest_cdm2(light: Light) -> np.ndarray:
-        facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
-        base = 0.004 * light.diffuse_lx + 0.002 * facing * light.direct_lx
-        glass = look(ROOM, HEIGHT, 180.0).sky
-        return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
-
-    every = room_captures(SITE, ROOM, HEIGHT, rest_cdm2)
+    every = window_captures(SITE, HEIGHT)
     clear = np.flatnonzero((every.light.dni_wm2 > 0.0) & (every.light.sun_altitude_deg > 15.0))
     overcast = np.flatnonzero(every.light.dni_wm2 == 0.0)
     return every.take(np.sort(np.concatenate([clear[1:20:5], overcast])))
