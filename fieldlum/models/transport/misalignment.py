@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import timedelta
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
     from fieldlum.scene.points import SunPoints
+    from fieldlum.scene.view import SceneView
 
 Array = NDArray[Any]
 
@@ -47,9 +49,14 @@ class Evidence:
     background: Array
     groups: NDArray  # hours of one group are resampled together
     points: SunPoints | None  # at the pixels [m] only
-    everywhere: SunPoints | None  # at all pixels
+    view: SceneView | None  # of a box room
     rates: tuple[Array, Array]  # of the sun's altitude and azimuth, degrees per minute
     gains: tuple[float, float]  # of the stated and of the computed patches
+
+    @cached_property
+    def everywhere(self) -> SunPoints | None:
+        """Return the surface points of all pixels; None without a box room."""
+        return None if self.view is None else self.view.sun_points()
 
     def given(self, right_px: float = 0.0, down_px: float = 0.0) -> Array:
         """Return the stated patches at the pixels, moved right and down [px], [n, m] cd/m2."""
@@ -65,17 +72,21 @@ class Evidence:
         """
         points = self.everywhere if full_maps else self.points
         assert points is not None
+        patch = self._of(points, turn_deg, fast_min)
+        return patch.reshape(len(patch), *self.data.shape) if full_maps else patch
+
+    def _of(self, points: SunPoints, turn_deg: float, fast_min: float) -> Array:
+        """Return patches at the targets of `points`, cd/m2 [n, targets]."""
         light = self.data.light[self.rows]
         towards = sun.direction(
             light.shown_altitude_deg - fast_min * self.rates[0],
             light.sun_azimuth_deg - turn_deg - fast_min * self.rates[1],
         )
-        maps = [
-            points.direct(d) * e
-            for d, e in zip(points.scene.to_room(towards), light.direct_lx, strict=True)
-        ]
-        return np.stack(maps).reshape(
-            len(maps), *(self.data.shape if full_maps else (len(self.pixels),))
+        return np.stack(
+            [
+                points.direct(d) * e
+                for d, e in zip(points.scene.to_room(towards), light.direct_lx, strict=True)
+            ]
         )
 
     def walled(self, turn_deg: float) -> Array:
@@ -83,8 +94,17 @@ class Evidence:
 
         Sun and camera stay, and everything in the room moves across the picture.
         """
-        right_px = turn_deg * self.data.shape[1] / 360.0
-        return moved(self.computed(turn_deg, full_maps=True), self.pixels, right_px, 0.0)
+        assert self.view is not None
+        width = self.data.shape[1]
+        row, column = np.divmod(self.pixels, width)
+        source = column - turn_deg * width / 360.0  # where a pixel's patch would be now
+        left = np.floor(source).astype(int)
+        share = source - left
+        sources = np.concatenate((row * width + left % width, row * width + (left + 1) % width))
+        needed, place = np.unique(sources, return_inverse=True)
+        patch = self._of(self.view.sun_points(needed), turn_deg, 0.0)  # [n, needed]
+        at_left, at_right = np.split(place, 2)
+        return patch[:, at_left] * (1.0 - share) + patch[:, at_right] * share
 
     def light(self, patch: Array, gain: float) -> Array:
         """Return ln of the light without patches plus `gain` times patches [n, m], [n, m]."""
@@ -165,7 +185,7 @@ def _filled(parts: Evidence, data: Dataset, sub: int) -> Evidence | None:
         from fieldlum.scene.view import look
 
         view = look(room, data.shape[0], data.heading_deg, sub)
-        parts = replace(parts, everywhere=view.sun_points())
+        parts = replace(parts, view=view)
         for turn in (-MOST_TURN_DEG, 0.0, MOST_TURN_DEG):
             near = near | (parts.computed(turn, full_maps=True) > 0.0).any(axis=0)
     pixels = np.flatnonzero(near & data.seen)
