@@ -1,9 +1,9 @@
 """Models of a room: what a fitted model must provide, and its folder on disk.
 
 A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
-Fitted``, and one that loads, ``from_state(state: ModelState) -> Fitted``. Model folders contain
-`config.json` and `weights.npz`: plain arrays without pickle, so that a model from another person
-cannot run code.
+Fitted`` (or another name stated in `model_registry.MODELS`), and one that loads,
+``from_state(state: ModelState) -> Fitted``. Model folders contain `config.json` and `weights.npz`:
+settings and plain arrays without pickle, so that a model from another person cannot run code.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ POOR_WORDS = "do not trust single maps of this model"
 def trusted_hours(prediction: Prediction) -> NDArray[np.bool_]:
     """Return a mask [n] of the trusted hours.
 
-    Their light is like captured light, and their expected error (rms over the map) is below a
-    factor of `TRUSTED_FACTOR`.
+    These are the hours for which the model vouches (`prediction.trusted`), without those whose
+    expected error (rms over the map) is above a factor of 1.2.
     """
     return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
 
@@ -111,13 +111,16 @@ class Fitted(Protocol):
 
 
 def fit(name: str, data: Dataset, **options: Any) -> Fitted:
-    """Fit the model with a name of `MODELS`. Raises KeyError for an unknown name."""
+    """Fit the model with a name of `MODELS`; options: arguments of that model's fit.
+
+    Raises KeyError for an unknown name.
+    """
     kind = MODELS[name]
     return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
 
 
 def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
-    """Write config.json and weights.npz atomically; `more` is added to config.json."""
+    """Write weights.npz, then config.json, each atomically; `more`: further keys of config.json."""
     state = fitted.state()
     arrays = {"seen": data.seen, **state.arrays}
     with replacing(folder / "weights.npz") as file:
@@ -151,7 +154,7 @@ def read_config(folder: Path) -> ModelConfig:
 def seen_of(folder: Path) -> NDArray[np.bool_] | None:
     """Return a mask [H, W] of the pixels that the camera saw.
 
-    None for models of 0.1.0 without it.
+    None if weights.npz does not contain it (models of 0.1.0) or cannot be read.
     """
     try:
         with (folder / "weights.npz").open("rb") as file:

@@ -1,6 +1,6 @@
 """Align captures to the pose that most of them share, when pairs are read.
 
-The turns are stored in a table next to the csv of pairs; no picture is changed.
+The turns are stored in a table next to the csv of pairs; picture files do not change.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ def find_turns(
 ) -> CameraTurns:
     """Return how each capture's camera was turned.
 
-    The turns are read from the table next to `pairs`; missing ones are found by comparison, and a
-    new table is written if the folder is writable. pictures: names as in the csv; maps, has_value:
-    in the order of time [n, H, W].
+    The turns are read from the table next to `pairs` if it matches all maps. Otherwise all turns
+    are estimated by `camera_turns`; with at least `LEAST_CAPTURES` captures and `LEAST_ROWS` rows,
+    a new table is written if the folder is writable. pictures: names as in the csv; maps,
+    has_value: in the order of time [n, H, W].
     """
     path = alignment_path(pairs)
     digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
@@ -89,8 +90,10 @@ def align(
 ) -> None:
     """Turn the captures' maps, masks [n, H, W] and counts to the common pose, in place.
 
-    counts: weight of each pixel [H, W] in a capture, None for 1. Interpolation blurs sharp edges,
-    such as a window's: the uncertainty lowers a pixel's weight, to 0 if it would be below a half.
+    Captures that were not turned, or that cannot be aligned, do not change. counts: weight of each
+    pixel [H, W] in a capture, None for 1. Interpolation blurs sharp edges, such as a window's: a
+    pixel's weight is multiplied by a factor from this uncertainty, which is 0 instead of less than
+    a half.
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]

@@ -1,4 +1,4 @@
-"""Provide two baselines: the mean map, and the nearest captured hour scaled by irradiance."""
+"""Provide two baselines: the mean map, and the captured hour with the most similar light."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def fit_mean(
 class NearestFitted:
     """A model that predicts the captured hour with the most similar sun and sky.
 
-    The map is scaled by horizontal irradiance, and its sun patch is replaced by that of the
-    predicted hour.
+    The map is scaled by horizontal irradiance. If the model was fitted with sun patches in cd/m2
+    (patch "absolute"), the map's sun patch is replaced by that of the predicted hour.
     """
 
     name = "nearest"
@@ -81,7 +81,10 @@ class NearestFitted:
         self.parameters = rest_cdm2.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict scaled maps of the nearest captured hours, [n, H, W]."""
+        """Predict scaled maps of the captured hours with the most similar light, [n, H, W].
+
+        Raises ValueError without patch_cdm2 for a model that was fitted with sun patches.
+        """
         wanted, scale = light_features(light), outside(light)
         distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
         near = distance.argmin(axis=1)
@@ -102,8 +105,8 @@ class NearestFitted:
 def light_features(light: Light) -> NDArray[np.float64]:
     """Return the features by which hours are compared, [n, 5].
 
-    These are the sun's direction (three values, weighted by the sun's share of the light), that
-    share, and the logarithm of diffuse irradiance.
+    These are the sun's direction (three values, with more weight for a larger beam share), the
+    beam share DNI / (DNI + DHI), and the logarithm of diffuse irradiance.
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -125,7 +128,11 @@ def fit_nearest(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> NearestFitted:
-    """Store the captured hours, without their sun patches if these are used."""
+    """Return a model that stores the captured hours.
+
+    With patch "absolute" the sun patches of `data` are subtracted; at least 2 % of a pixel's light
+    remains.
+    """
     with_patch = patch == "absolute" and data.patch_cdm2 is not None
     rest = data.luminance_cdm2
     if with_patch and data.patch_cdm2 is not None:
@@ -136,7 +143,7 @@ def fit_nearest(
 
 
 def from_state(state: ModelState) -> Fitted:
-    """Return the baseline that `state` described."""
+    """Return the baseline that its method `state` described."""
     config, arrays = state.config, state.arrays
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":

@@ -68,8 +68,8 @@ class CameraTurns:
     """Turn of each capture's camera relative to most captures; zero if it was not turned.
 
     angles_deg: heading (clockwise), tilt (up) and roll (clockwise) [n, 3]; u_deg: standard
-    uncertainties [n, 3]; aligned: whether the picture, turned back, has its edges where the room's
-    edges are [n].
+    uncertainties [n, 3]; aligned: whether the capture can be used: its turn is under 10 pixels, and
+    the picture, turned back, has its edges where the room's edges are [n].
     """
 
     angles_deg: Array
@@ -138,10 +138,10 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 
 
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return the uncertainty of `turned_back` by edges between pixels, [H, W].
+    """Return the uncertainty of `turned_back` by edges between pixels, [H, W], in units of `maps`.
 
-    A turn by a fraction f of a pixel mixes neighbours in the picture, and turning it back mixes
-    them again. What remains is f (1 - f) of the contrast of the neighbours.
+    maps: one map [H, W]. A turn by a fraction f of a pixel mixes neighbours in the picture, and
+    turning it back mixes them again. What remains is f (1 - f) of the contrast of the neighbours.
     """
     height, width = maps.shape
     places = _places((height, width), heading_deg, angles_deg)
@@ -279,8 +279,9 @@ def camera_turns(
 ) -> CameraTurns:
     """Return how the camera of each capture [n, H, W] was turned; captures in the order of time.
 
-    seen: pixels with a value [H, W]. Consecutive captures of one pose get the median turn. With
-    fewer than LEAST_CAPTURES captures or LEAST_ROWS rows all turns are zero.
+    seen: pixels with a value [H, W]. Consecutive captures of one pose get the median turn; a turn
+    too small to be certain is zero. With fewer than LEAST_CAPTURES captures or LEAST_ROWS rows all
+    turns are zero.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))

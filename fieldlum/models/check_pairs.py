@@ -38,7 +38,8 @@ class Stated:
 def check_plausible(path: Path, rows: Stated, site: Site) -> None:
     """Raise InputError, naming the line, for rows that contradict each other or the sun.
 
-    Detected are a repeated time or picture, a wrong sun position, and wrong units.
+    It detects a repeated time or picture, a sun position more than 2.5 degrees from that computed
+    for `site`, and irradiance that no sky gives, such as values in kW/m2.
     """
     _check_once(path, rows.lines, rows.t_utc, "have the same t_utc")
     _check_once(

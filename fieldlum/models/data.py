@@ -39,7 +39,8 @@ class Dataset:
     luminance_cdm2: [n, H, W]; patch_cdm2: direct sun only [n, H, W], or None; disc_lx: illuminance
     of the visible disc at the lens, normal to the sun [n]; days: local standard dates [n]; slots:
     ids [n]; seen: pixels that the camera saw [H, W]; steadiness: relative change of the light
-    during the bracket (0 if unknown) [n]; notes: sentences for the user.
+    during the bracket (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for
+    the user; counts: weight of each value in training [n, H, W], None if all are 1.
     """
 
     light: Light
@@ -72,7 +73,7 @@ class Dataset:
         return weights / weights[self.seen].mean()
 
     def digest(self) -> str:
-        """Return the SHA-256 of everything from which a model can learn, without the csv's path."""
+        """Return the SHA-256 of all fields except `source`, in hex."""
         return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
@@ -167,11 +168,13 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
 def load_pairs(
     where: Path | Session, site: Path | None = None, *, progress: Progress = quiet
 ) -> Dataset:
-    """Read a pairs.csv (or a session's) with all its pictures, in the order of time.
+    """Read the captures of a pairs.csv with their pictures, in the order of time.
 
-    Rows with ok = 0 or without irradiance are not used. Sun columns are used as recorded. Raises
-    InputError, naming the line, for an unreadable cell or implausible rows; NotEnoughDataError if
-    no row is usable.
+    where: the csv, a session or its folder; site: SITE.toml, by default that of the session or next
+    to the csv. Rows with ok = 0, without irradiance, or from a camera that cannot be aligned are
+    not used. The sun's position is that of the csv; an empty one is computed. Raises InputError for
+    a missing file, an unreadable cell or implausible rows; NotEnoughDataError if no row or no pixel
+    is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():

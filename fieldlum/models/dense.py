@@ -1,4 +1,7 @@
-"""Provide the paper's network as a model; see `dense_network` and `dense_training`."""
+"""Provide the network of Liu, Colburn and Inanici (2020) as a model.
+
+See `dense_network` and `dense_training`.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache
 class DenseFitted:
     """A trained network with everything that its prediction needs.
 
-    held_out_mse: log10 MSE of each training map by a fit without its day [n], None if unknown.
+    held_out_mse is None: errors on days without captures are not computed for a network.
     """
 
     name = "dense"
@@ -86,7 +89,7 @@ class DenseFitted:
         """Predict maps, [n, H, W].
 
         The network has no variance, so `trusted` only means that the hour's light is like captured
-        light.
+        light. Raises ValueError without patch_cdm2 for a network trained with sun patches.
         """
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")

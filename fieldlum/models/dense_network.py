@@ -1,10 +1,11 @@
 """Define the paper's network: two dense branches.
 
-Their inputs are pixel position, sun, irradiance and sky, and the sun patch. Source: Liu, Colburn,
-Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building Performance
-Simulation 13(5), 2020. Inputs, sizes, loss and schedule follow the paper; where the authors' code
-differs from their text, the text is followed. This module has the network, its inputs and outputs;
-`dense_training` has the loop, `dense_schedule` batches and rates, `dense` the fit.
+One branch has the inputs pixel position, mean luminance, sun, irradiance and sky, the other the sun
+patch. Source: Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations,
+J. Building Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule follow the paper;
+where the authors' code differs from their text, the text is followed. This module has the network,
+its inputs and outputs; `dense_training` has the loop, `dense_schedule` batches and rates, `dense`
+the fit.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The network's form; the defaults are the final one in the paper, others are its ablations.
+    """The form of the network of Liu, Colburn and Inanici (2020).
 
-    See the paper's Table 1 and Figure 8.
+    The defaults are the paper's final form, other values its ablations (Table 1 and Figure 8).
     """
 
     width: int = 600
@@ -52,7 +53,7 @@ class Shape:
 
 
 def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Return luminance [cd/m2], at least 1, encoded to 0 to 1.
+    """Return luminance up to 1.6e9 cd/m2 encoded to 0 to 1; values below 1 cd/m2 count as 1.
 
     The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L / 1.6e9)^(1/10).
     """
@@ -78,9 +79,10 @@ def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
 
 
 class Net(nn.Module):
-    """The paper's network of two branches.
+    """The network of Liu, Colburn and Inanici (2020): two branches that are merged.
 
-    It has 1 688 601 parameters with seven inputs in branch one, 1 689 201 with the sky map.
+    With the default sizes it has 1 688 601 parameters with seven inputs in branch one, and
+    1 689 201 with the sky as the eighth.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -92,7 +94,10 @@ class Net(nn.Module):
         self.out = nn.Linear(shape.width, 1)
 
     def forward(self, scene: Tensor, patch: Tensor) -> Tensor:
-        """Return the encoded luminance [b] of scene [b, 7 or 8] and patch [b, 1]."""
+        """Return the encoded luminance [b] for inputs of branch one [b, 7 or 8] and two [b, 1].
+
+        scene: result of `scene_inputs`; patch: encoded luminance of the sun patch.
+        """
         x = scene
         for layer in self.scene:
             x = F.relu(layer(x))
@@ -130,9 +135,9 @@ class Canvas:
 
 
 def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
-    """Return the inputs of all pixels.
+    """Return the inputs of all pixels that do not depend on the hour.
 
-    average_log10: mean of log10 L over training images [H, W].
+    average_log10: mean of log10 L over training images, at least 0 [H, W].
     """
     from fieldlum.sky import reinhart_patches
 
@@ -153,8 +158,8 @@ def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
 class HourInputs:
     """Inputs of n hours that do not depend on the pixel.
 
-    sun: altitude, azimuth, DNI, DHI [n, 4]; sky: encoded sky [n, 2306], whose last column is 0 and
-    serves directions below the horizon.
+    sun: altitude, azimuth, DNI, DHI, scaled [n, 4]; sky: encoded luminance of the sky patches [n,
+    2306], whose last column is 0 and serves directions below the horizon; None without a sky map.
     """
 
     sun: Tensor
@@ -166,7 +171,7 @@ class HourInputs:
 
 
 def hours(light: Light, shape: Shape) -> HourInputs:
-    """Return the network's inputs of the hours of `light`, scaled to 0 to 1."""
+    """Return the network's inputs of the hours of `light`, scaled so that usual ones are 0 to 1."""
     from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,
@@ -181,7 +186,10 @@ def hours(light: Light, shape: Shape) -> HourInputs:
 
 
 def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor) -> Tensor:
-    """Return the input of branch one for pairs of (hour, pixel), [b, 7 or 8]."""
+    """Return the input of branch one for b pairs of an hour and a pixel, [b, 7 or 8].
+
+    hour, pixel: indices into `hours` and `canvas` [b].
+    """
     fixed, sun = canvas.fixed[pixel], hours.sun[hour]
     columns = [fixed[:, :2], sun, fixed[:, 2:]]
     if hours.sky is not None:
@@ -194,7 +202,7 @@ def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor)
 
 
 def pick_device() -> torch.device:
-    """Return this process's GPU (torchrun numbers the processes), else the processor."""
+    """Return the GPU of this process (torchrun numbers the processes); the CPU without a GPU."""
     if not torch.cuda.is_available():
         return torch.device("cpu")
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))

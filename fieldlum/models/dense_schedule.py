@@ -1,7 +1,8 @@
 """Define two schedules of the dense network's training: the paper's, and a short one for a budget.
 
-The paper's schedule has three stages of batches, and its rate falls when the validation error does
-not. The short schedule has as many steps as the time allows, with a rate that falls to zero.
+The schedule of the paper (Liu, Colburn and Inanici 2020) has three stages of batches, and its
+learning rate falls when the validation error does not. The short schedule has as many steps as the
+time allows, with a learning rate that falls to zero.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class TrainingPlan:
 
     schedule "paper": at most `epochs` passes over all training pixels; fewer if its three stages
     end earlier. "short": `steps` steps of `batch_pixels` pixels each; after a warm-up the learning
-    rate falls to 0. A time budget can end both earlier.
+    rate falls to 0. A time budget can end both earlier. rate: highest learning rate; micro_pixels:
+    pixels whose gradient is computed at once, which limits the memory.
     """
 
     schedule: Literal["paper", "short"] = "paper"
@@ -50,7 +52,12 @@ class TrainingPlan:
 
 @dataclass(slots=True)
 class Run:
-    """The progress of a training: everything in a checkpoint besides the tensors."""
+    """The progress of a training, which is stored in its checkpoint.
+
+    stage, stage_epoch: of the paper's schedule; stale: epochs since the last improvement; rate:
+    learning rate; best: least validation loss; skipped: updates omitted because the loss was not
+    finite.
+    """
 
     epoch: int = 0
     step: int = 0
@@ -97,8 +104,8 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
     """Return the indices, below `total`, of the values that validation uses, [b].
 
-    A value is one pixel in one hour. The paper's schedule uses all of them, the short one a fixed
-    random part.
+    A value is one pixel in one hour. The paper's schedule uses all of them, the short one at most
+    60 000, which `seed` draws.
     """
     if plan.schedule == "paper" or total <= SHORT_VALIDATION_PIXELS:
         return torch.arange(total)
@@ -111,8 +118,9 @@ def epoch_batches(
 ) -> Iterator[Tensor]:
     """Yield the training pairs of each batch of one epoch, as indices [b] of `PixelSampler`.
 
-    The order depends only on `seed` and `run.epoch`, so that a resumed training continues with the
-    same batches. In the form "cnn" a batch consists of complete images.
+    The random order depends only on `seed` and `run.epoch`, so that a resumed training continues
+    with the same batches. An epoch of the short schedule has a 25th of its steps. In the form "cnn"
+    a batch consists of complete images.
     """
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
     images, per_image = pixels.target.shape
@@ -142,7 +150,7 @@ def _all_pixels(group: Tensor, per_image: int) -> Tensor:
 
 
 def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """Return the learning rate: a short warm-up, then a cosine that falls to zero.
+    """Return the learning rate of the short schedule: a warm-up, then a cosine that falls to zero.
 
     It falls over the steps, or over the time if the time ends first.
     """
@@ -152,9 +160,9 @@ def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
 
 
 def update_paper_rate(run: Run, improved: bool) -> None:
-    """Halve the rate after two epochs without improvement.
+    """Halve the learning rate in `run` after two epochs without improvement.
 
-    Begin the next stage after 30 epochs, or when the rate is below `LEAST_RATE`.
+    Begin the next stage after 30 epochs of a stage, or when the rate is below `LEAST_RATE`.
     """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1

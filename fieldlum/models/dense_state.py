@@ -45,8 +45,8 @@ def restore(
 ) -> tuple[TrainingPlan, dict[str, Tensor]]:
     """Load a checkpoint into net, optimiser and run; return its plan and its best weights.
 
-    Raises InputError for a checkpoint of another training, or with anything but tensors and
-    numbers.
+    Raises InputError for a checkpoint of another network, other data or another seed, and for one
+    that cannot be read or contains other objects than tensors, numbers and texts.
     """
     try:
         with warnings.catch_warnings():

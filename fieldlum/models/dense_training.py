@@ -1,9 +1,10 @@
 """Train the dense network: by the paper's schedule if there is time, else by a short one.
 
 The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``. Both parts depend on
-the network only through S = sum(w e^2). Therefore micro-batches (and the ranks of torchrun) add up
-the gradient of S, and one factor at the end makes it the exact gradient of the batch's loss. The
-memory needed is that of one micro-batch.
+the network only through S = sum(w e^2), where b is the number of pixels, w their weight, e the
+error and t the target. Therefore micro-batches (and the ranks of torchrun) add up the gradient of
+S, and one factor at the end makes it the exact gradient of the batch's loss. A batch needs the
+memory of one micro-batch.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class TrainingRecord:
 
 
 class TrainedNet(NamedTuple):
-    """A trained network: best weights, mean of log10 L over the images [H, W], and a record."""
+    """A trained network: best weights, mean log10 L of the training images [H, W], and a record."""
 
     net: Net
     average_log10: NDArray[np.float64]
@@ -105,7 +106,10 @@ def _loss_parts(
 
 
 def loss_value(parts: Tensor) -> float:
-    """Return MSE + 10 RER from [S_error, S_target, count]."""
+    """Return MSE + 10 RER from [S_error, S_target, count].
+
+    S_error, S_target: weighted sums of squared errors and targets over `count` pixels.
+    """
     error, target, count = parts.tolist()
     return error / count + RER_SHARE * math.sqrt(error / max(target, 1e-12))
 
@@ -155,10 +159,11 @@ def train(
 ) -> TrainedNet:
     """Train the network; return it with the weights of the best validation.
 
-    plan: None uses the paper's schedule if it fits in the budget, else a short one by measured
-    speed. least_passes: end after one update if the budget clearly allows fewer passes over the
-    training pixels. checkpoint: written after each epoch; an existing one is continued.
-    stop_after_epochs: end early, as an interruption would.
+    plan: None uses the paper's schedule if it fits in `budget_s` [s] or there is no budget, else a
+    short one by measured speed. least_passes: without a plan, end after one update if the budget
+    allows less than half of these passes over the training pixels. checkpoint: written after each
+    epoch; an existing one is continued. stop_after_epochs: end early, as an interruption would.
+    bfloat16: None uses it where it is fast.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()

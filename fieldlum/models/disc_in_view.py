@@ -57,8 +57,8 @@ def drawn_discs_lx(
     """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n] lx.
 
     Return None without a room. uncertainty: that of a fitted room; by default 5 cm and 1 degree, as
-    for a stated room. A room from a file has no parameters: there the sun is shifted relative to
-    its edges by `EDGE_SD_DEG`.
+    for a stated room. A room from a file has no parameters: there the sun is shifted at random,
+    with a standard deviation of 1.5 degrees along each axis.
     """
     room = setup.room
     if room is None:
@@ -94,9 +94,10 @@ def guessed_disc_lx(
 ) -> Array:
     """Return the disc's illuminance guessed from predicted maps, without any geometry, [n] lx.
 
-    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each of them.
-    The sun's pixel shows sky if its luminance is that of the Perez sky there times a transmittance;
-    the disc then shines through the same glass. A twig or a blind is not detected.
+    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each of them. If
+    the sun's pixel has 0.3 to 1.3 times the luminance of the Perez sky there, it shows sky through
+    glass, and the disc shines through the same glass; otherwise the illuminance is 0. A twig or a
+    blind is not detected.
     """
     sky = np.array(
         [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]

@@ -1,6 +1,6 @@
-"""Provide the processes of torchrun: rank, number, and values on which they agree.
+"""Connect the processes that torchrun starts: rank, count, sums, and values on which they agree.
 
-Without torchrun these functions do nothing.
+Without torchrun there is one process, and sums and values are returned unchanged.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def world() -> int:
 
 
 def join(device: torch.device) -> None:
-    """Join the group of processes."""
+    """Join the group of torchrun's processes; do nothing if there is only one process."""
     if world() > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
 
@@ -36,9 +36,9 @@ def total(tensor: Tensor) -> Tensor:
 
 
 def agreed(value: float, device: torch.device) -> float:
-    """Return rank 0's value on all ranks.
+    """Return the value of the process with rank 0, in all processes.
 
-    Ranks that disagree about the end of a training would wait for each other without end.
+    Processes that disagree about the end of a training would wait for each other without end.
     """
     if world() == 1:
         return value

@@ -1,4 +1,4 @@
-"""Read the pictures of a pairs.csv: maps and sun patches of one size, with the disc separated."""
+"""Read the pictures of a pairs.csv: maps and sun patches of one size; separate the sun's disc."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ _PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other 
 class PairPictures:
     """The pictures of n pairs, which later steps change in place.
 
-    maps, patches, has_value: [n, H, W]; disc_lx: [n]; counts: weights of pixels, or None; bounds:
-    number of maps with a clipped sun.
+    maps, patches: [n, H, W] cd/m2, patches is None without sun patches; disc_lx: normal illuminance
+    of the disc [n]; has_value: mask of measured pixels [n, H, W]; counts: for each pair, weights of
+    the pixels [H, W], or None for 1; bounds: number of maps with a clipped sun.
     """
 
     maps: NDArray[np.float32]
@@ -42,9 +43,9 @@ class PairPictures:
     ) -> None:
         """Separate the disc from map and patch k.
 
-        at: altitude and azimuth of the sun [deg]; shown: where the picture of a turned camera shows
-        it [deg]. A map of sun patches has the disc without the sky around it, so that it measures
-        the disc better.
+        at: altitude and azimuth of the sun [deg], used in the patch; shown: where the picture of a
+        turned camera shows it [deg], used in the map; dni_wm2: direct irradiance. With a map of sun
+        patches, the illuminance is from that map, which has no sky around the disc.
         """
         self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
         if self.patches is not None:
@@ -55,7 +56,10 @@ class PairPictures:
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
 ) -> PairPictures:
-    """Read maps and sun patches of pairs. Raises InputError if sizes or headings differ."""
+    """Read maps and sun patches of pairs; discs that are in the maps remain there.
+
+    Raises InputError if sizes or headings differ, or if only some rows have a sun patch.
+    """
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
@@ -142,8 +146,8 @@ def fill_gaps(
     """Fill single missing values with the pixel's median, in place; return seen pixels and a count.
 
     maps, has_value: [n, H, W]; seen pixels: [H, W]; count: of filled values. A pixel that is
-    missing in a fifth of the maps counts as not seen and gets 0. Raises NotEnoughDataError if no
-    pixel is seen.
+    missing in a fifth of the maps or more counts as not seen and gets 0. Negative values become 0.
+    Raises NotEnoughDataError if no pixel is seen.
     """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():

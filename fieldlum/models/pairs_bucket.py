@@ -60,9 +60,10 @@ def write_pairs(data: Dataset, url: str, draft: Path) -> bool:
 
 
 def read_pairs(url: str) -> Dataset:
-    """Return the captures of a pairs.zarr below a URL, or of its own URL.
+    """Return the captures of a pairs.zarr; url: of the store or of the folder that contains it.
 
-    Raises InputError if there is no complete store, or if its content is not what was written.
+    Raises InputError if there is no complete store, if its format is unknown, or if its content is
+    not what was written.
     """
     store = store_of(url.rstrip("/").removesuffix(f"/{NAME}"))
     about = store.attributes()

@@ -45,9 +45,9 @@ BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribut
 
 @dataclass(slots=True)
 class Scores:
-    """The scores of predicted maps, one value for each map; NaN for values that were not computed.
+    """The scores of predicted maps: arrays with a value for each map, NaN if it was not computed.
 
-    error2, truth2: sums over pixels of e^2 and t^2 of log10 L.
+    error2, truth2: sums over pixels of squared errors and of squared true values of log10 L.
     """
 
     mse_weighted: NDArray[np.float64]
@@ -113,9 +113,10 @@ class Truth:
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
-    """Compute for `evaluate` what does not depend on the model: weights, and glare of some maps.
+    """Compute for `evaluate` what does not depend on the model: weights and views.
 
-    glare: also compute DGP and contrast of the true maps.
+    glare: also compute DGP and contrast of the true maps, of at most 150 spread evenly, and the
+    discs by the stated room.
     """
     n = len(data)
     asked = np.zeros(n, bool)
@@ -290,7 +291,7 @@ def _mean(values: NDArray[np.float64]) -> float | None:
 
 
 def summary(scores: Scores) -> ScoreFigures:
-    """Return the figures of `train --json` (docs/design.md, Command line) and their spread.
+    """Return the figures of a test under the keys of `train --json` (docs/design.md, Command line).
 
     A figure that was not computed is None.
     """

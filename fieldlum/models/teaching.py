@@ -25,7 +25,11 @@ def weight_of(relative_u: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
-    """Return the weight of each pixel, 0 to 1, [H, W]; None if the picture does not record it."""
+    """Return the weight of each pixel in training, 0 to 1, [H, W].
+
+    It is 0 for clipped, moving or filled pixels, else `weight_of` the relative uncertainty. None if
+    the picture has neither flags nor uncertainties.
+    """
     if panorama.flags is None and panorama.u_cdm2 is None:
         return None
     counts = np.ones(panorama.luminance_cdm2.shape)

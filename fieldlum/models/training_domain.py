@@ -1,4 +1,4 @@
-"""Decide whether an hour's light was captured; used for models without a variance."""
+"""Decide whether an hour's light is like captured light; used for models without a variance."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class DomainTable(TypedDict):
 class Domain:
     """The range of captured light.
 
-    sun_directions: of sunny captures [k, 3]; ranges of diffuse and direct irradiance [W/m2].
+    sun_directions: of sunny captures [k, 3]; dhi_wm2, dni_wm2: least and greatest diffuse
+    horizontal and direct normal irradiance.
     """
 
     sun_directions: NDArray[np.float64]
@@ -38,10 +39,11 @@ class Domain:
     dni_wm2: tuple[float, float]
 
     def holds(self, light: Light) -> NDArray[np.bool_]:
-        """Return a mask [n] of the hours whose light was captured.
+        """Return a mask [n] of the hours whose light is like captured light.
 
-        The sun must be near a captured direction, or not shine, and the sky must be within the
-        captured range.
+        Diffuse irradiance must be near the captured range. A sun must be within 12 degrees of that
+        of a sunny capture, and its irradiance not far above the captured ones. An hour with a DNI
+        below 60 W/m2 is also accepted at any sun if a capture has a DNI below 120 W/m2.
         """
         low, high = self.dhi_wm2
         slack = RANGE_SLACK * (high - low) + 10.0
@@ -71,9 +73,9 @@ class Domain:
 
     @staticmethod
     def from_state(state: DomainTable) -> Domain:
-        """Return the domain that `state` described.
+        """Return the domain that the method `state` described.
 
-        Raises TypeError or ValueError for other content.
+        Raises KeyError, TypeError or ValueError for other content.
         """
         dhi_low, dhi_high = map(float, state["dhi_wm2"])
         dni_low, dni_high = map(float, state["dni_wm2"])

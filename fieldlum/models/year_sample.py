@@ -49,9 +49,10 @@ class YearExpectation:
 
 
 def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
-    """Return `YEAR_HOURS` hours of a year at random, each under the sky of a random capture.
+    """Return `YEAR_HOURS` random daylight hours of a year, each under the sky of a random capture.
 
-    A capture's sky is its beam and diffuse irradiance over that of a cloudless sky.
+    A capture's sky is its beam and diffuse irradiance over those of a cloudless sky, at most 1.2
+    and 4.
     """
     site, first = data.setup.site, data.light.t_utc[0]
     begin = datetime(first.year, 1, 1, tzinfo=UTC)
@@ -74,8 +75,8 @@ def expect(
 ) -> YearExpectation:
     """Return what a model of the captures `data` expects of the n hours of `light`.
 
-    With sun patches in `data`, those of `light` are computed from its room. The expected log10 MSE
-    is NaN for a model that does not know its error.
+    If `data` has sun patches, those of `light` are computed from the room of `data`. The expected
+    log10 MSE is NaN for a model that does not estimate its error.
     """
     n = len(light)
     expected, trusted = np.full(n, np.nan), np.zeros(n, bool)

@@ -1,7 +1,7 @@
 """Find a clock that differs between days: how late the stated times are on each day.
 
 A clock that drifts, or is set now and then, moves the sun patches of each day by another amount.
-Each day's offset is the one under which computed patches cover the captured ones.
+Each day's offset is the one under which computed patches match the captured ones best.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; 
 class ClockByDay:
     """Days [k] with enough direct sun, and how late their stated times are [k] min.
 
-    An offset common to all days is included, because offsets are only searched if no other setting
-    explains it better (`train.setting.with_right_clock`).
+    Stated times that are later than the true ones are positive. An offset common to all days is
+    included.
     """
 
     days: NDArray[np.datetime64]
@@ -56,10 +56,11 @@ class ClockByDay:
 
 
 def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
-    """Return how late the clock was on each day; None where one clock for all days is as good.
+    """Return how late the clock was on each day; None if one clock for all days is as good.
 
-    It needs patches and a box room. Held-out days decide: with the offsets corrected, they must be
-    better by a tenth and by one standard error.
+    Held-out days decide: with the offsets corrected, they must be better by a tenth and by one
+    standard error. Return None also without sun patches or a box room, and with under three days of
+    three or more sunny captures.
     """
     found = evidence_of(data, SUB)
     if found is None or found.points is None:
@@ -100,7 +101,10 @@ def _least(misfits: Array) -> float:
 
 
 def with_clock(data: Dataset, clock: ClockByDay) -> Dataset:
-    """Return the captures with the sun and the sun patches of the corrected times."""
+    """Return the captures with the sun and the computed sun patches of the corrected times.
+
+    The stated times and the slots do not change. Sun patches and a box room are required.
+    """
     light, site, room = data.light, data.setup.site, data.setup.room
     assert room is not None and data.patch_cdm2 is not None
     late = clock.at(data.days)  # [n] min

@@ -47,7 +47,7 @@ UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half w
 class StateColumns:
     """The states of the room (lamps, blinds) that captures are marked with, as columns of features.
 
-    always: whether a lamp is on in all captures.
+    always: whether there is also a lamp that is on in every hour that is not marked lamp=off.
     """
 
     always: bool = False
@@ -118,8 +118,8 @@ def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
 def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return each cell's direct flux in view, divided by the root of its solid angle, [n, c].
 
-    The flux is the luminance of the sun patches (patch [n, H, W] cd/m2) integrated over solid angle
-    [lx]. open_sky: [H, W] marks windows, which do not count.
+    The flux is the luminance of the sun patches (patch [n, H, W] cd/m2, clipped at 3e4) integrated
+    over solid angle [lx]. open_sky: [H, W] marks windows, which do not count.
     """
     height, width = patch.shape[1:]
     omega = equirect_solid_angles(height, width).astype(np.float32)
@@ -133,7 +133,10 @@ def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDA
 
 
 def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> Array:
-    """Return patches [n, H, W] cd/m2 integrated over solid angle except windows, [n] lx."""
+    """Return patches [n, H, W] cd/m2 integrated over solid angle except windows, [n] lx.
+
+    Luminances are clipped at 3e4 cd/m2; open_sky: [H, W] marks the windows.
+    """
     root = np.sqrt(cell_areas_sr(*patch.shape[1:]))
     return np.asarray(patch_cells(patch, open_sky) @ root, float)
 
@@ -143,8 +146,9 @@ def describe_patches(
 ) -> PatchDescriptor:
     """Return the descriptor that makes the cells of a typical sunny hour about one.
 
-    Its norm is the 75th percentile over sunny hours, at least a tenth of the largest. patch: [n, H,
-    W] cd/m2; open_sky: [H, W] marks windows.
+    Its norm is the 75th percentile over sunny hours of the cells' size per direct illuminance, at
+    least a tenth of the largest; 1 if there is no sunny hour. patch: [n, H, W] cd/m2; open_sky: [H,
+    W] marks windows.
     """
     cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
@@ -157,8 +161,9 @@ def describe_patches(
 def facades_seen(data: Dataset) -> Facades:
     """Return the walls that let the sun in.
 
-    They follow from the room's windows. Without a room they are fitted to the hours with a patch:
+    They follow from the windows of a box room. Otherwise they are fitted to the sunny hours:
     non-negative least squares of the direct flux in view on the cosines to sixteen azimuths.
+    Without sun patches in these hours, the result is `facades_unknown`.
     """
     if data.setup.room is not None and data.setup.room.kind == "box" and data.setup.room.window:
         return facades_of(data.setup.room)
@@ -210,14 +215,14 @@ class ComputedLight:
 class TrainingArrays:
     """Captures as arrays for the solver: n hours, P seen pixels.
 
-    weights: with mean 1 [P]; patch: in cd/m2 of this room, with the fitted gain [n, P]; sky: light
-    of the sky through windows [n, P]; filled: values without weight, where the sun's disc was
-    removed, a blind may hide a patch, or merge flagged [n, P]; unsure: relative variance of the
-    irradiance (`light_variance`) [n]; counts: weight of each value by merge's flags and
-    uncertainties [n, P], None if all are equal; perez_sky: `Features.sky` of Perez's skies [n,
-    2305], set if `features` has the skies that the windows showed; fitted_patches: whether the
-    patches are from a measured or fitted room, so that their edges are off by some centimetres;
-    computed: light of the stated room, if it is the prior mean.
+    luminance: captured [n, P] cd/m2; weights: solid angles [P]; patch: luminance of sun patches [n,
+    P] cd/m2, None if they are not used; sky: light of the sky through windows [n, P] cd/m2; filled:
+    values without weight, where the sun's disc was removed, a blind may hide a patch, or merge
+    flagged [n, P]; unsure: relative variance of the irradiance (`light_variance`) [n]; counts:
+    weight of each value by merge's flags and uncertainties [n, P], None if all are equal;
+    perez_sky: `Features.sky` of Perez's skies [n, 2305], set if `features` has the skies that the
+    windows showed; fitted_patches: whether the patches are from a fitted room, so that their edges
+    are off by some centimetres; computed: light of the stated room, None if it is not used.
     """
 
     light: Light
@@ -250,7 +255,7 @@ class TrainingArrays:
 
     @property
     def sureness(self) -> Array:
-        """Weight of each hour, 1 for steady light and less for unsteady light, [n]."""
+        """Weight of each hour: 1 for exact irradiance, less if it changed or is unknown, [n]."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
@@ -273,7 +278,10 @@ class TrainingArrays:
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
-    """Return captures as `TrainingArrays`: seen pixels, windows among them, and light."""
+    """Return captures as `TrainingArrays`: seen pixels, windows among them, and light.
+
+    with_patch: use the sun patches of `data`, if it has any.
+    """
     height, width = data.shape
     rays = equirect_rays(height, width, data.heading_deg)[data.seen]
     luminance = data.luminance_cdm2[:, data.seen]
@@ -315,7 +323,8 @@ def light_variance(data: Dataset) -> Array:
     The range of the readings over the bracket (change or noise) counts as the width of a
     rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is a difference of
     two horizontal readings divided by the sine of its altitude, and so are its errors. For a sun
-    under 3 degrees the readings give no value: a direct irradiance of zero is then unknown.
+    under 3 degrees the readings give no value: a direct irradiance of zero is then unknown, and 1
+    is added.
     """
     light = data.light
     altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
@@ -363,8 +372,8 @@ def computed_light(
 ) -> ComputedLight:
     """Return the computed light of surfaces [n, P] with each pixel's gain.
 
-    open_sky: the pixels that are windows. A pixel's gain is at most MOST_GAIN times the median,
-    either way.
+    open_sky: the pixels that are windows, whose gain is 0. A pixel's gain differs from the median
+    by at most a factor of `MOST_GAIN`.
     """
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(LEAST_COMPUTED_CDM2)))
     middle = np.median(gain)
@@ -374,11 +383,11 @@ def computed_light(
 
 
 def pixel_scale(arrays: TrainingArrays, per: NDArray[np.floating] | None = None) -> Array:
-    """Return each pixel's mean light per lx of total light, over hours without sun on it, [P].
+    """Return each pixel's geometric mean of light per lx of total light, [P].
 
-    per [n, P]: a light to divide by instead of the total light [n]. A pixel with fewer than three
-    such hours gets its value from these, limited to the range of other pixels; with no such hour it
-    gets the median of all pixels.
+    The hours are those in which at most half of the pixel's light is sky and 30 % sun patch. per
+    [n, P]: a light to divide by instead of the total light [n]. The value of a pixel with one or
+    two such hours is limited to the range of other pixels; without such hours it is their median.
     """
     total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)

@@ -32,8 +32,9 @@ FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the pape
 class HeldOutFit:
     """Each hour as predicted by a fit without its day.
 
-    luminance: [n, P] cd/m2; error: log10 error above the floor of 1 cd/m2 [n, P]; scale: mean
-    luminance per lx of total light [P]; sureness: weight of the hours [n].
+    luminance: [n, P] cd/m2; error: log10 of predicted over captured luminance, both at least 1
+    cd/m2 [n, P]; scale: mean luminance per lx of total light [P]; sureness: weight of each hour's
+    irradiance, 0 to 1 [n].
     """
 
     luminance: Array
@@ -43,17 +44,20 @@ class HeldOutFit:
 
     @property
     def per_hour(self) -> Array:
-        """Mean squared error of each hour, [n]."""
+        """Mean squared log10 error of each hour, [n]."""
         return (self.error**2).mean(axis=1)
 
     @property
     def judged(self) -> Array:
-        """Mean squared error of each hour, weighted so that unsteady light counts less, [n]."""
+        """Mean squared log10 error of each hour times its weight, [n].
+
+        Unsteady light has less weight; the mean weight is 1.
+        """
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """Return log10 of predicted over seen luminance [cd/m2], both raised to the floor of 1."""
+    """Return log10 of predicted over seen luminance [cd/m2]; values below 1 count as 1."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 
@@ -61,8 +65,8 @@ def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
 class FirstStage:
     """The first stage's prediction of each hour without captures of its day, and what was captured.
 
-    found, target [n, P]: luminance over the total light and over `scale`. scale [P]: each pixel's
-    mean luminance per lx of total light.
+    found (predicted), target (captured) [n, P]: luminance divided by the total light and by
+    `scale`. scale [P]: each pixel's mean luminance per lx of total light.
     """
 
     found: Array
@@ -71,7 +75,7 @@ class FirstStage:
 
 
 def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> FirstStage:
-    """Predict each hour without its day, in closed form.
+    """Predict each hour without its day by the first stage of the fit, in closed form.
 
     Features, robust weights and pixel scales are those of the full fit.
     """

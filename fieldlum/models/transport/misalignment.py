@@ -37,8 +37,8 @@ MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3  # reach of the search; not measured
 class Evidence:
     """Sunny hours [n] at the pixels [m] that sun patches reach or nearly reach.
 
-    log_seen, background: ln of the captured light, and the light without any patch, cd/m2 [n, m];
-    weights: of the pixels [m]. Methods return the stated patches and computed ones.
+    rows: indices of the hours in `data`; log_seen: ln of the captured luminance [n, m]; background:
+    luminance without any patch [n, m] cd/m2; weights: of the pixels, with the sum 1 [m].
     """
 
     data: Dataset
@@ -68,7 +68,8 @@ class Evidence:
     ) -> Array:
         """Return computed patches for room and camera turned clockwise and a fast clock, [n, m].
 
-        They are in cd/m2; with `full_maps`, complete maps [n, H, W].
+        fast_min: by how much the stated times are later than the true ones. Patches are in cd/m2;
+        with `full_maps`, they are complete maps [n, H, W].
         """
         points = self.everywhere if full_maps else self.points
         assert points is not None
@@ -111,10 +112,10 @@ class Evidence:
         return np.log(self.background + gain * patch)
 
     def misfit(self, patch: Array, gain: float) -> Array:
-        """Return the share of the pixels that a patch [n, m] leaves wrong in each hour, [n].
+        """Return the share of the pixels that are wrong with patches [n, m] in each hour, [n].
 
-        It is a mean of squared log errors that saturate: a sunlit pixel predicted dark counts one,
-        and shades of grey count little.
+        It is a weighted mean of squared log errors that saturate: a sunlit pixel predicted dark
+        counts about one, a small error little. gain: factor on the patches.
         """
         error = (self.light(patch, gain) - self.log_seen) ** 2
         return (error / (error + WIDTH**2)) @ self.weights
@@ -139,9 +140,10 @@ def moved(
 
 
 def evidence_of(data: Dataset, sub: int = SUB) -> Evidence | None:
-    """Return the evidence; None without patches or with under three captures of direct sun in view.
+    """Return the evidence from the captures with most direct sun in view.
 
-    sub: rays per pixel in each direction.
+    Return None without patches or with under three such captures. sub: rays per pixel in each
+    direction.
     """
     if data.patch_cdm2 is None:
         return None

@@ -89,7 +89,7 @@ class Transport:
 
     @property
     def parameters(self) -> int:
-        """Number of values that the model stores, of all pixels and captured hours."""
+        """Number of fitted values: those of the pixels, and the projector from captured hours."""
         pixels = self.response.pixels
         count = pixels.b.size + pixels.second.size + 4 * len(pixels.scale)
         return int(count + self.response.basis.projector.size)
@@ -97,9 +97,9 @@ class Transport:
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict maps of the hours of `light` without the sun's disc, [n, H, W].
 
-        patch_cdm2 [n, H, W]: direct sun on surfaces without the disc; required if and only if the
-        model was fitted with patches. Only the result's memory grows with n. Raises InputError for
-        patches that are missing or of another size.
+        patch_cdm2 [n, H, W]: direct sun on surfaces without the disc; required if the model was
+        fitted with patches, else not used. Only the result's memory grows with n. Raises InputError
+        for patches that are missing or of another size.
         """
         self._check(light, patch_cdm2)
         seen, count = self.response.seen, len(light)
@@ -161,7 +161,7 @@ class Transport:
             )
 
     def doubting(self, slip_deg: float) -> Transport:
-        """Return the same model with sun patches whose places are uncertain by `slip_deg`."""
+        """Return the same model with an uncertainty for sun patches displaced by `slip_deg`."""
         return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
 
     def _weights(self) -> Array:
@@ -220,9 +220,10 @@ def fit(
 ) -> Transport:
     """Fit a room's light transport to captures, in closed form.
 
-    This takes seconds, so that `budget_s` is never reached. patch: with "none", sun patches are not
-    used. Otherwise one factor for all patches is fitted, so that "absolute" (cd/m2) and "gain" (up
-    to a factor) give the same. Raises NotEnoughDataError for fewer than three captures.
+    `budget_s` is not used. patch: with "none", sun patches are not used. Otherwise one factor for
+    all patches is fitted, so that "absolute" (cd/m2) and "gain" (up to a factor) give the same.
+    seed: draws the pixels that choose the recipe. Raises NotEnoughDataError for fewer than three
+    captures.
     """
     if len(data) < LEAST_HOURS:
         raise NotEnoughDataError(
@@ -284,8 +285,8 @@ def fit(
 def held_out_errors(data: Dataset, seed: int = 0) -> Array:
     """Return the mean squared log10 error of each capture by a fit without its day, [n].
 
-    It serves to compare two descriptions of the same captures, by a plain recipe in a tenth of the
-    time of `fit`. Captures in unsteady light count less.
+    It serves to compare two descriptions of the same captures: a plain recipe is faster than `fit`.
+    Errors in unsteady light are multiplied by a smaller weight; the mean weight is 1.
     """
     with_patch = data.patch_cdm2 is not None
     arrays = training_arrays_of(data, with_patch=with_patch)

@@ -50,9 +50,10 @@ def open_sky_from_captures(
 ) -> OpenSky:
     """Find the window pixels without any geometry: they follow the Perez sky behind them.
 
-    luminance, patch: [n, P]; rays: [P, 3]. A pixel is a window if the logarithm of its ratio to the
-    sky scatters less than half as much as that of its ratio to the total light. Its share is a low
-    quantile of the ratio, so that at most the light that was there is subtracted.
+    luminance, patch: [n, P]; rays: [P, 3]. A pixel above the horizon is a window if the logarithm
+    of its ratio to the sky scatters less than half as much as that of its ratio to the total light,
+    and the ratio is that of glass. Its share is the 10th percentile of the ratio over the hours, so
+    that the sky rarely exceeds the captured light.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     behind = light.sky_at(rays[above])

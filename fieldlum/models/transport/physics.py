@@ -84,7 +84,7 @@ class Physics:
         )
 
     def features(self, sunlight: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the first 48 modes of `sunlight` [n, k], by which hours are compared, [n, 48]."""
+        """Return at most 48 leading columns of `sunlight` [n, k], by which hours are compared."""
         return sunlight[:, :MODES]
 
     def sunlight(self, light: Light) -> NDArray[np.float32]:
@@ -136,7 +136,8 @@ def _at_pixels(maps: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np
 def physics_of(setup: SiteFile, light: Light, heading_deg: float) -> Physics | None:
     """Return the room's coarse model, with its norm from the captured hours.
 
-    heading_deg: of the captures. Return None without a box room, or if no hour has sun.
+    heading_deg: of the captures. Return None without a box room with windows, or if no hour of
+    `light` has direct sun in the room.
     """
     room = setup.room
     if room is None or room.kind != "box" or not room.window:

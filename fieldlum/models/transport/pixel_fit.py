@@ -44,8 +44,8 @@ class Recipe:
 
     noise: relative variance; patch_variance: prior variance of each pixel's patch gain; rounds:
     number of robust rounds; second: width of the second stage on the log residual (0: no second
-    stage); below: the light is found without using the patches, because doubtful patches would
-    teach wrong light, and the patches are then added unchanged.
+    stage); rank: number of features; below: the light is found without using the patches, because
+    doubtful patches would teach wrong light, and the patches are then added unchanged.
     """
 
     noise: float
@@ -70,9 +70,10 @@ class Basis:
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
-    """Return the `rank` leading eigenvectors of a covariance [n, n], times the eigenvalues' roots.
+    """Return the basis of the `rank` leading eigenvectors of a covariance [n, n].
 
-    Those with eigenvalues below a millionth of the largest are omitted.
+    Its values are the eigenvectors times the roots of their eigenvalues. Eigenvalues below a
+    millionth of the largest are omitted.
     """
     value, vector = np.linalg.eigh(covariance)
     keep = np.argsort(value)[::-1][:rank]
@@ -204,7 +205,10 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
 
 
 def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Array) -> Array:
-    """Return the lower bound of the surface part [P]: a share of the least value seen or fitted."""
+    """Return the lower bound of the surface part, in units of `scale`, [P].
+
+    It is 0.3 of the least value seen or fitted, or of 0.03 if that is larger.
+    """
     unit = arrays.light.total_lx[:, None] * scale
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
     seen = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit
@@ -220,10 +224,10 @@ def with_computed(surface: Array, gains: Array, columns: Columns) -> Array:
 
 
 def compose(surface: Array, least: Array, gains: Array, columns: Columns) -> Array:
-    """Return F b (`surface`), at least `least` [P], plus patches and window sky, [n, P].
+    """Return the fitted light: surfaces, at least `least` [P], plus patches and window sky, [n, P].
 
-    F b includes the computed light of surfaces. gains: of all columns [P, k]; negative ones of
-    patches and sky count as 0.
+    The light of surfaces is F b (`surface`) plus the computed light times its gains. gains: of all
+    columns [P, k]; negative ones of patches and sky count as 0.
     """
     found = np.maximum(with_computed(surface, gains, columns), least)
     other = slice(columns.surface, None)
@@ -247,7 +251,10 @@ def fit_pixels(
     recipe: Recipe,
     tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> PixelFit:
-    """Fit all pixels in chunks, so that the memory is bounded; tick: called with done and total."""
+    """Fit all pixels in chunks, so that the memory is bounded.
+
+    tick: called with the numbers of finished and of all pixels.
+    """
     count, r = arrays.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
     taught = light_arrays(arrays, recipe)
@@ -284,7 +291,10 @@ def fit_pixels(
 
 
 def second_inverse(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the inverse covariance of the second stage with its noise, [n, n]."""
+    """Return the inverse covariance of the second stage with its noise, [n, n].
+
+    It is empty [0, 0] if the recipe has no second stage.
+    """
     if not recipe.second:
         return np.empty((0, 0))
     own = second_own(arrays, recipe)
@@ -300,8 +310,9 @@ def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
 def find_patch_gain(arrays: TrainingArrays, kernel: Kernel) -> float:
     """Return one factor for all patches of unknown scale.
 
-    The start is the median of (L - median(L / E) E) / s over lit values. Three robust fits follow,
-    of pixels that are lit at least three times. Return 1.0 if no pixel is ever lit.
+    Only pixels that are lit in at least three hours count; without any, return 1.0. The start is
+    the median of (L - median(L / E) E) / s over lit values, with luminance L, total light E and
+    patch s. Three robust fits follow.
     """
     patch = arrays.patch
     assert patch is not None

@@ -1,4 +1,4 @@
-"""Compute the linear response of a room's pixels to light."""
+"""Compute how the pixels of a room respond to light, by a fitted model."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class SurfaceMaps:
 
 @dataclass(frozen=True, slots=True)
 class RoomResponse:
-    """The linear response of the seen pixels to light.
+    """The fitted response of the seen pixels to light.
 
     seen: [H, W]; arrays of pixels have the seen pixels only.
     """
@@ -71,7 +71,7 @@ class RoomResponse:
     ) -> Features:
         """Return the features of n hours for the kernel.
 
-        patch: [n, H, W] cd/m2; sunlight: of the room's coarse model [n, k].
+        patch: [n, H, W] cd/m2, or None; sunlight: result of `Physics.sunlight` [n, k], or None.
         """
         basis = self.basis
         features = basis.states.add(light_features(light), light)
@@ -83,7 +83,7 @@ class RoomResponse:
         return basis.patches.add(features, patch, light, self.open_sky.mask(self.seen))
 
     def maps(self, light: Light, patch: NDArray[np.float32] | None) -> SurfaceMaps:
-        """Predict hours without the sun's disc; patch [n, H, W] cd/m2 of direct sun."""
+        """Predict hours without the sun's disc; patch: direct sun [n, H, W] cd/m2, or None."""
         pixels, basis = self.pixels, self.basis
         sunlight = None if basis.physics is None else basis.physics.sunlight(light)
         features = self.features(light, patch, sunlight)

@@ -50,7 +50,7 @@ def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
 
 
 def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
-    """Call `work` for every chunk, on all cores; yield the number of finished pixels.
+    """Call `work` for every chunk, on up to eight cores; yield the number of finished pixels.
 
     Meanwhile BLAS uses one thread, because on systems of a hundred unknowns its threads wait for
     each other.
@@ -185,9 +185,10 @@ def _held_out(
 
 
 def held_out_days_shared(covariance: Array, noise: float, target: Array, days: NDArray) -> Array:
-    """Return `held_out_days` of a Gaussian process that all pixels share, [n, P].
+    """Return each hour as a Gaussian process predicts it from the other days, [n, P].
 
-    covariance: [n, n]; target: [n, P].
+    All pixels share the process. covariance: between hours [n, n]; noise: variance of each value;
+    target: [n, P]; days: [n].
     """
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
     solved = inverse @ target

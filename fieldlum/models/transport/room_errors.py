@@ -1,8 +1,8 @@
 """Decide whether a wrong measure of the room explains sun patches at a wrong place.
 
 A camera 15 cm from its stated place, or a window displaced by 10 cm, moves patches much like a
-wrong north or clock. While such an error explains as much, no north, clock or wall is reported as
-certain.
+wrong north or clock. If such an error explains about as much, no north, clock or wall is reported
+as certain.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ class RoomError:
 def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | None:
     """Return the wrong measure of the room that explains most of the misfit of the sun patches.
 
-    None without a box room, or if no measure lowers the misfit. Amounts are tried in steps of 5 cm,
-    one measure at a time; windows move together.
+    None without a box room, or if no measure lowers the misfit. Amounts up to 15 cm are tried in
+    steps of 5 cm, for the camera's place and the windows' left and sill, one measure at a time;
+    windows move together.
     """
     room = evidence.data.setup.room
     if evidence.points is None or room is None:

@@ -1,4 +1,4 @@
-"""Tell the seasons of captured days apart by the sun's declination."""
+"""Separate the seasons of captured days by the sun's declination."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _declination_deg(days: NDArray) -> Array:
 def one_season(days: NDArray) -> bool:
     """Return whether all days [n] are from one season, so that they do not test other seasons.
 
-    This is true if the sun's declination changed by less than ONE_SEASON_DEG.
+    This is true if the range of the sun's declination is below 20 degrees.
     """
     return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
@@ -36,7 +36,7 @@ def one_season(days: NDArray) -> bool:
 def seasons(days: NDArray) -> NDArray[np.intp]:
     """Return the index of the season of each day, [n].
 
-    A gap between the days' declinations separates two seasons.
+    A gap of over 10 degrees between the days' declinations separates two seasons.
     """
     declination = _declination_deg(days)
     known = np.unique(declination)

@@ -106,7 +106,8 @@ def recipes_for(
 class SelectedRecipe:
     """The choice of held-out days: kernel, its covariance [n, n] of captures, features, recipe.
 
-    table: everything that was tried; computed: whether computed light is the prior mean.
+    held: errors of held-out days; table: recipes that were compared, each with its error and
+    standard error; computed: whether computed light is the prior mean.
     """
 
     kernel: Kernel
@@ -130,8 +131,8 @@ def choose_model(
     """Return the best choice on held-out days, at the pixels `drawn`.
 
     bounced: the sun's light in a coarse model of the room [n, k]; sky: the skies that windows
-    showed. The choices include the use of these skies, of the computed light of `drawn`, and a lamp
-    that is on in all captures.
+    showed. The choices include the use of these skies, of the computed light of `drawn`, and of a
+    lamp that is on in all captures.
     """
     drawn, first = _with_better_mean(drawn, kernel, bounced)
     drawn, field = _with_seen_sky(drawn, kernel, sky)
@@ -284,11 +285,11 @@ def _doubted(
 
 
 def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
-    """Return the choice with the fewest features that held-out days allow.
+    """Return the choice with 40, 60 or all features: the fewest that held-out days allow.
 
-    It is the first of FEWER whose error is at most 5 % above that of all features. Noisy data
-    (pixels, irradiance, a sky that differs from Perez's) support fewer features than a clean
-    rendering, and a smaller model is faster.
+    The error of fewer features may be at most 5 % above that of all. Noisy data (pixels,
+    irradiance, a sky that differs from Perez's) support fewer features than a clean rendering, and
+    a smaller model is faster.
     """
     drawn, table = replace(drawn, features=chosen.features), [*chosen.table]
     for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):

@@ -47,7 +47,7 @@ BLUR_PX = 0.25
 
 @dataclass(frozen=True, slots=True)
 class SettingFinding:
-    """What one cause alone would explain.
+    """What one cause would explain; causes and units are those of `Setting`.
 
     amount: how wrong the setting would be; error: its standard error over days; misfit: misfit that
     then remains; stated: misfit of the stated setting; sigmas: stated minus misfit, in standard
@@ -68,7 +68,10 @@ class SettingFinding:
 
     @property
     def sure(self) -> bool:
-        """Whether the amount and the gain are certain."""
+        """Whether an amount is over three standard errors and the gain is certain.
+
+        The gain must exceed 0.5 % of the stated setting's misfit, and its own standard error.
+        """
         far = max(abs(a) / e for a, e in zip(self.amount, self.error, strict=True))
         return far > SURE and self.gain > LEAST_GAIN * self.stated and self.sigmas > 1.0
 
@@ -80,10 +83,10 @@ class Setting:
     Causes are "north" (deg: room and camera are turned further clockwise than stated), "clock"
     (min: the stated times are later than the true ones), "north and clock" (both), "wall" (deg:
     only the room is turned further clockwise), "camera" (px: patches must move right and down).
-    misfit: share of the pixels near sun patches that are wrong, over `hours` sunny hours. alike:
-    other causes that explain nearly as much as the first. slip_deg: displacement of the patches
-    from the captured ones as seen from the camera; 0 if no cause is certain, which means that the
-    captures do not contradict the setting.
+    Their misfit is the share of the pixels near sun patches that are wrong, over `hours` sunny
+    hours. alike: other causes that explain nearly as much as the first. slip_deg: displacement of
+    the patches from the captured ones as seen from the camera; 0 if no cause is certain, which
+    means that the captures do not contradict the setting.
     """
 
     findings: tuple[SettingFinding, ...]
@@ -97,7 +100,7 @@ class Setting:
     def wrong(self) -> SettingFinding | None:
         """The cause that explains most.
 
-        None if it is uncertain or a measure of the room explains it.
+        None if no cause is certain, or if a wrong measure of the room explains nearly as much.
         """
         return self.findings[0] if self.slip_deg > 0.0 and self.room is None else None
 
@@ -187,8 +190,8 @@ def _sigmas(gain: Array, groups: NDArray) -> float:
 def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
     """Return which wrong north, clock, wall or camera would explain displaced sun patches.
 
-    Sun patches are required; north, clock and wall also require a box room. Return None if too few
-    hours have direct sun in view.
+    North, clock and wall are only tested with a box room. Return None without sun patches, or if
+    fewer than three hours have direct sun in view.
     """
     progress(0, 100, "setting: light without patches")
     found = evidence_of(data)

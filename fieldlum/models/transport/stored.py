@@ -97,7 +97,7 @@ def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[
 
 
 def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> RoomResponse:
-    """Return the response that `table_of` and `arrays_of` described, shapes included."""
+    """Return the response that `table_of` and `arrays_of` described."""
     return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),

@@ -125,9 +125,9 @@ class Uncertainty:
         gain: NDArray[np.float32],
         dark: NDArray[np.floating],
     ) -> NDArray[np.floating]:
-        """Return the variance of log10 L due to displaced sun patches [m, H, W], [m, P].
+        """Return the variance of log10 L due to displaced sun patches, [m, P].
 
-        gain: of the patch [P]; dark: luminance without the patch [m, P].
+        patch: [m, H, W] cd/m2; gain: of the patch [P]; dark: luminance without the patch [m, P].
         """
         slip_px = self.slip_deg * patch.shape[1] / 180.0
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
@@ -186,9 +186,9 @@ def slip_variance(
     dark: NDArray[np.floating],
     slip_px: float,
 ) -> NDArray[np.floating]:
-    """Return the variance of ln L due to sun patches [n, H, W] displaced by `slip_px`, [n, P].
+    """Return the variance of ln L due to sun patches displaced by `slip_px`, [n, P].
 
-    dark: luminance without the patch [n, P]; gain: of the patch [P].
+    patch: [n, H, W] cd/m2; dark: luminance without the patch [n, P]; gain: of the patch [P].
     """
     low, high, odds = edge_range(patch, slip_px)
     span = np.log((dark + gain * high[:, seen]) / (dark + gain * low[:, seen]))
@@ -198,7 +198,7 @@ def slip_variance(
 def experience(
     light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array
 ) -> Array:
-    """Return the error to expect in m hours, from the held-out errors of similar captures, [m].
+    """Return the log10 MSE to expect in m hours, from held-out errors of similar captures, [m].
 
     It is their mean, weighted by the distance of the sun's directions and by the similarity of the
     sun's share. Where few captures are similar it approaches `guess` [m]; it is never below

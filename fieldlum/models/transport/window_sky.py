@@ -76,7 +76,9 @@ class SeenSky:
 
 
 def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
-    """Return the skies that windows showed; None if these do not differ from Perez's.
+    """Return the skies that windows showed; None without windows or if they hardly differ.
+
+    Skies are compared with Perez's, and a difference that noise explains does not count.
 
     Each window pixel's usual share of the sky behind it (its median over the captures) counts as
     the glass, so that only differences between captures matter.
