@@ -252,5 +252,5 @@ def test_what_is_no_theta(theta: dict[str, Any], monkeypatch: pytest.MonkeyPatch
             "_http",
             lambda self, request, timeout_s, body=body: io.BytesIO(body).read(),
         )
-        with pytest.raises(DeviceError, match="expected"):
+        with pytest.raises(DeviceError, match="expected a JSON object; check that the address"):
             opened(theta)

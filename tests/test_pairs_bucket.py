@@ -13,10 +13,17 @@ from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.models import pairs_bucket
 from fieldlum.models.data import load_pairs
-from fieldlum.session.bucket import BucketStore
+from fieldlum.session.bucket import BucketStore, check_url
 
 pytestmark = pytest.mark.contract
 DAYS = ("2027-03-20", "2027-06-21")
+
+
+def test_an_azure_container_is_no_user_of_the_url() -> None:
+    check_url("abfs://container@account.dfs.core.windows.net/folder", "--pairs-to", "omit it")
+    for url in ("s3://me@bucket/folder", "abfs://container:secret@account/folder"):
+        with pytest.raises(InputError, match="a URL with a user or password"):
+            check_url(url, "--pairs-to", "omit it")
 
 
 @pytest.mark.slow

@@ -1,8 +1,10 @@
 """Plans: the paper's sets, the seasons, the poles, clock changes, and bad site files."""
 
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from places import SEATTLE
@@ -10,9 +12,11 @@ from places import SEATTLE
 from fieldlum import plan, sun
 from fieldlum.cli import main
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.plan.texts import summary
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, save_profile
 from fieldlum.records import CameraSetup, Site, SiteFile
-from fieldlum.session import open_session
+from fieldlum.session import create_session, open_session
+from fieldlum.weather import Weather
 
 TODAY = date(2026, 11, 21)
 
@@ -150,12 +154,25 @@ def test_even_spreads_over_sun_positions_and_is_repeatable(profile: str) -> None
 
 
 @pytest.mark.analytic
-def test_cost_counts_headings_and_filters(profile: str) -> None:
+def test_cost_counts_headings_and_filters(profile: str, tmp_path: Path) -> None:
     setup = SiteFile(SEATTLE, CameraSetup(profile=profile, headings=(180.0, 0.0)))
     made = plan.make_plan(setup, plan.Request("4-day", TODAY, year=2027))
     assert len(made.slots[0].exposures) == 4
     assert made.megabytes_per_slot == 80.0
     assert made.seconds_per_slot == pytest.approx(2 * (8.0 + 1.111), abs=0.1)
+    session = create_session(tmp_path, setup, made.slots[:3], {})
+    assert summary(session, replace(made, slots=made.slots[:3])).frames == 3 * 4 * 2
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("name", ["even", "best"])
+def test_weather_of_other_dates_is_not_enough_data(profile: str, name: str) -> None:
+    times = tuple(datetime(2025, 6, day, 20, tzinfo=UTC) for day in range(1, 6))
+    light = np.full(5, 100.0)
+    weather = Weather("june", SEATTLE, times, light, light, 2 * light, typical=False)
+    setup = SiteFile(SEATTLE, CameraSetup(profile=profile))
+    with pytest.raises(NotEnoughDataError, match="the weather file has no daylight"):
+        plan.make_plan(setup, plan.Request(name, TODAY, year=2027, days=5), weather)
 
 
 def _site_file(folder: Path, text: str) -> Path:

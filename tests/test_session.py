@@ -11,6 +11,7 @@ from places import SEATTLE
 from fieldlum.errors import InputError
 from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
+    PLAN_COLUMNS,
     DayFiles,
     Journal,
     Session,
@@ -26,6 +27,7 @@ from fieldlum.session import (
     parse_exposure,
     read_day,
     read_journal,
+    read_plan,
     sole_user,
 )
 
@@ -93,6 +95,20 @@ def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd
     assert back.shutter_s == pytest.approx(shutter, rel=2e-5)
     assert back.f_number == pytest.approx(f_number, rel=1e-5)
     assert (back.iso, back.nd) == (iso, nd)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "exposure", ["1/0 f/5.6 ISO100", "nan f/5.6 ISO100", "1/4 f/0 ISO100", "\xff"]
+)
+def test_a_plan_with_an_impossible_exposure_is_an_input_error(
+    tmp_path: Path, exposure: str
+) -> None:
+    path = tmp_path / "plan.csv"
+    row = f"20270320T153000Z,2027-03-20T15:30:00Z,08:30,20,120,{exposure},"
+    path.write_text(f"{','.join(PLAN_COLUMNS)}\n{row}\n", encoding="latin-1")
+    with pytest.raises(InputError, match="expected columns slot"):
+        read_plan(path)
 
 
 @pytest.mark.slow

@@ -3,14 +3,15 @@
     sim:office?seed=1                     the shipped simulators (camera and pyranometer)
     gphoto:  gphoto:Nikon                 a tethered camera
     theta:http://192.168.1.1              a Ricoh Theta
+    rpicam:0?f_number=2.0                 a Raspberry Pi camera
     replay:FOLDER                         frames that were taken before
     serial:/dev/serial/by-id/...?kind=spn1
     serial:/dev/serial/by-id/...?kind=ascii&profile=arduino-json
     modbus:/dev/serial/by-id/...?kind=smp&unit=1
     cl200a:/dev/serial/by-id/...          an illuminance meter
 
-An option that a driver does not have raises a DeviceError with its name. Drivers only query
-instruments; no driver changes a setting of one.
+An option that a driver does not have raises a DeviceError with its name. No driver changes an
+instrument's calibration or writes its registers.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no ch
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """What a camera reports about itself; empty or None where it reports nothing."""
+    """Description of a camera; empty or None where the driver does not know a value."""
 
     kind: str  # the driver
     make: str = ""
@@ -50,7 +51,10 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentInfo:
-    """What an instrument reports about itself; empty where it reports nothing."""
+    """Description of an instrument, from its answers, its profile or its driver.
+
+    Empty where nothing is known.
+    """
 
     kind: str  # the driver or register profile
     model: str = ""
@@ -78,7 +82,7 @@ class Camera(Protocol):
         """Take one frame, write it to `target` plus the camera's suffix, and return the file.
 
         heading_deg : view direction, for a camera on a turning head. Raises DeviceError if the
-        camera cannot take exactly this exposure.
+        camera fails or does not offer this exposure.
         """
         ...
 
@@ -115,10 +119,10 @@ class ReportingCamera(Protocol):
 
 @runtime_checkable
 class Choosing(Protocol):
-    """A camera whose settings have fixed steps, such as third stops."""
+    """A camera that can report before a capture which exposures it cannot take."""
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError, naming the nearest step, for an exposure that cannot be set."""
+        """Raise DeviceError, with the reason, for an exposure that the camera cannot take."""
         ...
 
 
@@ -132,9 +136,9 @@ def refuse_turning(kind: str, heading_deg: float | None) -> None:
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return why the camera cannot be set to some of these exposures, a sentence for each reason.
+    """Return why the camera cannot take some of these exposures, each reason once.
 
-    The list is empty for a camera that does not report its steps.
+    The list is empty for a camera that is not a `Choosing` camera.
     """
     reasons: list[str] = []
     if not isinstance(camera, Choosing):
@@ -156,7 +160,7 @@ class Pyranometer(Protocol):
         ...
 
     def read(self) -> IrradianceSample:
-        """Take one reading now and return it.
+        """Return one reading: a new one, or the newest that the instrument sent by itself.
 
         Raises DeviceError if the instrument does not answer, or if the answer is damaged.
         """
@@ -172,7 +176,7 @@ class Streaming(Protocol):
     """An instrument that sends lines with readings without a request."""
 
     def refused(self) -> list[str]:
-        """Return the lines rejected since the last call, each with the reason."""
+        """Return the lines rejected since the last call, at most 100, each with the reason."""
         ...
 
 
@@ -194,7 +198,7 @@ class IlluminanceMeter(Protocol):
         ...
 
     def read(self) -> IlluminanceReading:
-        """Take one reading now and return it. Raises DeviceError."""
+        """Measure and return the illuminance. Raises DeviceError if the meter cannot measure it."""
         ...
 
     def close(self) -> None:
@@ -234,17 +238,20 @@ def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
     """Open the camera that a device URI names, such as ``gphoto:``, by the driver of its scheme.
 
-    session : some drivers read its plan or its simulated truth. Raises DeviceError for an unknown
-    scheme or option, or if the camera is missing.
+    session : the simulator reads its site file and truth, rpicam the aperture in its plan; other
+    drivers ignore it. Raises DeviceError for an unknown scheme or option, or if the camera is
+    missing; InputError for a file of the simulator or plan that cannot be used.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, CAMERAS, "camera")(parsed, clock=clock, session=session)
 
 
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
-    """Open the pyranometer that a device URI names. Raises DeviceError as `open_camera` does.
+    """Open the pyranometer that a device URI names.
 
-    session : the simulator reads its true irradiance; other drivers ignore it.
+    session : the simulator reads its site file and true irradiance; other drivers ignore it. Raises
+    DeviceError for an unknown scheme or option, or if the instrument is missing; InputError for a
+    broken profile or truth.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, PYRANOMETERS, "pyranometer")(parsed, clock=clock, session=session)
@@ -253,7 +260,7 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
 def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
     """Open the illuminance meter that a device URI names, such as ``cl200a:/dev/ttyUSB0``.
 
-    Raises DeviceError as `open_camera` does.
+    Raises DeviceError for an unknown scheme or option, or if the meter does not answer.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, METERS, "illuminance meter")(parsed, clock=clock)

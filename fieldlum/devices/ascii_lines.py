@@ -1,8 +1,8 @@
 """Parse lines of instruments that print their readings (Arduino rigs, loggers).
 
 A profile describes the lines: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json`
-(one object per line). A line must fit the profile in every part. Otherwise it is rejected and
-counted, and none of its numbers is used.
+(one object per line). A line that does not fit its profile raises DeviceError, and none of its
+numbers is used.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ class AsciiLine(SerialLine):
 class AsciiField:
     """One number in a line that an instrument prints: quantity = scale * number + offset.
 
-    The other fields serve to reject damaged numbers. `decimals` : exact number of digits after the
-    point; `width` : exact number of characters, as printf's %6.1f or %06.1f print; `unit` : text
-    directly behind the number; `lowest` and `highest` : limits of the quantity.
+    The fields with a default, apart from scale and offset, reject damaged numbers. `decimals` :
+    exact number of digits after the point; `width` : exact number of characters, as printf's %6.1f
+    or %06.1f print; `unit` : text directly behind the number; `lowest` and `highest` : limits of
+    the quantity.
     """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
@@ -85,7 +86,8 @@ class AsciiProfile:
 def load_ascii_profile(name: str) -> AsciiProfile:
     """Read the profile of an instrument's lines: a shipped one by name, any other by path.
 
-    Raises DeviceError for an unknown name, InputError for a broken profile.
+    A path ends in .toml. Raises DeviceError for an unknown name or a missing file, InputError for a
+    broken profile.
     """
     folder = shipped("calibration") / "instruments" / "ascii"
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
@@ -126,9 +128,10 @@ def load_ascii_profile(name: str) -> AsciiProfile:
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Return the quantities in one line, by name such as ``ghi_wm2``; `line` has its end mark.
+    """Return the quantities in one line, by name such as ``ghi_wm2``; `line` has its line feed.
 
-    Raises DeviceError for a line that does not fit the profile in every part.
+    Raises DeviceError for a line that is damaged or does not fit the profile, and for a quantity
+    outside its limits.
     """
     text = body_of(profile, line)
     readers = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
@@ -150,9 +153,10 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
 
 
 def body_of(profile: AsciiProfile, line: bytes) -> str:
-    """Return the text of a complete line without its checksum.
+    """Return the text of a complete line without its line feed and its checksum.
 
-    Raises DeviceError for a damaged line.
+    Raises DeviceError for a line without a line feed, of over 1000 bytes, with other bytes than
+    ASCII text, or with a wrong checksum.
     """
     text = _complete_text(line)
     return text if profile.checksum == "none" else _without_checksum(text, profile.checksum)

@@ -26,11 +26,12 @@ def agreed_answer(
     still counts as agreement, in the unit of `apart`; in_line : whether three values in order of
     time are evenly spaced.
 
-    The instrument is queried twice, and a third time if the answers differ by more than the noise.
+    The instrument is queried twice, and a third time if the answers differ by more than the noise
+    or one of them is damaged.
     If two values agree, the earlier of the nearest two is returned. Otherwise, if three values are
     `in_line`, the light was changing and the middle one is returned. A damaged answer agrees with
-    no other. Raises DeviceError if nothing agrees, or at once if `ask` fails, for example for
-    silence.
+    no other. Raises DeviceError if neither is the case, or at once if `ask` raises it, for example
+    because the instrument is silent.
     """
     answers: list[bytes] = []
     valid: list[T] = []

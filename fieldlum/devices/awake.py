@@ -17,11 +17,12 @@ _PATIENCE_S = 5.0  # timeout for an answer of the lock's process; chosen, not me
 
 @contextmanager
 def kept_awake() -> Iterator[str]:
-    """Keep the computer awake inside the block; yield the granted locks as a text.
+    """Keep the computer awake inside the `with` block; yield the names of the granted locks.
 
-    It has systemd's names (``sleep:idle:handle-lid-switch``); it is empty if no lock was granted.
-    Linux uses a lock of systemd-logind, macOS caffeinate, Windows the thread's execution state (the
-    last two are untested). The lock ends with this process, even after a crash.
+    The names are those of systemd, joined by colons (``sleep:idle:handle-lid-switch``), or "" if no
+    lock was granted. Linux uses a lock of systemd-logind, macOS caffeinate, Windows the thread's
+    execution state (the last two are untested). The lock ends with this process, even after a
+    crash.
     """
     if sys.platform == "win32":
         with _windows() as what:

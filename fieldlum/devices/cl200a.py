@@ -1,8 +1,8 @@
 """Konica Minolta CL-200A: vertical illuminance at the lens, as a check of each bracket.
 
 Source: Konica Minolta technical note CS-A32T. 9600 7E1; frames STX .. ETX BCC CR LF, where BCC is
-the exclusive or of all bytes after STX up to and including ETX, as two hexadecimal digits. Only
-measuring commands are sent: none changes the calibration.
+the exclusive or of all bytes after STX up to and including ETX, as two hexadecimal digits. None of
+the commands that are sent changes the calibration.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def frame(body: bytes) -> bytes:
 
 
 def unframe(reply: bytes) -> str:
-    """Return the body of a complete frame. Raises DeviceError if the check digits are wrong."""
+    """Return the body of a frame. Raises DeviceError for a damaged or incomplete frame."""
     match = re.fullmatch(rb"\x02([^\x02\x03]*)\x03([0-9A-F]{2})\r\n", reply)
     if match is None or bcc(match[1]) != match[2] or not match[1].isascii():
         raise DeviceError(
@@ -85,7 +85,8 @@ def _value(six: str) -> float:
 def parse_answer(reply: bytes) -> IlluminanceReading:
     """Return the illuminance reading in the meter's answer to its measuring command (02).
 
-    Raises DeviceError for damage and for the meter's own errors, NotReady while it settles.
+    Raises DeviceError for a damaged answer and for an error that the meter reports; NotReady if the
+    meter changes its range or has not measured yet.
     """
     body = unframe(reply)
     match = _ANSWER.fullmatch(body)
@@ -114,7 +115,7 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
 class Cl200a:
     """A CL-200A on a serial port; implements `IlluminanceMeter`.
 
-    sleep : waits for the pauses that the meter needs.
+    sleep : waits for a number of seconds. Raises DeviceError if the meter does not answer.
     """
 
     def __init__(
@@ -149,7 +150,7 @@ class Cl200a:
         )
 
     def read(self) -> IlluminanceReading:
-        """Measure once and return the illuminance.
+        """Measure, up to four times until the meter is ready, and return the illuminance.
 
         Raises DeviceError if the meter does not answer, its answer is damaged or reports an error,
         or the meter does not settle on a range.
@@ -182,7 +183,10 @@ class Cl200a:
 
 
 def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a:
-    """Open the meter of ``cl200a:/dev/serial/by-id/...``. Raises DeviceError."""
+    """Open the meter of ``cl200a:/dev/serial/by-id/...``.
+
+    Raises DeviceError for an unknown option, a missing port, or no answer.
+    """
     options = uri.read(parity=one_of("E", "N"))
     if not uri.place:
         raise DeviceError(f"{uri.text}: no port; expected a URI like cl200a:/dev/ttyUSB0")

@@ -38,7 +38,7 @@ class RealClock:
         return datetime.now(UTC)
 
     def monotonic(self) -> float:
-        """Return seconds since a fixed start; they stop while the computer sleeps."""
+        """Return seconds since a fixed start; on Linux they stop while the computer sleeps."""
         return (
             time.clock_gettime(time.CLOCK_MONOTONIC)
             if hasattr(time, "clock_gettime")
@@ -46,7 +46,7 @@ class RealClock:
         )
 
     def boottime(self) -> float:
-        """Return seconds since a fixed start; they continue while the computer sleeps."""
+        """Return seconds since a fixed start; on Linux they continue while the computer sleeps."""
         # Only Linux has this clock. On macOS and Windows time.monotonic already counts sleep, or no
         # clock does.
         return (
@@ -64,7 +64,8 @@ class RealClock:
 class ClockFault:
     """A disturbance of the wall clock at the true time `at_utc`.
 
-    step : the wall clock is set forward by `seconds`; suspend : the computer sleeps for `seconds`.
+    step : the wall clock is set forward by `seconds` (back, if negative); suspend : the computer
+    sleeps for `seconds`.
     """
 
     at_utc: datetime
@@ -109,7 +110,7 @@ class FastClock:
             return self._boot_s
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass; a suspend in this time delays the return, as on a real computer."""
+        """Advance the time by `seconds`, and by the suspends that begin within them."""
         with self._lock:
             left = max(seconds, 0.0)
             while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=left):

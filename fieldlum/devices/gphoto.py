@@ -57,9 +57,9 @@ def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
 class GphotoCamera:
     """A tethered camera; libgphoto2 runs in a child process under a watchdog. Implements `Camera`.
 
-    After a hang or a crash the next call restarts the child. readout_s : time that is added to the
-    shutter time before a call counts as hung; late_file_s : time to wait for the second file of a
-    raw and JPEG pair.
+    After a hang or a crash the next `expose` restarts the child. readout_s : time that is added to
+    the shutter time before a call counts as hung; late_file_s : time to wait for the second file of
+    a raw and JPEG pair.
     """
 
     def __init__(
@@ -95,10 +95,10 @@ class GphotoCamera:
         return CameraInfo("gphoto", **about)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set the exposure, check the setting, take the frame and copy it.
+        """Set what the camera lets a computer set, take the frame and copy it; return the file.
 
-        The frame is returned even if its EXIF differs: the caller compares it. Raises DeviceError,
-        and OSError if the disk is full.
+        The EXIF of the frame is not checked. Raises DeviceError if the camera fails, does not offer
+        the exposure or shows another setting, and OSError if the disk is full.
         """
         refuse_turning("gphoto", heading_deg)
         if not self._child.alive or self._child.starts != self._opened_at_start:
@@ -111,7 +111,10 @@ class GphotoCamera:
         )
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for a setting that is over 1/6 EV from each of the camera's choices."""
+        """Raise DeviceError for a setting over 1/6 EV from each of the camera's choices.
+
+        Settings that the camera does not let a computer set are not checked.
+        """
         for role, asked in _roles(exposure):
             if role in self._about["settings"]:
                 choose(role, asked, self._about["settings"][role][1])
@@ -135,9 +138,9 @@ class GphotoCamera:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
-    """Open the first tethered camera, or the one whose model contains the URI's place.
+    """Open the first tethered camera, or the first whose model contains the URI's place.
 
-    Raises DeviceError without the package gphoto2 or without a camera.
+    Raises DeviceError for an unknown option, without the package gphoto2, or without a camera.
     """
     from importlib.util import find_spec
 

@@ -33,7 +33,7 @@ _TRIES = 4  # number of tries, half a second apart, while the camera is busy; ch
 
 
 class GphotoDescription(TypedDict):
-    """What a camera reports about itself; for each setting its widget and its choices."""
+    """What a camera reports about itself; settings: (widget, choices) by shutter, aperture, iso."""
 
     make: str
     model: str

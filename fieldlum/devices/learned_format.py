@@ -26,7 +26,8 @@ _PADDED = re.compile(r"[+-]?0\d")
 def constant(values: Sequence[Hashable]) -> Hashable | None:
     """Return the value that nearly all of `values` have, or None.
 
-    One value may differ, or one in sixty if there are more. None for fewer than 20 values.
+    One value may differ, or one in sixty if there are over 120 values. None for fewer than 20
+    values.
     """
     if len(values) < ENOUGH:
         return None

@@ -22,8 +22,8 @@ _TIMES = ("t_utc", "time", "timestamp")
 class LoggerFile:
     """The content of a logger's file.
 
-    samples : in order of time; left_out : unreadable lines, each with the reason; about : a
-    description of the kind of file.
+    samples : in order of time when `read_logger_file` returns them; left_out : texts about lines
+    that were not read and about missing records; about : a description of the kind of file.
     """
 
     samples: tuple[IrradianceSample, ...]

@@ -62,7 +62,10 @@ class ModbusPyranometer:
 
     @property
     def info(self) -> InstrumentInfo:
-        """Return what the instruments report about themselves, joined by " + "."""
+        """Return what the instruments and the profile state; several texts are joined by " + ".
+
+        The calibration date is the oldest.
+        """
 
         def texts(name: str) -> str:
             parts = [d.texts.get(name) or _integer_text(d.values.get(name)) for d in self._about]
@@ -145,7 +148,7 @@ def open_pyranometer(
     """Open the Modbus pyranometer, or the several of one kind, that a URI names.
 
     Raises DeviceError for unknown options or kinds, a missing port, or an instrument that does not
-    answer.
+    answer; InputError for a broken profile.
     """
     options: dict[str, Any] = uri.read(
         kind=str,

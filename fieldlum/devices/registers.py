@@ -104,7 +104,8 @@ def known_kinds() -> list[str]:
 def load_register_profile(kind: str) -> RegisterProfile:
     """Read a profile of registers: a shipped one by kind, any other by path.
 
-    Raises InputError for a broken profile, DeviceError for an unknown kind.
+    A path ends in .toml. Raises InputError for a broken profile, DeviceError for an unknown kind or
+    a missing file.
     """
     path = Path(kind)
     if path.suffix != ".toml":
@@ -167,7 +168,7 @@ def raw_value(kind: str, words: Iterable[int]) -> float:
 
 
 def date_text(number: float) -> str:
-    """Return 20260115 as 2026-01-15; "" for a number that is not a date."""
+    """Return 20260115 as 2026-01-15; "" unless it is a year 1990 to 2100, month and day 1 to 31."""
     text = f"{number:.0f}"
     plausible = (
         len(text) == 8
@@ -186,7 +187,8 @@ def _text(words: Iterable[int]) -> str:
 def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
     """Return the profile's entries whose registers are in `registers`, decoded.
 
-    Raises DeviceError for an irradiance outside -200 to 4000 W/m2.
+    A value that is not finite is omitted. Raises DeviceError for an irradiance that is not finite
+    or outside -200 to 4000 W/m2, and for a power of ten outside -1 to 2.
     """
     values: dict[str, float] = {}
     texts: dict[str, str] = {}

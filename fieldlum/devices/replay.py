@@ -68,13 +68,13 @@ class ReplayCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """Return what the first frame states about its camera."""
+        """Return the first frame's make and model, and the number of unused frames."""
         return CameraInfo("replay", self._make, self._model, frames_left=len(self._left))
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Copy the next unused frame with this exposure to `target` plus its suffix.
 
-        Return the file. Raises DeviceError if no such frame is left.
+        Return the file. heading_deg is ignored. Raises DeviceError if no such frame is left.
         """
         for i, (path, info) in enumerate(self._left):
             if fits(info.exposure, exposure):

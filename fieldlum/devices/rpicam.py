@@ -57,7 +57,10 @@ class FrameMetadata:
     digital_gain: float
 
     def exposure(self, asked: Exposure) -> Exposure:
-        """Return the exposure that the sensor took; aperture and filter are those of `asked`."""
+        """Return the exposure that the sensor took; aperture and filter are those of `asked`.
+
+        So is the ISO, if the gain differs from it by at most 3 %.
+        """
         iso = ISO_OF_GAIN_1 * self.analogue_gain
         is_as_asked = abs(iso / asked.iso - 1.0) <= GAIN_TOLERANCE
         return Exposure(self.shutter_s, asked.f_number, asked.iso if is_as_asked else iso, asked.nd)
@@ -116,7 +119,8 @@ class RpicamCamera:
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one raw frame and return its file, `target` plus .dng.
 
-        Raises DeviceError if its exposure cannot be merged, and OSError if the disk is full.
+        Its shutter time may differ from the requested one: see `exposure_taken`. Raises DeviceError
+        if the module or the program cannot take this exposure, and OSError if the disk is full.
         """
         refuse_turning("rpicam", heading_deg)
         self.check_offered(exposure)
@@ -147,7 +151,7 @@ class RpicamCamera:
         return self._taken.get(written)
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for an aperture that the lens does not have, or for a gain below 1."""
+        """Raise DeviceError for an aperture over 2 % from the lens's, or for an ISO below 97."""
         if abs(exposure.f_number / self._f_number - 1.0) > 0.02:
             raise DeviceError(
                 f"rpicam: f/{exposure.f_number:g} is planned, and the lens has "
@@ -257,8 +261,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
     """Open the Raspberry Pi camera of a URI ``rpicam:NUMBER?f_number=F``.
 
-    Without f_number the aperture is that of the session's plan. Raises DeviceError if there is
-    none, or if the camera is missing.
+    Without f_number the aperture is that of the session's plan. Raises DeviceError if the plan does
+    not have exactly one aperture, for an unknown option, or if the camera is missing.
     """
     options = uri.read(f_number=number(0.5, 64.0), program=str)
     f_number = options.get("f_number") or _planned_f_number(session)

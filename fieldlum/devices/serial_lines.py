@@ -38,7 +38,8 @@ class LineInstrument:
     """An instrument that sends lines; implements `Pyranometer` and `Streaming`.
 
     A reading is the newest line since the last reading, or else the next line. If three or more
-    lines have arrived, at most two seconds apart, the reading is the median of the newest three.
+    lines have arrived, on average at most two seconds apart, the reading is the median of the
+    newest three.
     """
 
     def __init__(
@@ -73,7 +74,11 @@ class LineInstrument:
         )
 
     def read(self) -> IrradianceSample:
-        """Return a reading. Raises DeviceError after a silence, or if no line fits the profile."""
+        """Return a reading; wait for a line if there is none.
+
+        Raises DeviceError if no line that fits the profile arrives within the silence time
+        (default: that of the profile).
+        """
         deadline = time.monotonic() + self._silence_s
         why = "no line received; check cable, power and baud rate"
         while True:

@@ -1,7 +1,4 @@
-"""Open serial ports: errors become DeviceErrors with a remedy.
-
-A replugged device is found again.
-"""
+"""Open serial ports; errors of a port become DeviceErrors with its name."""
 
 from __future__ import annotations
 
@@ -56,8 +53,8 @@ def _cannot_open(port: str, error: DeviceError) -> str:
 def resolve(place: str) -> str:
     """Return the device file of `place`: the place itself, or the port of ``usb=VID:PID[:SERIAL]``.
 
-    The name of a USB port changes after a replug; its identity does not. Raises DeviceError if the
-    device is not plugged in.
+    Of several ports that match, the first is returned. The name of a USB port may change after a
+    replug; its identity does not. Raises DeviceError if no such device is plugged in.
     """
     if not place.startswith("usb="):
         return place
@@ -89,7 +86,10 @@ class SerialLine:
 
 
 class SerialPort:
-    """A serial port with fixed settings that no other program can use while it is open."""
+    """A serial port with fixed settings, locked against other programs that lock their ports.
+
+    Raises DeviceError if it cannot be opened.
+    """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
         import serial
@@ -134,7 +134,7 @@ class SerialPort:
     def read_until(self, end: bytes, limit: int = 4096) -> bytes:
         """Return all bytes up to and including `end`.
 
-        After the timeout `end` may be missing: the caller must check.
+        After the timeout, or after `limit` bytes, `end` may be missing: the caller must check.
         """
         with device_errors(self.name):
             return self._port.read_until(end, limit)

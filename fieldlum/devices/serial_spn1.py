@@ -31,7 +31,8 @@ _TOTAL_BELOW_DIFFUSE_WM2 = 3.0
 class Spn1:
     """An SPN1 on a serial port; implements `Pyranometer`. Sends R, S and I and nothing else.
 
-    close_too : called by `close`, to stop a simulator behind the port.
+    close_too : called by `close`, to stop a simulator behind the port. Raises DeviceError if the
+    port cannot be opened or the instrument does not answer as an SPN1.
     """
 
     def __init__(
@@ -67,9 +68,9 @@ class Spn1:
     def read(self) -> IrradianceSample:
         """Return a reading of total and diffuse on which two answers agree.
 
-        Two answers are needed because the line has no checksum. A total below the diffuse gets a
-        status. `raw` has all answers that differ. Raises DeviceError for silence, or if neither two
-        answers agree nor three are evenly spaced.
+        Two answers are needed because the line has no checksum. A total over 3 W/m2 below the
+        diffuse gets a status. `raw` has all answers that differ. Raises DeviceError for silence, or
+        if neither two answers agree nor three are evenly spaced.
         """
         t_utc = self._clock.now()
         reading, answers = agreed_answer(

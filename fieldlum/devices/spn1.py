@@ -50,8 +50,9 @@ class Spn1Status:
 def parse_reading(reply: bytes) -> Spn1Reading:
     """Return the reading in ``S 812.4, 104.9,1<CR>``, with or without the echo.
 
-    Raises DeviceError for any other bytes. Both numbers have six characters with one decimal, so
-    that a number that lost a character is never read as a smaller one.
+    Raises DeviceError for any other bytes, and for a number over 2500 W/m2. Both numbers have six
+    characters with one decimal, so that a number that lost a character is never read as a smaller
+    one.
     """
     match = _READING.fullmatch(reply)
     if match is None:

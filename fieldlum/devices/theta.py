@@ -1,7 +1,7 @@
 """Drive a Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``.
 
 The option ``?delete=1`` deletes pictures after they were copied. Source: Ricoh's THETA Web API
-v2.1. If the file format is raw+ (Z1), the DNG of each picture is copied, else the JPEG.
+v2.1. If the file format is raw+ (Z1), the DNG of a single picture is copied, else the JPEG.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylig
 
 
 class ThetaCamera:
-    """A Ricoh Theta; implements `Camera`.
+    """A Ricoh Theta; implements `Camera`, `Choosing` and `BracketingCamera`.
 
-    `expose_bracket` takes many frames with one command (`_autoBracket`, JPEG).
+    Raises DeviceError if the camera does not answer or reports an error.
     """
 
     def __init__(
@@ -92,10 +92,10 @@ class ThetaCamera:
     # pictures
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set the exposure, check the setting, take the frame and fetch it.
+        """Set the exposure, check the setting, take the frame and fetch it; return the file.
 
-        The frame is returned even if its EXIF differs: the caller compares it. Raises DeviceError,
-        and OSError if the disk is full.
+        The EXIF of the frame is not checked. Raises DeviceError if the camera fails, does not offer
+        the exposure or shows another setting, and OSError if the disk is full.
         """
         refuse_turning("theta", heading_deg)
         wanted = self._chosen(exposure)
@@ -104,7 +104,8 @@ class ThetaCamera:
         for name, value in wanted.items():
             if abs(float(shown.get(name, 0.0)) - value) > 1e-3 * value:
                 raise DeviceError(
-                    f"theta: {name} was set to {value:g}, but the camera shows {shown.get(name)}"
+                    f"theta: {name} was set to {value:g}, but the camera shows {shown.get(name)}; "
+                    "restart the camera, then capture again"
                 )
         results = self._command("camera.takePicture", {}, exposure.shutter_s + READOUT_S)
         urls = [
@@ -126,9 +127,10 @@ class ThetaCamera:
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take a bracket with one command, in the order of `exposures`; return the files written.
+        """Take 2 to 13 JPEG frames with one command, in the order of `exposures`; return the files.
 
-        Raises DeviceError; frames that were already fetched stay on the disk.
+        Raises DeviceError if the camera fails or does not offer an exposure; frames that were
+        already fetched stay on the disk.
         """
         if len(exposures) not in self.bracket_shots:
             low, high = self.bracket_shots[0], self.bracket_shots[-1]
@@ -172,7 +174,10 @@ class ThetaCamera:
         return chosen
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for a setting that is over 1/6 EV from every step of the camera."""
+        """Raise DeviceError for a setting that is over 1/6 EV from every step of the camera.
+
+        The aperture is not checked if the camera reports no apertures.
+        """
         self._chosen(exposure)
 
     def _fetch(self, url: str, target: Path) -> Path:
@@ -249,7 +254,8 @@ class ThetaCamera:
                 body, length = error.read(100_000), None
             if not body.lstrip().startswith(b"{"):
                 raise DeviceError(
-                    f"theta: the camera answered HTTP {error.code} to {request.full_url}"
+                    f"theta: the camera answered HTTP {error.code} to {request.full_url}; restart "
+                    "the camera, and check the address in the URI"
                 ) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "reason", error)
@@ -258,7 +264,8 @@ class ThetaCamera:
             ) from None
         if length is not None and length.isdigit() and len(body) != int(length):
             raise DeviceError(
-                f"theta: {request.full_url} is incomplete: {len(body)} of {length} bytes"
+                f"theta: {request.full_url} is incomplete: {len(body)} of {length} bytes; move the "
+                "computer closer to the camera, then capture again"
             )
         return body
 
@@ -267,9 +274,12 @@ def _json(body: bytes) -> Reply:
     try:
         reply = json.loads(body)
     except ValueError:
-        raise DeviceError(f"theta: the camera answered {body[:40]!r}; expected JSON") from None
+        reply = None
     if not isinstance(reply, dict):
-        raise DeviceError(f"theta: the camera answered {body[:40]!r}; expected a JSON object")
+        raise DeviceError(
+            f"theta: the camera answered {body[:40]!r}; expected a JSON object; check that the "
+            "address in the URI is that of the Theta, and restart it"
+        )
     return reply
 
 
@@ -288,7 +298,10 @@ def _numbers(values: object) -> list[float]:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
-    """Open the Theta at the URI's address. Raises DeviceError for unknown options or no answer."""
+    """Open the Theta at the URI's address (default: http://192.168.1.1).
+
+    Raises DeviceError for an unknown option, another kind of address, or no answer.
+    """
     options = uri.read(delete=integer_option(0, 1))
     address = uri.place or ADDRESS
     if urlsplit(address).scheme != "http" or not urlsplit(address).hostname:

@@ -39,7 +39,7 @@ class Toa5:
     """The content of a TOA5 table.
 
     samples : in the file's order; broken : omitted lines, each with the reason; missing_records :
-    number of gaps in the record numbers.
+    how many record numbers are missing between the lines that could be read.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -69,8 +69,8 @@ def parse_toa5(
 
     A row is omitted and listed if it is incomplete, if its time or a number cannot be read, if its
     time does not fit its record number, or if its decimals differ from the rest of the column.
-    Raises InputError for a file that is no TOA5 table, has no such column, or has a unit other than
-    W/m2.
+    Raises InputError for a text that is no TOA5 table, without a column of irradiance, with several
+    columns for a quantity, or with an irradiance in another unit than W/m2.
     """
     lines = text.split("\n")
     if not is_toa5(text) or len(lines) < 4:

@@ -41,7 +41,7 @@ def make_plan(
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
     Raises NotEnoughDataError if no hour of the set has the sun above the horizon, or if `best` has
-    no weather.
+    no weather, or weather of other dates; InputError for a profile or room that cannot be used.
     """
     site = setup.site
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -54,6 +54,11 @@ def make_plan(
         )
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
+    if not len(chosen):
+        raise NotEnoughDataError(
+            f"the weather file has no daylight from {days[0]} to {days[-1]}, so the plan would be "
+            "empty; choose its dates with --start or --year, or another weather file"
+        )
     profile = load_camera_profile(setup.camera.profile)
     bracket = profile.bracket
     blind = coverage_text(profile, setup.camera)
@@ -114,7 +119,8 @@ def make_slots(
 ) -> tuple[Slot, ...]:
     """Return the slots of some hours, in order of time, with tags.
 
-    Tags: the season, low-sun, sun-enters (through a window), sun-in-view (of the camera).
+    Tags: the equinox or solstice if it is at most a day away, low-sun, sun-enters (through a
+    window), sun-in-view (of the camera).
     """
     zone = setup.site.timezone
     tags = {
@@ -178,13 +184,19 @@ def run(
     weather: Weather | None = None,
     progress: Progress = quiet,
 ) -> PlannedSession:
-    """Plan and create the session folder. Raises InputError if `out` is already a session."""
+    """Plan and create the session folder.
+
+    Raises InputError if `out` is already a session, and the errors of `make_plan`.
+    """
     plan = make_plan(setup, request, weather, progress)
     return PlannedSession(create_session(out, setup, plan.slots, plan.about(request)), plan)
 
 
 def write_calendar(session: Session, made_utc: datetime) -> Path:
-    """Write plan.ics next to plan.csv, from the slots in plan.csv, and return its path."""
+    """Write plan.ics next to plan.csv, from the slots in plan.csv, and return its path.
+
+    Raises InputError if session.toml has no complete table [plan].
+    """
     from fieldlum.plan.calendar import ics
 
     seconds, _, revision = _planned_cost(session)
@@ -197,7 +209,10 @@ def write_calendar(session: Session, made_utc: datetime) -> Path:
 def write_sheets(
     session: Session, weather: Weather | None = None, notes: Sequence[str] = ()
 ) -> Path:
-    """Write plan.html next to plan.csv: coverage plots, then a sheet for each day."""
+    """Write plan.html next to plan.csv and return its path: plots, then a sheet for each day.
+
+    notes: texts to print on it. Raises InputError if session.toml has no complete table [plan].
+    """
     from fieldlum.plan.sheet import Cost, html
 
     cost = Cost(*_planned_cost(session)[:2])

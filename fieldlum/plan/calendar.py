@@ -1,6 +1,6 @@
 """Write a plan as a calendar: one event per day, in UTC, with stable names.
 
-By stable names a phone updates its events after a re-plan instead of adding them twice.
+By stable names a phone updates its events after a new plan instead of adding them twice.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ def ics(
 ) -> bytes:
     """Return an iCalendar file (RFC 5545).
 
-    sequence : number of re-plans; an event on the same day has the same UID and is updated.
+    Each day with slots is one event. sequence : how often the plan was changed; a calendar replaces
+    an event of the same day, because it has the same UID.
     """
     from icalendar import Calendar
 

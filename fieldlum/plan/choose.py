@@ -73,10 +73,10 @@ def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -
 def even(
     hours: DaylightHours, weather: Weather | None, count: int, rng: np.random.Generator
 ) -> Index:
-    """Return indices [count] of hours spread evenly, ascending.
+    """Return ascending indices of at most `count` hours that are spread evenly.
 
-    They are k-means medoids over sun position and sky (the paper's method); without weather, sun
-    positions by `space_filling`.
+    They are k-means medoids over sun position and sky (Liu, Colburn and Inanici 2020); without
+    weather, sun positions by `space_filling`. Hours without weather are not chosen.
     """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:
@@ -95,7 +95,7 @@ def even(
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """What a greedy choice needs: the room's kernel, and features of a weather year's daylight."""
+    """What a greedy choice of hours needs: a kernel, and features of a weather year's daylight."""
 
     kernel: Kernel
     year: Features
@@ -106,7 +106,7 @@ class Learning:
 def learning(
     site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None
 ) -> Learning:
-    """Return kernel, weather and features of about YEAR_HOURS hours, for a greedy choice of hours.
+    """Return kernel, weather and features of 800 to 1600 hours, for a greedy choice of hours.
 
     The hours are spread evenly over the year's daylight. kernel : of a trained model; by default a
     kernel for the room's facades.
@@ -118,7 +118,7 @@ def learning(
 
 
 def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
-    """Return the indices [k] of the hours that the weather covers, and their features [k]."""
+    """Return indices [k] of the hours for which the weather has daylight, and their features [k]."""
     light = task.weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
     chosen = hours[known]
@@ -128,7 +128,7 @@ def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
 
 
 def variance_left(task: Learning, captured: Features) -> float:
-    """Return the mean variance over the year after some captures, over the prior variance."""
+    """Return the year's variance after some captures, divided by its prior variance: 0 to 1."""
     if not len(captured):
         return 1.0
     known = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
@@ -139,11 +139,13 @@ def variance_left(task: Learning, captured: Features) -> float:
 
 
 def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Index:
-    """Return indices [count], ascending, of the hours that reduce the year's variance most.
+    """Return ascending indices of at most `count` hours that reduce the year's variance most.
 
-    The choice is greedy; the variance is summed over the hours of the year.
+    The choice is greedy, among about 2200 hours at most; the variance is summed over the year.
     """
     known, features = features_at(hours, task)
+    if not len(known):
+        return known
     stride = -(-len(known) // POOL_HOURS)
     pool = np.arange(0, len(known), stride)
     ranked = greedy_hours(
@@ -153,6 +155,6 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
 
 
 def month_windows(year: int, days: int) -> list[list[date]]:
-    """Return twelve periods of `days` days, around the middle of each month."""
+    """Return twelve periods of `days` consecutive days, one around the 16th of each month."""
     starts = [date(year, month, 16).toordinal() - days // 2 for month in range(1, 13)]
     return [span(date.fromordinal(start), days) for start in starts]

@@ -157,9 +157,10 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
 ) -> RankedHours:
-    """Rank the daylight hours of the next two weeks, and return the best of them.
+    """Rank the daylight hours of the next two weeks, and return the best twelve.
 
-    Raises NotEnoughDataError if the sun does not rise in them.
+    Raises NotEnoughDataError if the sun does not rise in that time, InputError for a model, pairs
+    or plan that cannot be read.
     """
     setup, now_utc = session.site_file(), now_utc.astimezone(UTC)
     trained = trained_kernel(session)
@@ -244,8 +245,7 @@ def sentences(answer: RankedHours, site: Site) -> list[str]:
         texts.append(f"  {when}  {where}  reduces this uncertainty by {share}{planned}")
     verdict = "more captures are useful" if answer.pays else "more captures add little"
     texts.append(
-        f"the best {BATCH} hours of a year would reduce the uncertainty about the year by "
-        f"{answer.next_batch_percent:.0f} %: "
-        f"{verdict}"
+        f"the best {BATCH} hours of a year would reduce this uncertainty by "
+        f"{answer.next_batch_percent:.0f} %: {verdict}"
     )
     return texts

@@ -85,9 +85,9 @@ def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
 
 
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
-    """Return how much of a year some hours cover.
+    """Return how much of a year's suns some hours cover.
 
-    With a weather file, also how much of its hours.
+    With weather, also how much of its daylight hours.
     """
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
@@ -112,8 +112,8 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
 def sun_figure(hours: DaylightHours, site: Site) -> Figure:
     """Draw the band of sun positions on a sky chart, north up and east right, with planned suns.
 
-    It is the paper's Figure 15. A chart of azimuth against altitude would fail in the tropics,
-    where the sun passes the zenith on either side.
+    As Figure 15 of Liu, Colburn and Inanici (2020). A chart of azimuth against altitude would fail
+    in the tropics, where the sun passes the zenith on either side.
     """
     from matplotlib.figure import Figure
 
@@ -195,7 +195,7 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
 def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
     """Draw the density of direct and diffuse irradiance over the year, with planned hours.
 
-    These are the paper's Figures 16 and 17.
+    As Figures 16 and 17 of Liu, Colburn and Inanici (2020).
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure

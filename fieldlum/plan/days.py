@@ -24,7 +24,7 @@ SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-
 
 @dataclass(frozen=True, slots=True)
 class DaylightHours:
-    """Daylight hours of some days, the candidates of every set. Angles are true, in deg, [n]."""
+    """Hours with the sun above the horizon; angles of the sun are true, in deg, [n]."""
 
     t_utc: tuple[datetime, ...]
     altitude_deg: NDArray[np.float64]
@@ -41,7 +41,7 @@ class DaylightHours:
 
 
 def hours_of(slots: Sequence[Slot]) -> DaylightHours:
-    """Return the times of slots, and the sun at these times."""
+    """Return the times of slots, and the sun's angles that the plan has for them."""
     altitude = np.array([s.sun_altitude_deg for s in slots], float)
     azimuth = np.array([s.sun_azimuth_deg for s in slots], float)
     return DaylightHours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
@@ -94,9 +94,10 @@ def set_days(
 ) -> list[date]:
     """Return the local standard dates of a set.
 
-    Sets of events: those of `year`, or the next ones after `start` (or `today`). Set `month`: from
-    `start`, or centred on the March equinox of `year`, or on the next equinox whose complete period
-    is in the future. Other sets: a year.
+    Sets of equinoxes and solstices (4-day, 9-day, 12-day): those of `year`, else the next ones
+    after `start` (or `today`). Set `month`: `days` (default 31) from `start`, or centred on the
+    March equinox of `year`, or on the next equinox whose complete period is in the future. Other
+    sets: `days` (default 365) from `start`, else from 1 January of `year`, else from `today`.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
@@ -120,7 +121,7 @@ def set_days(
 
 
 def season_tag(day: date, site: Site) -> str:
-    """Return "march-equinox" and so on within a day of such an event, else ""."""
+    """Return "march-equinox" and so on if that date is at most a day away, else ""."""
     for which, tag in enumerate(SEASON_TAGS):
         if abs((day - season_date(day.year, which, site)).days) <= 1:
             return tag

@@ -37,7 +37,7 @@ class MakeUp:
 
 @dataclass(frozen=True, slots=True)
 class MakeUpPlan:
-    """The missed slots of a session, and how each is made up for."""
+    """The missed slots of a session, and the make-up slots that repeat them."""
 
     missed: int  # number of past slots without a capture, neither their own nor of a make-up
     made_up: tuple[MakeUp, ...]
@@ -65,9 +65,9 @@ def make_up(
 ) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
     """Return make-up slots, their pairs with missed slots, and missed slots without a make-up.
 
-    A make-up is at the same standard hour on the earliest day within a year that has the missed
-    day's declination (also across the solstice). A missed make-up is repeated for the original
-    slot.
+    A make-up is at the same standard hour on the earliest day from tomorrow, within 370 days, that
+    has the missed day's declination to 0.2 deg (also across the solstice), with the sun within 12
+    deg of the missed one.
     """
     site, taken = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -140,9 +140,10 @@ def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
 
 
 def run(session: Session, now_utc: datetime) -> MakeUpPlan:
-    """Add make-up slots for missed ones to plan.csv, and return both.
+    """Add make-up slots for missed ones to plan.csv; return what was missed and what was added.
 
-    No slot is ever removed. The earlier plan is stored as plan.N.csv if slots are added.
+    If a make-up was missed, the original slot gets another one. No slot is removed. The earlier
+    plan is stored as plan.N.csv if slots are added.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
@@ -183,7 +184,7 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
 
 
 def add_slots(session: Session, slots: Sequence[Slot]) -> None:
-    """Add slots to plan.csv and store the earlier plan; no slot is ever removed."""
+    """Add slots to plan.csv and store the earlier plan as plan.N.csv; no slot is removed."""
     about = _resumed(session)
     _store_and_write(session, [*session.slots(), *slots], about, session.site_file())
 

@@ -46,7 +46,10 @@ def html(
     weather: Weather | None = None,
     notes: Sequence[str] = (),
 ) -> str:
-    """Return one self-contained page of HTML: coverage plots, then a sheet for every day."""
+    """Return one self-contained page of HTML: room and coverage plots, then a sheet for every day.
+
+    notes: texts to print on it; weather: for a second coverage plot.
+    """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
     days = by_day(slots, setup.site)

@@ -19,7 +19,8 @@ from fieldlum.session import Session
 class PlanSummary:
     """The object that `plan --json` prints; its keys are a contract.
 
-    solar_noon: local time on the first day. tags: number of slots with each tag.
+    solar_noon: local time on the first day. frames: of all slots, at every heading. tags: number of
+    slots with each tag.
     """
 
     session: str
@@ -65,7 +66,7 @@ def plan_warnings(
         )
     if days[0] < request.today:
         texts.append(
-            f"the plan starts on {days[0]}, which is in the past: earlier slots count as missed"
+            f"the plan starts on {days[0]}, which is in the past: slots in the past count as missed"
         )
     return texts
 
@@ -104,7 +105,8 @@ def clock_texts(days: Sequence[date], site: Site) -> list[str]:
 
 def summary(session: Session, plan: Plan) -> PlanSummary:
     """Return the summary of a plan."""
-    slots, site = plan.slots, session.site_file().site
+    slots, setup = plan.slots, session.site_file()
+    site, turns = setup.site, max(len(setup.camera.headings), 1)
     tags = sorted({tag for slot in slots for tag in slot.tags})
     return PlanSummary(
         session=str(session.root),
@@ -113,7 +115,7 @@ def summary(session: Session, plan: Plan) -> PlanSummary:
         first=slots[0].id,
         last=slots[-1].id,
         solar_noon=_solar_noon(slots[0].t_utc, site),
-        frames=sum(len(slot.exposures) for slot in slots),
+        frames=turns * sum(len(slot.exposures) for slot in slots),
         seconds_per_slot=plan.seconds_per_slot,
         megabytes=round(plan.megabytes_per_slot * len(slots), 1),
         tags={tag: sum(tag in slot.tags for slot in slots) for tag in tags},

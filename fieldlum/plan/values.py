@@ -13,7 +13,11 @@ from fieldlum.session.tables import PlanTable
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """The options of a plan; `today` is the local date from which the next event is searched."""
+    """The options of a plan, as the command `plan` has them.
+
+    today: the local date; days: of the sets month, even and best; count: of the sets even and best;
+    seed: for even.
+    """
 
     set: str
     today: date

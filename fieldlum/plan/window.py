@@ -16,9 +16,10 @@ GRID = 6  # test points across and up a window; chosen, not measured
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask [n]: whether sun at these angles [deg] passes a window; bars are ignored.
+    """Return a mask [n]: whether the sun at these angles [deg] shines through a window.
 
-    Reveals and obstructions are not ignored. Raises InputError for an impossible room.
+    Reveals and obstructions are considered, window bars are not. Raises InputError for an
+    impossible room.
     """
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))

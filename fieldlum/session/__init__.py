@@ -1,4 +1,4 @@
-"""The session folder on disk: the only package that knows its file names.
+"""The session folder on disk: its paths, the formats of its files, and its locks.
 
 `writing` writes complete files or nothing; `lines` appends to files and recovers them; `folder` has
 the paths; `plan_file`, `journal` and `day_files` define formats; `files` has the files that one

@@ -17,12 +17,14 @@ from fieldlum.errors import InputError
 
 _ROOT = "zarr.json"  # of the store; without it nothing opens the store (Zarr v3)
 _MADE_FROM = "made_from_sha256"
+_CONTAINER_SCHEMES = ("abfs", "abfss")  # CONTAINER@ACCOUNT is no user (adlfs, hadoop-azure)
 
 
 class BucketStore:
-    """One Zarr store below a URL.
+    """One Zarr store at a URL.
 
-    Raises InputError for a URL without a client.
+    Raises InputError for a malformed URL or one whose client library is not installed. Its methods
+    raise InputError if the bucket does not answer.
     """
 
     def __init__(self, url: str) -> None:
@@ -81,11 +83,15 @@ class BucketStore:
 
 
 def check_url(url: str, option: str, instead: str) -> None:
-    """Raise InputError for a text that is no URL of a bucket, or one with a password in it."""
+    """Raise InputError for a text that is no URL of a bucket, or for one with a user or password.
+
+    In an Azure URL (abfs, abfss) the name before the @ is the container, which is allowed. option,
+    instead: the option's name and the remedy, for the error.
+    """
     parts = urlsplit(url)
     if parts.scheme in ("", "file", "local") or "::" in url:
         raise InputError(option, url, "a URL such as s3://BUCKET/FOLDER", instead)
-    if parts.password or parts.username:
+    if parts.password or (parts.username and parts.scheme not in _CONTAINER_SCHEMES):
         raise InputError(
             option,
             "a URL with a user or password",

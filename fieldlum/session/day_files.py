@@ -52,7 +52,10 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
 
 
 class DayFiles:
-    """Appends samples to UTC day files; each row is on the disk when `append` returns."""
+    """Appends samples to UTC day files.
+
+    flush: whether each row is on the disk when `append` returns.
+    """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
         self._folder, self._flush = session.irradiance, flush

@@ -79,11 +79,11 @@ class Session:
     truth_sunpatch = _SlotPlace("truth", "sunpatches", "{}.exr")
 
     def captured_folders(self) -> list[Path]:
-        """Return the folders in raw/ with a bracket, in order of time."""
+        """Return the slots' folders in raw/, in order of time."""
         return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
 
     def panorama_files(self) -> list[Path]:
-        """Return the merged panoramas in order of time."""
+        """Return the merged panoramas, sorted by name (for names of slots, in order of time)."""
         return sorted(self.panoramas.glob("[!.]*.exr"))
 
     def sidecar_files(self) -> list[Path]:
@@ -121,7 +121,10 @@ class Session:
 
 
 def open_session(root: Path) -> Session:
-    """Return the session of a folder. Raises InputError if `root` is not a session."""
+    """Return the session of a folder.
+
+    Raises InputError if `root` has no session.toml, or if that is no TOML.
+    """
     session = Session(root)
     if not session.toml.is_file():
         raise InputError(
@@ -142,10 +145,10 @@ def open_session(root: Path) -> Session:
 def create_session(
     root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: PlanTable
 ) -> Session:
-    """Write plan.csv and session.toml. Raises InputError if the folder already has a plan.
+    """Write plan.csv and session.toml, and return the session.
 
-    A plan.csv without session.toml is the result of an interruption between the two; it is written
-    again.
+    Raises InputError if the folder has a session.toml, or a plan.csv that fieldlum did not write. A
+    plan.csv of fieldlum without session.toml, left by an interruption, is written again.
     """
     session = Session(root)
     if session.toml.exists():
@@ -183,7 +186,7 @@ def update_session(session: Session, tables: SessionTable) -> None:
 
 
 def store_grace(session: Session, grace_s: float) -> None:
-    """Store how late a bracket may start, for doctor and for planning again."""
+    """Store in session.toml how late a bracket may start [s], for other commands."""
     if session.grace.total_seconds() != grace_s:
         capture = session.table().get("capture", {})
         update_session(session, {"capture": {**capture, "grace_s": grace_s}})
@@ -194,7 +197,7 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
     """Let only one process at a time do `purpose` (capture, log) in a session.
 
     The lock ends with the process, even after a crash. Raises InputError if another process has the
-    lock.
+    lock, or if the folder's file system has no locks.
     """
     path = session.root / f".{purpose}.lock"
     with path.open("a") as file:

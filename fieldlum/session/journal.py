@@ -1,4 +1,4 @@
-"""journal.jsonl: all events of a session, one per line, never rewritten.
+"""journal.jsonl: all events of a session, appended one per line.
 
 Several processes may append: a capture runs while `fieldlum status --mark` marks a slot.
 """
@@ -23,10 +23,10 @@ from fieldlum.session.tables import EventFields, JournalEvent
 
 
 class Journal:
-    """The session's events; any thread may append. Lines have a CRC and are flushed to disk."""
+    """The session's events; any thread may append. Each line has a CRC."""
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
-        """Open the journal.
+        """Open the journal, and move an incomplete last line to journal.jsonl.torn.
 
         flush: with False, lines survive a killed process but not a power cut; used for simulated
         time.
@@ -38,7 +38,7 @@ class Journal:
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
     def append(self, event: str, t_utc: datetime, **fields: Unpack[EventFields]) -> None:
-        """Append an event; it is on the disk when this returns.
+        """Append an event; with `flush` it is on the disk when this returns.
 
         Raises OSError on a full disk, after removing a partly written line.
         """

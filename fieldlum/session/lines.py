@@ -60,8 +60,8 @@ def lock_now(handle: int) -> None:
 def exclusive(handle: int) -> Iterator[None]:
     """Lock an open file against other processes; wait until another process has finished its line.
 
-    Continue without a lock on a file system that has none, or if another process holds the lock for
-    more than `_MAX_LOCK_S`: a capture must not wait for a stopped program.
+    Continue without a lock on a file system that has none, or if another process has the lock for
+    more than 0.25 s: a capture must not wait for a stopped program.
     """
     if sys.platform == "win32":
         import msvcrt
@@ -106,7 +106,7 @@ def _held(handle: int) -> bool:
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
-    """Write all of `data` to a file opened with O_APPEND; flush it to the disk before returning."""
+    """Write all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk."""
     while data:
         data = data[os.write(handle, data) :]
     if flush:
@@ -117,8 +117,8 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
     A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
-    before the last valid one remain: readers skip and count them. Raises InputError if no line is
-    valid.
+    before the last valid one remain: readers skip them. sound: whether a line is valid. Raises
+    InputError if the last MiB has three or more lines and none is valid.
     """
     if not path.is_file():
         return 0

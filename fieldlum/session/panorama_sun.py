@@ -19,8 +19,8 @@ def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) ->
 
     The table is suns.csv in the folder above the picture's; `suns` is that table, for a caller that
     reads many pictures. A sun that the picture measured is not replaced. `attributes["note"]`
-    reports a sun that is only a lower bound: the picture is clipped there, and no row of the table
-    belongs to it. Raises InputError for an unusable picture or table.
+    reports a sun that remains a lower bound, because every frame is clipped there. Raises
+    InputError for an unusable picture or table.
     """
     panorama = read_panorama(path)
     sun = panorama.sun

@@ -1,4 +1,4 @@
-"""Pause the capture at a user's request: while pause.json is valid, it begins no bracket.
+"""Pause the capture at a user's request: while pause.json is valid, no bracket begins.
 
 The capture only reads the file, so that it never waits for the program that writes it.
 """

@@ -1,8 +1,9 @@
-"""plan.csv: the planned slots. Later plans only add slots, and the earlier file is stored."""
+"""plan.csv: the planned slots."""
 
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -32,14 +33,20 @@ def exposure_text(exposure: Exposure) -> str:
 
 
 def parse_exposure(text: str) -> Exposure:
-    """Return the exposure that a text describes. Raises ValueError for any other text."""
+    """Return the exposure in a text such as ``1/250 f/5.6 ISO100 ND=name``.
+
+    Raises ValueError for any other text, and for numbers that are not above 0.
+    """
     shutter, f_number, iso, *nd = text.split()
-    seconds = 1.0 / float(shutter[2:]) if shutter.startswith("1/") else float(shutter)
     if not f_number.startswith("f/") or not iso.startswith("ISO"):
         raise ValueError(text)
-    return Exposure(
-        seconds, float(f_number[2:]), float(iso[3:]), nd[0].removeprefix("ND=") if nd else ""
+    time, aperture, speed = (
+        float(word) for word in (shutter.removeprefix("1/"), f_number[2:], iso[3:])
     )
+    if not all(0.0 < value < math.inf for value in (time, aperture, speed)):
+        raise ValueError(f"exposure {text}: a number that is not above 0")
+    seconds = 1.0 / time if shutter.startswith("1/") else time
+    return Exposure(seconds, aperture, speed, nd[0].removeprefix("ND=") if nd else "")
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
@@ -61,7 +68,7 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
 
 
 def read_plan(path: Path) -> list[Slot]:
-    """Return the slots of a plan. Raises InputError, naming the line."""
+    """Return the slots of a plan. Raises InputError for a missing file or other content."""
     if not path.is_file():
         raise InputError(
             path,
@@ -71,17 +78,20 @@ def read_plan(path: Path) -> list[Slot]:
         )
     expected, remedy = f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
     slots: list[Slot] = []
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
-            names = ", ".join(reader.fieldnames or ())[:120]
-            found = f"columns {names}" if names else "an empty file"
-            raise InputError(path, found, expected, remedy)
-        for number, row in enumerate(reader, start=2):
-            try:
-                slots.append(_slot(row))
-            except (KeyError, ValueError, TypeError, AttributeError) as error:
-                raise InputError(f"{path}:{number}", f"{error}", expected, remedy) from None
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(path, "text that is not UTF-8", expected, remedy) from None
+    reader = csv.DictReader(text.splitlines())
+    if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
+        names = ", ".join(reader.fieldnames or ())[:120]
+        found = f"columns {names}" if names else "an empty file"
+        raise InputError(path, found, expected, remedy)
+    for number, row in enumerate(reader, start=2):
+        try:
+            slots.append(_slot(row))
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            raise InputError(f"{path}:{number}", f"{error}", expected, remedy) from None
     return slots
 
 

@@ -23,7 +23,10 @@ def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
 
 
 def keep_simulated_pairs(session: Session) -> None:
-    """Copy the simulator's pairs.csv to truth/pairs.csv, which version 0.1.0 did not write."""
+    """Copy pairs.csv to truth/pairs.csv if it is the simulator's and truth/pairs.csv is missing.
+
+    Version 0.1.0 did not write truth/pairs.csv.
+    """
     if session.truth.is_dir() and not session.truth_pairs.is_file():
         pairs = PairsFile.find(session.pairs)
         if pairs.rows and _is_simulated(pairs):

@@ -20,7 +20,8 @@ OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
 def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """Yield a file that gets its name only when it is complete.
 
-    The file has a temporary name in the same folder, is flushed to disk, and is then renamed.
+    The file has a temporary name in the same folder, is flushed to disk, and is then renamed. After
+    an exception in the `with` block it is removed instead.
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file

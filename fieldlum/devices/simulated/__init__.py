@@ -55,7 +55,10 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
-    """Open a simulated SPN1 on a pseudo-terminal, read by the real driver."""
+    """Open a simulated SPN1 on a pseudo-terminal, read by the real driver.
+
+    Raises DeviceError for unknown options and on Windows, InputError for a bad truth.
+    """
     from fieldlum.devices.simulated.office import open_world
     from fieldlum.devices.simulated.spn1 import open_simulated
 

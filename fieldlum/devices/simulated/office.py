@@ -133,7 +133,11 @@ def _turn(wall_azimuth_deg: float) -> Array:
 
 
 class Office:
-    """A `World`: the built-in office under a sky with random clouds, by `seed`."""
+    """A `World`: an office under a sky with random clouds, by `seed`.
+
+    It is the room of `setup` if that is a box with windows, else a built-in office; the sun is that
+    of the site of `setup` (default: Seattle).
+    """
 
     def __init__(self, setup: SiteFile | None = None, seed: int = 1) -> None:
         self.setup = setup or SiteFile(SEATTLE, CameraSetup(), OFFICE)
@@ -145,7 +149,7 @@ class Office:
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return Ineichen's clear sky reduced by clouds, linear between steps of ten minutes."""
+        """Return Ineichen's clear sky changed by clouds, linear between steps of ten minutes."""
         part, step = math.modf(t_utc.timestamp() / _LIGHT_STEP_S)
         before, after = self._light_of(int(step)), self._light_of(int(step) + 1)
         return SimulatedLight(*(a + part * (b - a) for a, b in zip(before, after, strict=True)))
@@ -234,9 +238,10 @@ class Office:
 
 
 def open_world(session: Session | None, seed: int) -> World:
-    """Return the session's truth, or else the built-in office at the session's place.
+    """Return the session's truth/ if it exists, or else a simulated office.
 
-    Without a session the office is in Seattle.
+    The office is the session's room if that is a box with windows, else a built-in one; it is at
+    the session's site, or in Seattle without a session. Raises InputError for a bad truth.
     """
     if session is not None and session.truth_irradiance.is_file():
         return TruthWorld(session.truth)

@@ -99,9 +99,9 @@ def channels(panorama: Panorama) -> NDArray[np.float32]:
 def on_sensor(
     panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return the mean luminance of each sensor pixel in cd/m2, [h, w, 3] or grey [h, w, 1].
+    """Return the mean R, G, B of each sensor pixel [cd/m2], [h, w, 3], or grey [h, w, 1].
 
-    It includes the sun's disc.
+    The sun's disc is included. sensor : (height, width).
     """
     flat = channels(panorama)
     out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)

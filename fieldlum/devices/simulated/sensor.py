@@ -81,7 +81,8 @@ class RawSensor:
     ) -> NDArray[np.uint16]:
         """Return the raw counts [h, w] of one frame, with shot noise and read noise.
 
-        mosaic_cdm2 [h, w] : its light after vignetting; true_s : the true shutter time.
+        mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; true_s : the
+        true shutter time [s].
         """
         sensor, k = self._profile.sensor, self._profile.scale.k
         gain = gain_e_per_dn(exposure.iso, self._profile)
@@ -117,7 +118,8 @@ class JpegSensor:
     ) -> NDArray[np.uint8]:
         """Return the 8-bit codes [h, w, 3] of one frame, with noise.
 
-        image_cdm2 [h, w, 3] : camera channels after vignetting; true_s : the true shutter time.
+        image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; true_s : the true shutter
+        time [s].
         """
         sensor, k = self._profile.sensor, self._profile.scale.k
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)

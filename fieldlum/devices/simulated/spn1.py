@@ -64,7 +64,8 @@ class PtyInstrument(threading.Thread):
 class Spn1Voice:
     """The replies of a simulated SPN1.
 
-    It echoes all characters but R, wakes with 0xAF, and answers S with total, diffuse and sunshine.
+    It answers R with 0xAF, S with an echo, total, diffuse and sunshine, I with an echo and its
+    status, and other characters with a question mark.
     """
 
     def __init__(

@@ -16,8 +16,9 @@ class AlignmentRow:
     """The pose of one picture; the fields are the columns.
 
     digest: of its pixels, so that another picture of the same name is compared again. Turns are
-    relative to the pose of most pictures [deg]: heading clockwise, tilt up, roll clockwise.
-    aligned: 0 for a picture that is not used.
+    relative to the pose of most pictures [deg]: heading clockwise, tilt up, roll clockwise; u_...:
+    their standard uncertainties [deg]. aligned: False (0 in the file) for a picture that is not
+    used.
     """
 
     panorama: str
@@ -59,7 +60,7 @@ def _row(cells: dict[str, str]) -> AlignmentRow:
 
 
 def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
-    """Write all rows. Raises OSError if the folder is not writable."""
+    """Write all rows, with 4 decimals. Raises OSError if the folder is not writable."""
     cells = []
     for row in rows:
         name, digest, *numbers, aligned = astuple(row)

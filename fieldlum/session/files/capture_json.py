@@ -55,7 +55,10 @@ def frame_fields(frame: Frame) -> FrameTable:
 
 
 def frame_from(fields: Mapping[str, Any]) -> Frame:
-    """Return the frame of `frame_fields`. Raises KeyError, TypeError or ValueError."""
+    """Return the frame whose `frame_fields` are given.
+
+    Raises KeyError, TypeError or ValueError for other content.
+    """
     return from_json(Frame, fields)
 
 
@@ -79,10 +82,7 @@ class CaptureFile:
 
     @property
     def t_mid_utc(self) -> datetime:
-        """Middle of the bracket [UTC].
-
-        Its panorama, its pair and its row of suns.csv have the same time.
-        """
+        """Middle of the bracket [UTC], which is the time of its panorama."""
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
     @classmethod

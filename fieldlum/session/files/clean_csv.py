@@ -34,7 +34,10 @@ class CleanIrradiance:
     flags: NDArray[np.object_]
 
     def every_s(self, moment_unix_s: float) -> float:
-        """Return the usual time between rows [s] near a moment: a session can have two loggers."""
+        """Return the median time between the 60 rows around a moment [s]; 60 for one row or none.
+
+        A session can have two loggers with different intervals.
+        """
         at = int(np.searchsorted(self.t_unix_s, moment_unix_s))
         steps = np.diff(self.t_unix_s[max(at - _AROUND_ROWS, 0) : at + _AROUND_ROWS])
         return float(np.median(steps)) if len(steps) else 60.0

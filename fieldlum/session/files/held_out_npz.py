@@ -23,7 +23,8 @@ class HeldOutMaps:
     """Hours that were held out of the fit which predicted them, in the order of the folds.
 
     slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted, as in
-    scores.json [n]; dgp_measured, dgp_predicted: with the true sun disc [n, 10]; contrast_measured,
+    scores.json [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun
+    disc [n, 10]; contrast_measured,
     contrast_predicted: of each pyramid level [n, 5] cd/m2; measured_log10, predicted_log10: log10
     of cd/m2 [n, h, w], float16 (to 0.2 %), every f-th pixel, without the disc; season_deg: angle to
     the nearest sun in that fit's training data [n] deg.
@@ -56,7 +57,7 @@ class HeldOutMaps:
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
 
     def write(self, folder: Path) -> None:
-        """Write at most `MOST_MAPS` hours, spread evenly from best to worst prediction."""
+        """Write at most 150 hours, spread evenly from best to worst prediction."""
         order = np.argsort(self.log10_mse, kind="stable")
         kept = order[
             np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_MAPS)).round()).astype(

@@ -22,7 +22,10 @@ T = TypeVar("T")
 
 
 def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
-    """Return the JSON object of a file. Raises InputError for a missing file or other content."""
+    """Return the JSON object of a file.
+
+    Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
+    """
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -37,7 +40,10 @@ def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
 
 
 def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
-    """Return a file's format version, 1 if absent. Raises InputError for a newer one."""
+    """Return a file's format version, 1 if absent.
+
+    Raises InputError for a version that is not an integer from 1 to `newest`.
+    """
     version = table.get("format", 1)
     if not isinstance(version, int) or not 1 <= version <= newest:
         raise InputError(

@@ -72,7 +72,8 @@ class FrameQuality:
 class NeighbourQuality:
     """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
 
-    long, short: numbers of the frames within their heading.
+    long, short: numbers of the frames within their heading; residual_percent, u_percent: their
+    disagreement and its standard uncertainty; pixels: number of pixels compared.
     """
 
     long: int

@@ -27,10 +27,12 @@ class TrainingNote:
 
 
 class UsedScene(TypedDict):
-    """The fitted scene that a model was trained with; absent if no scene was fitted.
+    """The fitted scene that a model was trained with.
 
-    stated: SITE.toml as a table before the fit; stated_heading_deg: heading of the captures;
-    room_draws: for each parameter of the room, its values in draws from the fit's uncertainty.
+    north_deg, clock_min: fitted corrections of the heading [deg] and the clock [min]; chosen: the
+    geometry that was used, stated or fitted; stated: SITE.toml as a table before the fit;
+    stated_heading_deg: heading of the captures; room_draws: for each parameter of the room, its
+    values in draws from the fit's uncertainty.
     """
 
     north_deg: float
@@ -65,7 +67,7 @@ class ModelConfig:
 
     @classmethod
     def read(cls, folder: Path) -> ModelConfig:
-        """Read config.json. Raises InputError if `folder` is not a model folder."""
+        """Read config.json. Raises InputError if it is missing or has other content."""
         path = folder / "config.json"
         if not path.is_file():
             raise InputError(folder, "no config.json in this folder", _EXPECTED, _REMEDY)

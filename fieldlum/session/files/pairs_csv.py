@@ -88,7 +88,8 @@ class PairsFile:
     def read(cls, path: Path) -> PairsFile:
         """Read the file; numbers in rows with ok = 0 are not read.
 
-        Raises InputError, naming the line.
+        Raises InputError for a missing file, a missing required column, or a wrong cell, with its
+        line.
         """
         reader = _reader(path)
         names = reader.fieldnames or ()
@@ -103,7 +104,7 @@ class PairsFile:
         return cls.read(path) if path.is_file() else cls(path, ())
 
     def write(self) -> None:
-        """Write all rows; an unknown number is an empty cell."""
+        """Write all rows without their state and refraction; an unknown number is an empty cell."""
         write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
 
 

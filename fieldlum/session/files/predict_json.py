@@ -53,7 +53,10 @@ class DirectionYear:
 
 @dataclass(frozen=True, slots=True)
 class SkyToCapture:
-    """An hour whose sky would settle an open class, in local time; worth: relative to others."""
+    """An hour of the year (local time) whose capture would help to settle an undecided glare class.
+
+    worth: expected use of such a sky, relative to the other hours listed.
+    """
 
     date: str
     hour: str
@@ -67,7 +70,7 @@ class YearOccupancy:
     """The occupied hours of a year.
 
     text: their rule; hours: their number; lit: number of those with daylight; untrusted_share:
-    share of the lit hours for which the model does not vouch.
+    share of the lit hours in which the model does not trust its maps.
     """
 
     text: str = ""

@@ -105,7 +105,8 @@ class ScoresFile:
     def judged_row(self) -> ScoreRow | None:
         """Row of the chosen model.
 
-        None if the file has no row for it, or if the time limit ended before it could be judged.
+        None if the file has no row for it, or if the row has no held-out error, for example because
+        the time limit ended before.
         """
         rows = (row for row in self.models if row.get("name") == self.chosen)
         row = next(rows, None)

@@ -46,7 +46,7 @@ class TruthIrradiance:
         return cls(times, *light)
 
     def write(self, path: Path) -> None:
-        """Write all rows."""
+        """Write all rows; NaN becomes 0."""
         columns = self.t_unix_s, self.ghi_wm2, self.dhi_wm2, self.dni_wm2
         rows = []
         for second, *figures in zip(*columns, strict=True):
