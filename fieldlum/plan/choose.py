@@ -118,7 +118,7 @@ def learning(
 
 
 def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
-    """Return indices [k] of the hours for which the weather has daylight, and their features [k]."""
+    """Return indices [k] of the hours that have daylight in the weather, and their features [k]."""
     light = task.weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
     chosen = hours[known]
