@@ -51,8 +51,9 @@ def room_from_clicks(
     """Fit a box room to clicks on its corners in a panorama.
 
     camera_height_m : of the lens above the floor, 0.05 to 50 m. where : the source that errors
-    name. Raises InputError for clicks that cannot be the corners of a box: required are three floor
-    corners, one ceiling corner, and two opposite corners of each window.
+    name. A room needs three floor corners around the camera, one ceiling corner, and two opposite
+    corners of each window. Raises InputError for fewer, for clicks that cannot be such corners, and
+    for another camera height.
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:

@@ -59,7 +59,11 @@ class ClickGrid:
 
 
 def read_clicks(path: Path) -> list[Click]:
-    """Read a csv with the columns of `COLUMNS`. Raises InputError, naming the line."""
+    """Read a csv with the columns of `COLUMNS`.
+
+    Raises InputError for a file that cannot be read, other columns, or a wrong cell (with its
+    line).
+    """
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -78,7 +82,10 @@ def read_clicks(path: Path) -> list[Click]:
 
 
 def clicks_from_rows(rows: Any) -> list[Click]:
-    """Return the clicks of a page's list of dicts (keys: `COLUMNS`). Raises InputError."""
+    """Return the clicks of a page's list of at most 500 dicts (keys: `COLUMNS`).
+
+    Raises InputError for anything else.
+    """
     if not isinstance(rows, list) or len(rows) > 500:
         raise InputError(
             "clicks",

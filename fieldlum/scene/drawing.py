@@ -19,8 +19,8 @@ from fieldlum.scene.geometry import build
 Array = NDArray[np.float64]
 # Of the plan; the margin has room for the lengths written around it. Not measured.
 _SIZE_PX, _MARGIN_PX = 460.0, 78.0
-# Turn of each wall's outward normal from the "south" wall, clockwise [deg].
 _EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
+# Turn of each wall's outward normal from the "south" wall, clockwise [deg].
 _WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 

@@ -62,7 +62,10 @@ class Face:
 
 
 def faces(scene: BoxScene) -> list[Face]:
-    """Return all faces that can be seen: not completely inside or against other boxes."""
+    """Return all faces that can be seen: not completely inside or against other boxes.
+
+    The top of the roof, and the sides and underside of the ground are left out.
+    """
     visible = []
     for k in range(len(scene.boxes)):
         for axis in range(3):
@@ -226,7 +229,7 @@ def iter_traced(
     chunk: int,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
-    """Yield sun patches of a room of kind "radiance", by one rtrace -ab 0 for each hour.
+    """Yield sun patches of a room of kind "radiance", traced by rtrace -ab 0 hour by hour.
 
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
     normal to the sun; chunk : hours in each result. Raises InputError for a missing or invalid room

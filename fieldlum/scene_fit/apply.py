@@ -146,8 +146,9 @@ def in_scene(
 
     option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
     to the csv `pairs`, if it exists. patch: the requested mode; it becomes "none" if the scene
-    chose no patches. For a csv without patches whose site has a `[room]` with windows, patches are
-    computed. Raises InputError for a folder without a scene.
+    chose no patches. Without a scene, patches are computed for captures that have none, if the site
+    has a `[room]` with windows and `patch` is not "none". Raises InputError for a folder without a
+    scene, and for captures that the scene was not fitted to.
     """
     beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"
     folder = Path(option) if option else beside

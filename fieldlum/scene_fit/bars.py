@@ -59,8 +59,8 @@ def window_picture(
 ) -> WindowPicture:
     """Return the share of the sun that each cell of a window lets through, from sunlit pixels.
 
-    These are followed back to the window; the guess's bars are ignored. number: index of the window
-    from 0; albedo: of each surface [6 + solids].
+    Lines from sunlit pixels towards the sun are followed to the window; the guess's bars are
+    ignored. number: index of the window from 0; albedo: of each surface [6 + solids].
     """
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
@@ -102,7 +102,7 @@ def window_picture(
 
 
 def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
-    """Return window `number` as the camera sees it: luminance over that of its panes."""
+    """Return window `number` (from 0) as the camera sees it: luminance over that of its panes."""
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
     along = 1 - axis
@@ -127,7 +127,10 @@ def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
 
 
 def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:
-    """Return vertical and horizontal bars at the picture's dips below its median over a metre."""
+    """Return vertical and horizontal bars of window `number` (from 0) at dips of its picture.
+
+    A dip is below the picture's median over a metre.
+    """
     middle = guess.thickness_m / 2.0
     half = min(START_DEPTH_M, 0.8 * middle)
     depth = (middle - half, middle + half)

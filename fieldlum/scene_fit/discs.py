@@ -45,9 +45,9 @@ class PoseFit:
 
     heading_deg: correction to add to the stated heading. tilt_deg: how far the view axis points up;
     roll_deg: how far the picture's right-hand side is low. clock_min: how late the recorded times
-    are. lens_scale: true angle from the axis over the stated one, minus 1. dropped: indices of
-    gross errors. open: parameters that the discs do not determine, and pairs of parameters that
-    cannot be separated.
+    are. lens_scale: true angle from the axis over the stated one, minus 1. rms_deg: residual of the
+    discs. dropped: indices of gross errors. open: parameters that the discs do not determine, and
+    pairs of parameters that cannot be separated.
     """
 
     values: Array
@@ -76,10 +76,11 @@ def fit_pose(
 ) -> PoseFit:
     """Fit north, level, clock and lens scale to n measured centres of the disc.
 
-    altitude_deg, azimuth_deg : [n], by the stated heading, level and lens; sigma_deg : [n], their
-    standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's axis. The sun's
-    apparent position is by NREL SPA. Gross errors are omitted, as long as four discs remain.
-    Raises NotEnoughDataError for fewer than three discs.
+    altitude_deg (apparent), azimuth_deg : [n], by the stated heading, level and lens; sigma_deg :
+    [n], their standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's
+    axis. prior_sd: standard uncertainties before the fit, in the order of `NAMES`. The sun's
+    position is by NREL SPA. Gross errors are omitted, as long as four discs remain. Raises
+    NotEnoughDataError for fewer than three discs.
     """
     altitude, azimuth, sigma = (
         np.atleast_1d(np.asarray(v, float)) for v in (altitude_deg, azimuth_deg, sigma_deg)

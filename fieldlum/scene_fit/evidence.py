@@ -139,7 +139,7 @@ class SceneEvidence:
         return self.direct_lx[:, None] * shine / np.pi
 
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
-        """Return the mean of `misfit` over the hours for the guess's patches, from lit entries.
+        """Return the mean of `misfit` over the hours for the guess's patches.
 
         albedo: of each surface [6 + solids].
         """
@@ -197,7 +197,10 @@ class SceneEvidence:
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
     def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
-        """Return the evidence with the light below estimated again, given patches [n, m] cd/m2."""
+        """Return the evidence with the light below patches estimated again from the captures.
+
+        data: the captures; patch: sun patches to subtract [n, m] cd/m2.
+        """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, LEAST_CDM2)
         known = np.zeros_like(seen)

@@ -76,8 +76,8 @@ def fit_scene(
     """Find the scene that explains the sun patches of the captures, starting from the stated box.
 
     pose: result of the sun's discs, if any. clock_sd_min: standard uncertainty of the stated times;
-    `pose` already includes it. Raises InputError for a room without a window, NotEnoughDataError
-    for too few sunny captures.
+    `pose` already includes it. Raises InputError for a room that is not a box or has no window,
+    NotEnoughDataError for too few sunny captures.
     """
     progress(0, 100, "light below the patches")
     evidence = gather(data, room, pixels=pixels, seed=seed)

@@ -1,4 +1,4 @@
-"""Propose furniture: boxes where the light on pixels fits a nearer or farther surface.
+"""Propose furniture: boxes where the light on pixels fits a nearer surface better.
 
 The search adds a box only if it lowers the misfit enough.
 """
@@ -121,9 +121,9 @@ def _loss(evidence: SceneEvidence, patch: Array) -> Array:
 
 
 def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
-    """Return boxes on the floor, those with the largest gain first.
+    """Return at most 12 boxes on the floor or table tops, those with the largest gain first.
 
-    A box is proposed where pixels that fit another depth better are close together in plan.
+    A box is proposed where pixels that fit a nearer depth better are close together in plan.
     """
     use = found.gain > MIN_PIXEL_GAIN
     inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)
@@ -184,11 +184,11 @@ def _clusters(
 def propose_columns(
     guess: Guess, stated: Guess, parameters: Sequence[Parameter]
 ) -> list[tuple[Parameter, Guess]]:
-    """Return guesses with a column next to a window that ends far inside its stated end.
+    """Return guesses in which a column explains why a window ends inside its stated end.
 
-    In each, the window's end is back at the stated place, and a column hides the difference from
-    the camera, at several distances from the window. With each guess, return the parameter of that
-    end.
+    Windows count whose fitted end is 10 cm or more inside the stated one. In each guess the end is
+    back at the stated place, and a column at some distance from the window hides the difference
+    from the camera. With each guess, return the parameter of that end.
     """
     by_name = {p.name: p for p in parameters}
     proposals: list[tuple[Parameter, Guess]] = []

@@ -50,9 +50,9 @@ def room_parameters(
 ) -> list[Parameter]:
     """Return a guess's parameters: pose, clock, sizes, camera, wall thickness and window edges.
 
-    Pose is north, tilt and roll. with_wall: include the walls' azimuth; clock_sd_min: standard
-    deviation of the clock's prior. The camera's height is not a parameter: it is the known length
-    that sets the scale.
+    Pose is north, tilt and roll; sizes are width and depth. with_wall: include the walls' azimuth;
+    clock_sd_min: standard deviation of the clock's prior. The camera's height is not a parameter:
+    it is the known length that sets the scale.
     """
     size, camera = guess.size_m, guess.camera_m
 
@@ -150,7 +150,10 @@ def _window_parameters(number: int) -> list[Parameter]:
 
 
 def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
-    """Return arch and slant of a window's upper edge as parameters; none if it is level."""
+    """Return arch and slant of the upper edge of window `number` (from 0) as parameters.
+
+    The list is empty if the edge is level.
+    """
 
     def changed(name: str) -> Change:
         def change(g: Guess, by: float) -> Guess:

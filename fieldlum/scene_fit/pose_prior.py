@@ -76,7 +76,7 @@ class PosePrior:
 
 
 def read_discs(session: Session) -> MeasuredDiscs:
-    """Return the sun discs in the sidecars of a session's panoramas; none without a session."""
+    """Return the sun discs in the sidecars of a session's panoramas; empty without sidecars."""
     rows: list[tuple[float, float, float, datetime]] = []
     for path in session.sidecar_files():
         row = _measured(path)

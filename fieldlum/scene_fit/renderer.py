@@ -162,7 +162,8 @@ def _below_top(rect: WindowRect, u: Array, z: Array) -> NDArray[np.bool_]:
 def seen_in_opening(guess: Guess, position: Array, direction: Array) -> NDArray[np.int8]:
     """Return what rays that enter an opening see: `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR`, [r].
 
-    position, direction [r, 3]: on the wall's inner face and outwards, in room axes.
+    position, direction [r, 3]: on the wall's inner face and outwards, in room axes. A ray that is
+    in no opening gives `BAR`.
     """
     shown = np.full(len(position), BAR, np.int8)
     for number, rect in enumerate(guess.windows):

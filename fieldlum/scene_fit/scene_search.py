@@ -259,9 +259,9 @@ class SceneSearch:
         return True
 
     def furniture(self, guess: Guess) -> Guess:
-        """Add the proposed solid that lowers the misfit most.
+        """Return the guess with the proposed solid that lowers the misfit most.
 
-        Returns the guess unchanged if no solid lowers it enough.
+        Return the same object if no solid lowers it enough.
         """
         albedo = self.albedo_with_solids(guess)
         depths = pixel_depths(self.fit_evidence, guess, albedo)
@@ -313,7 +313,7 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without the bars and solids that no longer lower the misfit enough."""
+        """Return the guess without bars and added solids that do not lower the misfit enough."""
         guess = self._pruned(guess)
         for solid in list(guess.solids[len(self.start.solids) :]):
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
@@ -334,9 +334,9 @@ class SceneSearch:
     def restarted(self, guess: Guess, seed: int) -> Guess:
         """Return the best of several searches from other clocks and displaced rooms.
 
-        Bars and furniture are known by now, and may close the valley in which the first search
-        stopped. The attribute `valley` becomes the standard deviation of each parameter over
-        results of nearly equal cost, which the captures cannot separate.
+        A guess with bars and furniture can leave a valley in which an earlier search stopped. The
+        attribute `valley` becomes the standard deviation of each parameter over results of nearly
+        equal cost, which the captures cannot separate.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.coarse())

@@ -67,7 +67,7 @@ class Objective:
     _seen: tuple[Guess | None, float] = field(default=(None, 0.0), init=False)
 
     def __call__(self, guess: Guess) -> float:
-        """Return the mean misfit of a guess plus its prior."""
+        """Return the misfits of sun patches and of the windows' picture, plus the prior."""
         self.count += 1
         return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.without_patches(guess)
 

@@ -37,7 +37,7 @@ class SolidCost:
     guess: Guess  # without the solid
     albedo: Array  # [6 + solids] of the guess
     prior: float  # of the guess: a solid has none
-    pose: PosePrior | None = None  # moves of the pose are none of a solid's
+    pose: PosePrior | None = None  # the pose does not move with a solid
     _rays: RoomRays = field(init=False)
     _nearest: NDArray[np.float32] = field(init=False)
     _position: NDArray[np.float32] = field(init=False)
@@ -79,7 +79,7 @@ class SolidCost:
         return self.evidence.view.misfit_of(kind)
 
     def __call__(self, guess: Guess) -> float:
-        """Return the misfit with the last solid of a guess."""
+        """Return the cost with the last solid of a guess."""
         solid = guess.solids[-1]
         rows, ends = ends_on_solid(solid, len(guess.solids) - 1, self._rays, self._nearest)
         lit = self._lit

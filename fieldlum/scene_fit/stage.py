@@ -90,8 +90,8 @@ def judged_scene(
     """Return the fit as a scene, with the geometry that held-out hours support.
 
     If too few directions of the sun were captured, the misfit of patches on held-out hours chooses
-    alone, no error is expected, and the choice is not trusted. The choice is not trusted either
-    with fewer than `MIN_HOURS_OUTSIDE` held-out hours.
+    alone, the expected error is unknown (None), and the choice is not trusted. The choice is not
+    trusted either with fewer than `MIN_HOURS_OUTSIDE` held-out hours.
     """
     try:
         verdict = judge_fit(data, fit, seed=seed, progress=progress)

@@ -1,7 +1,6 @@
-"""Choose between the stated box and no sun patch if few clear hours were captured and no scene.
+"""Choose between the stated box and no sun patch, without a fitted scene and with few clear hours.
 
-No search saw the captures, so that all hours with direct sun judge the box, as hours outside the
-search judge a fitted scene (decision 17).
+As no search used the captures, all hours with direct sun judge the box (decision 17).
 """
 
 from __future__ import annotations
@@ -45,10 +44,10 @@ class BoxVerdict:
 def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     """Return the choice between no patch and the stated box; None with enough clear hours.
 
-    The box is not used if it leaves over 10 % more wrong pixels near sun patches than no patch. In
-    between, and without a capture that shows patches, it is used: a box of about the right place
-    predicts suns that were never captured better than no patch does. Raises InputError for a room
-    that is not a box or has no window.
+    The box is not used if it leaves over 10 % more wrong pixels near sun patches than no patch.
+    Otherwise, also if no capture has direct sun on a window, it is used: a box of about the right
+    place predicts suns that were not captured better than no patch does. Raises InputError for a
+    room that is not a box or has no window.
     """
     clear = int(sunny_hours(data, room).sum())
     if clear >= MIN_CLEAR_HOURS:
@@ -82,8 +81,8 @@ def training_captures(
 ) -> tuple[Dataset, str]:
     """Return captures as `train` learns them, and the patch mode for training.
 
-    The scene is used as `in_scene` describes. Without a scene and without `option`, captures with
-    few clear hours decide on the stated box as `with_judged_box` describes.
+    The scene is used as `in_scene` describes. If `option` is empty and there is no scene, captures
+    with few clear hours decide whether the stated box is used, as `with_judged_box` describes.
     """
     data, patch = in_scene(data, pairs, option, patch, progress=progress)
     return (data, patch) if option else with_judged_box(data, patch, progress=progress)
@@ -94,8 +93,8 @@ def with_judged_box(
 ) -> tuple[Dataset, str]:
     """Return captures without a scene as `judge_box` decides, and the patch mode for training.
 
-    They do not change with a fitted scene, with `MIN_CLEAR_HOURS` clear hours, with `patch` "none",
-    or with sun patches that are not those of a box `[room]`. Edges measured by tape are wrong by
+    They do not change with a scene, with `MIN_CLEAR_HOURS` clear hours, with `patch` "none", or
+    with sun patches that are not those of a box `[room]`. Edges measured by tape are wrong by
     centimetres. Patches of the stated box are therefore learnt like those of a fitted scene, by
     robust recipes (decision 13).
     """
