@@ -25,7 +25,10 @@ def quiet(done: int, total: int, text: str) -> None:
 
 
 def utc_text(t_utc: datetime) -> str:
-    """Return a time as ``2027-03-20T15:30:00Z``. Raises ValueError for a naive time."""
+    """Return a time as ``2027-03-20T15:30:00Z``, a fraction of a second with three digits.
+
+    Raises ValueError for a naive time.
+    """
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: add a time zone")
     t = t_utc.astimezone(UTC)
@@ -37,9 +40,9 @@ def utc_text(t_utc: datetime) -> str:
 
 
 def parse_utc(text: str) -> datetime:
-    """Parse any ISO time with an offset; the inverse of `utc_text`.
+    """Return the UTC time of an ISO text with an offset, such as that of `utc_text`.
 
-    Raises ValueError for a naive time.
+    Raises ValueError for another text and for a time without an offset.
     """
     t = datetime.fromisoformat(text)
     if t.tzinfo is None:
@@ -64,10 +67,7 @@ def slot_id(t_utc: datetime) -> str:
 
 
 class Flag(IntFlag):
-    """Why a pixel's value must be used with care.
-
-    A value that was not measured always has a flag.
-    """
+    """Bits that state why a pixel's value must be used with care."""
 
     CLIPPED_HIGH = 1  # every frame is saturated, so that the value is a lower bound
     BELOW_NOISE = 2  # no frame rises above its noise

@@ -162,6 +162,17 @@ def test_a_year_is_expected_to_be_harder_than_held_out_days_of_one_season() -> N
 
 
 @pytest.mark.contract
+def test_only_captures_without_a_scene_are_advised_to_get_a_room() -> None:
+    bare = replace(DATA, patch_cdm2=None)
+    chosen = replace(bare, scene={"chosen": "none"})
+    advice = [
+        any("add a [room]" in n for n in train._notes(d, "none", "mean", ()))
+        for d in (bare, chosen)
+    ]
+    assert advice == [True, False]
+
+
+@pytest.mark.contract
 def test_a_year_is_not_judged_without_a_room_for_its_patches() -> None:
     fitted = models.fit("transport", DATA)
     assert year_of(fitted, DATA, "absolute", 0, quiet) is None

@@ -61,12 +61,12 @@ def snap_shutter_s(nominal_s: float) -> float:
 
 
 def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
-    """Return the count at which a sensor saturates [DN]; None if the histogram has no spike there.
+    """Return the count at which a sensor saturates [DN]; None if the histogram has no such spike.
 
     counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
     below that white level. The spike is the run of counts up to the highest count (without a few
-    hot pixels), if it has `_SPIKE_SHARE` of all pixels, and `_SPIKE_RATIO` times the average of
-    equal runs below it.
+    hot pixels), if that is at least half of white_dn, and the run has 0.02 % of all pixels and ten
+    times the average of equal runs below it.
     """
     flat = np.maximum(counts.ravel(), 0)
     of_count = np.bincount(flat, minlength=1)

@@ -71,11 +71,13 @@ def pair_ratio(
     long: int = 0,
     short: int = 1,
 ) -> PairRatio | None:
-    """Return the exposure ratio of two frames from sampled pixels; None with under 50 usable ones.
+    """Return the exposure ratio of two frames from sampled pixels.
 
-    Arrays are [n]; assumed_ratio is that of the short to the long frame. short_variance is the
-    variance of the signal predicted from the long frame (long_signal * assumed_ratio), never of the
-    noisy value. Huber weights at 2.5 sigma reduce the weight of motion and hot pixels.
+    Return None with under 50 usable pixels or a ratio that is not positive. Arrays are [n];
+    assumed_ratio is that of the short to the long frame. short_variance must be the variance of the
+    signal predicted from the long frame (long_signal * assumed_ratio), not of the noisy value.
+    Huber weights at 2.5 sigma reduce the weight of motion and hot pixels. long, short: numbers of
+    the frames, for the result.
     """
     y_long, y_short = (np.asarray(s, np.float64)[usable] for s in (long_signal, short_signal))
     ratio = np.broadcast_to(np.asarray(assumed_ratio, np.float64), np.shape(long_signal))[usable]

@@ -25,8 +25,8 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64
     """Return the response table of a profile, z, [256].
 
     kind : linear, srgb, polynomial (curve: coefficients, c_0 first) or table (curve: 256 values).
-    Raises ValueError for a table that has another length or does not increase, and for a polynomial
-    with fewer than two finite coefficients.
+    Raises ValueError for a table that has another length, decreases or ends at 0, and for a
+    polynomial with under two or infinite coefficients.
     """
     if kind == "table":
         z = np.asarray(curve, float)

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def turned(direction: ArrayLike, clockwise_deg: float) -> Array:
-    """Return directions turned about the vertical, clockwise seen from above, [n, 3]."""
+    """Return directions [..., 3] turned about the vertical, clockwise seen from above."""
     d = np.asarray(direction, float)
     angle = np.radians(clockwise_deg)
     x = d[..., 0] * np.cos(angle) + d[..., 1] * np.sin(angle)

@@ -37,9 +37,10 @@ from fieldlum.weather.files import NEAR_KM, distance_km
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Counts of a run, and the weather.
+    """Counts of a run, and the name of the weather.
 
-    dark : slots without light in the weather; they are in pairs.csv with ok = 0.
+    rendered, kept : slots rendered now and before; dark : slots without light in the weather, which
+    are in pairs.csv with ok = 0.
     """
 
     rendered: int
@@ -49,7 +50,10 @@ class Simulated:
 
 
 def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
-    """Return the weather of `path`, else the paper's year near Seattle, else a synthetic year."""
+    """Return the weather year of the file `path`, by default that of the site.
+
+    It is the shipped year of Seattle for a site near it, else a synthetic year drawn by `seed`.
+    """
     if path is not None:
         return read_weather(path, setup.site)
     if distance_km(setup.site, SHIPPED_SITE) <= NEAR_KM:

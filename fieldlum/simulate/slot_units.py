@@ -94,7 +94,7 @@ def truth_units(
 
 
 def render_slots(folder: Path, job: _TruthJob) -> None:
-    """Render a unit's slots from the stored coefficients: truth/ and sunpatches/."""
+    """Render a unit's slots from the stored coefficients; write panoramas and sun patches."""
     session, wrong = Session(folder / job.session), job.troubles
     truth = _stored_truth(session.root, folder / job.cache, job.key, job.height, job.quality)
     made = truth.render(job.shining)

@@ -54,9 +54,8 @@ _TOO_SHORT = "not judged: no time to train on every pixel of the captures once; 
 class Result:
     """A trained model, and how it was chosen.
 
-    not_judged: trials that were too short for their scores to count; data: the captures of the
-    training, without those of a changed room; year: what the model expects of a year, None if it
-    does not know its error.
+    not_judged: trials that were too short for their scores to count; fit_s: time of the final fit
+    [s]; data: the captures of the training, without those of a changed room; year: see `year_of`.
     """
 
     fitted: Fitted
@@ -74,7 +73,7 @@ class Result:
         return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
 
     def table(self, seed: int) -> list[ScoreRow]:
-        """Return the rows of `train --json` (docs/design.md, Command line), with more columns."""
+        """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
         rows = [row(trial, seed) for trial in self.trials]
         return rows + [row_without_figures(trial, seed) for trial in self.not_judged]
 
@@ -118,9 +117,10 @@ def fit_and_score(
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it to all data.
 
-    budget: a budget that other steps share; else `budget_s` from now on. Two held-out folds and one
-    fit of each quick model, and the scan of north and clock, are always run. Raises
-    NotEnoughDataError if there are too few hours to hold any out.
+    model: a name of `MODELS`, or "auto" for all of them. budget: a budget that other steps share;
+    else `budget_s` from now on. The scan of north and clock, two held-out folds of each quick model
+    and the final fit are run even if the budget is used up. Raises NotEnoughDataError for too few
+    hours to hold any out, or to fit `model`.
     """
     budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
@@ -209,7 +209,11 @@ def _is_too_short(trial: Trial) -> bool:
 def usable_captures(
     data: Dataset, patch: Patch, progress: Progress = quiet
 ) -> tuple[Dataset, Setting | None, list[str]]:
-    """Return the captures of the usual room at the right times, their setting, and warnings."""
+    """Return the captures to train with, what they show about the setting, and warnings.
+
+    Captures of a changed room are omitted, and a clock that differs between days is corrected. The
+    second value is the result of `setting.scan`.
+    """
     data, changed = without_changes(data, with_patch=patch != "none")
     setting = scan(data, patch, progress)
     data, clock = with_right_clock(data, setting, progress)
@@ -225,7 +229,7 @@ def findings(
 
 
 def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a note if the captures' skies were read off the windows."""
+    """Return a note, in a list, if the model learnt captures under the skies in their windows."""
     from fieldlum.models.transport import Transport
     from fieldlum.models.transport.features import training_arrays_of
     from fieldlum.models.transport.uncertainty import CLASSES
@@ -262,10 +266,11 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
             "all hours are from one day, so held-out hours are close to training hours and "
             "the scores are too good: capture more days"
         )
-    if patch == "none" and data.patch_cdm2 is None:
+    # a scene without patches was chosen on purpose and has its own note
+    if patch == "none" and data.patch_cdm2 is None and data.scene is None:
         notes.append(
-            "no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair "
-            "for a better model"
+            "no sun patches in the data: add a [room] to SITE.toml, if it has none, and run "
+            "fieldlum pair for a better model"
         )
     errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
     floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
@@ -299,8 +304,9 @@ def run(
     """Train, write the model and its scores to `out`, and return what `train --json` prints.
 
     If captures and options have not changed since the same version trained the model, nothing is
-    trained and the answer's `kept` is True. An interrupted dense training continues from its
-    checkpoint in `out`. captures: also compute how many captures would have been enough.
+    trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
+    continues from its checkpoint in `out`. spent_s: part of the budget that is used already [s];
+    captures: also compute how many captures would have been enough.
     """
     from fieldlum.models import distributed
     from fieldlum.train.captures import how_many

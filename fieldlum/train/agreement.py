@@ -1,9 +1,7 @@
 """Measure how well each capture agrees with the others.
 
-The captures are a Gaussian process over the light outside.
-
-All pixels share the process, so that predicting captures without themselves costs one small
-inverse.
+The captures are a Gaussian process over the light outside. All pixels share the process, so that
+predicting captures without themselves costs one small inverse.
 """
 
 from __future__ import annotations
@@ -129,7 +127,10 @@ class Process:
         return self.covariance + np.diag(noise * self.spread)
 
     def left_out(self, rows: Rows, noise: float) -> LeftOut:
-        """Return the captures `rows` as predicted by the others of them: errors and variances."""
+        """Return the captures `rows`, each predicted by the other captures among `rows`.
+
+        noise: relative variance of a measured value.
+        """
         inverse = np.linalg.inv(self.noisy(noise)[np.ix_(rows, rows)])
         weights = inverse @ self.y[rows]  # [k, P]
         variance = 1.0 / np.diagonal(inverse)
@@ -157,9 +158,10 @@ class Process:
     def day_squares(self, out: LeftOut) -> dict[Any, float]:
         """Return the mean squared deviation of each day from what the other days predict.
 
-        All captures of a day count jointly, over their covariance. With the inverse Q of the
-        covariance and the rows D of a day, the deviation is e = Q_DD^-1 (Q y)_D and its covariance
-        is Q_DD^-1 (the block form of the leave-one-out identity).
+        The tenth of the pixels with the largest deviations does not count. All captures of a day
+        count jointly, over their covariance. With the inverse Q of the covariance and the rows D of
+        a day, the deviation is e = Q_DD^-1 (Q y)_D and its covariance is Q_DD^-1 (the block form of
+        the leave-one-out identity).
         """
         days, squares = self.days[out.rows], {}
         for day in np.unique(days):
@@ -280,7 +282,11 @@ def _likely_noise(process: Process, rows: Rows) -> float:
 
 
 def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dict[Any, float]]:
-    """Return how far the captures `rows` [k] and their days deviate; 1 is the limit."""
+    """Return how far the captures `rows` [k] and their days deviate from the others' prediction.
+
+    Deviations are squared and divided by a multiple of the usual ones: a value above 1 starts the
+    search for a change.
+    """
     out = process.left_out(rows, usual.noise)
     squares = process.squares(out) / usual.pixel
     count = max(1, round((1.0 - _TRIM) * squares.shape[1]))

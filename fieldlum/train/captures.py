@@ -42,12 +42,13 @@ def how_many(
     fit_s: float = 0.0,
     progress: Progress = quiet,
 ) -> CaptureCurve | None:
-    """Return the error on held-out days by the number of captures, in the order of use.
+    """Return the transport model's error on held-out days by the number of captures.
 
-    curve: number of captures, error, standard error over days. enough: the fewest captures whose
-    error is within one standard error of the smallest. added_nothing: slots after these in the
-    order of use. fit_s: time of one fit [s], which decides about the first point. The result is
-    empty for too few captures, None if the budget ends before the last point.
+    Captures are added in the order of `order_of_use`. Keys of the result: curve: number of
+    captures, error, standard error over days; enough: the fewest captures whose error is within one
+    standard error of the smallest; added_nothing: slots after these. fit_s: time of one fit [s],
+    which decides about the first point. The result is empty for under 12 captures or three days,
+    None if the budget ends before the last point.
     """
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}

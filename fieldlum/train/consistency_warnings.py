@@ -25,9 +25,9 @@ HARD_SHARE = 0.1
 
 
 def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return one warning, or none: many captures are predicted wrongly by fits without their day.
+    """Return a warning, in a list, if many captures are predicted wrongly from the other days.
 
-    The list is empty for a model without held-out errors.
+    Many is over 10 %. The list is empty for a model without held-out errors.
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
@@ -42,7 +42,7 @@ def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
 
 
 def doubts(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return warnings from the model's errors on its own captures with their day held out.
+    """Return warnings about large errors of the model on captures with their day held out.
 
     The list is empty for a model without held-out errors.
     """

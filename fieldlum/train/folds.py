@@ -24,7 +24,7 @@ class Fold:
 
 
 def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
-    """Distribute days over folds in turn, so that each fold has days of every season.
+    """Distribute days over at most `count` folds in turn.
 
     If there is only one day, its hours are distributed; a single hour gives no fold. Neighbouring
     days are in different folds: a fold tests days between captured ones, not seasons without

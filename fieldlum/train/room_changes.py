@@ -67,7 +67,8 @@ _NO_ROWS = np.empty(0, np.intp)
 def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[str]]:
     """Return the captures of the usual room, and a warning for each change.
 
-    Pixels that an object darkens in a capture get weight 0 in that capture.
+    Pixels that an object darkens in a capture get weight 0 in that capture. with_patch: use the sun
+    patches of `data`.
     """
     notes: list[str] = []
     changes = find_changes(data, with_patch=with_patch)
@@ -96,8 +97,8 @@ def _moved_warning(moved: MovedObject) -> str:
         f"WARNING: from {moved.day} on, the light is {moved.factor:.2f} times that of the "
         f"days before in a region of {moved.size_sr:.2f} sr at azimuth "
         f"{moved.azimuth_deg:.0f}, altitude {moved.altitude_deg:.0f} degrees: a piece of "
-        "furniture was moved or added. The model is a mean of both states; for a model of one, "
-        "set ok = 0 in pairs.csv for the days before or after, and train again"
+        "furniture was probably moved or added. The model is a mean of both states; for a model "
+        "of one state, set ok = 0 in pairs.csv for the days before or after, and train again"
     )
 
 
@@ -168,7 +169,7 @@ def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]
     """Return captures with a lamp that is on only at times [k], and all captures with a lamp.
 
     hours [n]: local standard time. A lamp that is on in all captures is part of the room: then the
-    first result is empty.
+    first result is empty. With over 40 days both are empty, because the search would be slow.
     """
     rows = np.flatnonzero(process.judged)
     if len(np.unique(process.days)) > _MOST_DAYS:

@@ -1,7 +1,8 @@
 """Report where the captures contradict the stated setting, and lower the model's trust there.
 
-A clock that differs between days is corrected in the captures. All else the user must fix: north,
-room and heading in SITE.toml, a clock that is always off by `fieldlum import --utc-offset`.
+A clock that differs between days is corrected in the captures. The user must correct everything
+else: north, room and heading in SITE.toml, a constant error of the clock by `fieldlum import
+--utc-offset`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | None:
-    """Return what the sun patches show about north, clock, camera and room; None without them."""
+    """Return what the sun patches show about north, clock, camera and room.
+
+    None if patches are not used or too few captures show them.
+    """
     from fieldlum.models.transport.setting_scan import setting_scan
 
     if patch == "none" or data.patch_cdm2 is None:
@@ -31,8 +35,9 @@ def with_right_clock(
 ) -> tuple[Dataset, list[str]]:
     """Return the captures at corrected times, and a warning, if the clock differs between days.
 
-    Nothing is corrected while the captures contradict the stated setting: a wrong north moves sun
-    patches by another number of minutes on each day.
+    Otherwise return the captures unchanged, and no warning. Nothing is corrected while the captures
+    contradict the stated setting: a wrong north moves sun patches by another number of minutes on
+    each day.
     """
     from fieldlum.models.transport.clock_by_day import clock_by_day, with_clock
 
@@ -57,11 +62,12 @@ def with_right_clock(
 def settle(
     fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None = None
 ) -> tuple[Fitted, list[str]]:
-    """Return the model with doubt about its sun patches, and warnings.
+    """Return the model with a larger uncertainty near sun patches, and warnings.
 
-    setting: of `scan`, which is called unless it is given. The doubt is as large as the captures
-    contradict the patches. Nothing is corrected: a wrong north must be fixed in SITE.toml, which
-    all stages read.
+    Both apply only if the captures contradict the computed sun patches; the uncertainty is that of
+    patches displaced as far as the captures show, for a transport model only. setting: result of
+    `scan`, which is called if it is None. Nothing is corrected: a wrong north must be corrected in
+    SITE.toml, which all stages read.
     """
     from fieldlum.models.transport.model import Transport
 
@@ -74,7 +80,11 @@ def settle(
 
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
-    """Return a line on what is wrong, then one on the remedy of each likely cause; may be empty."""
+    """Return a line on what is wrong, then one on the remedy of each likely cause.
+
+    The list is empty if no cause is certain. If a wrong measure of the room explains as much, it
+    has one line. pixel_deg: width of a pixel.
+    """
     if found.room is not None:
         return [_measure_warning(found, found.room)]
     cause = found.wrong

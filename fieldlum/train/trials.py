@@ -78,8 +78,8 @@ def evaluate_folds(
     budget_s: for all folds together [s]. A slow model divides it among the folds. A quick model
     skips the remaining folds if the next one would exceed it, but always runs two, so that large
     maps of a month do not delay the result. least_passes: a network that saw its training data less
-    often is compared with one hour only, since nobody will read its scores; a slow model gets it as
-    an option, so that it can end at once.
+    often is compared with one hour of each fold only, since nobody will read its scores; a slow
+    model gets it as an option, so that it can end at once.
     """
     parts: list[Scores] = []
     passes: list[float] = []
@@ -128,9 +128,5 @@ def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64
 
 
 def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
-    """Return as many folds as the dense network has time to train on, at least one."""
+    """Return as many folds as fit into `budget_s` at two minutes each, at least one."""
     return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])
-
-
-# ----------------------------------------------------------------------------------------------
-# train
