@@ -1,5 +1,6 @@
 """`calibrate vignette` against simulated lenses whose vignetting is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -132,3 +133,14 @@ def test_vignetting_beyond_the_lens_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(NotEnoughDataError, match=r"v.csv: 9 readings up to 2 %.*degrees"):
         vignette.fit(vignette.from_table(table, PROFILE))
+
+
+@pytest.mark.contract
+def test_angles_are_those_of_the_named_lens(tmp_path: Path) -> None:
+    """80 deg is inside the first lens, and beyond the second one of 120 deg."""
+    table = tmp_path / "angles.csv"
+    table.write_text("angle_deg,value\n0,1\n80,0.8\n")
+    profile = replace(PROFILE, lens=(LENS, replace(LENS, full_angle_deg=120.0)))
+    assert vignette.from_table(table, profile).lens == 0
+    with pytest.raises(InputError, match="at most 60 deg"):
+        vignette.from_table(table, profile, 1)

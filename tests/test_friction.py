@@ -24,7 +24,8 @@ from fieldlum.cli.estimates import (
 from fieldlum.devices import CameraInfo
 from fieldlum.doctor.instruments import judge_camera
 from fieldlum.errors import InputError
-from fieldlum.images import write_radiance_hdr
+from fieldlum.images import write_panorama, write_radiance_hdr
+from fieldlum.records import Panorama
 from fieldlum.session import read_journal, sole_user
 
 pytestmark = pytest.mark.contract
@@ -45,6 +46,13 @@ def test_info_goes_on_after_a_bad_file(tmp_path: Path) -> None:
     assert shown.exit_code == 3
     assert shown.output.count("kind                     site") == 2
     assert "no such file" in shown.output
+
+
+def test_info_of_a_panorama_without_light_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "dark.exr"
+    write_panorama(path, Panorama(np.full((8, 16), np.nan, np.float32), 0.0))
+    shown = CliRunner().invoke(main, ["info", str(path)])
+    assert shown.exit_code == 3 and "no finite luminance" in shown.output
 
 
 def test_info_of_a_predicted_year(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -517,3 +517,18 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     canon = load_camera_profile("canon-5d2-8mm-f5.6")
     with pytest.raises(InputError, match="k is not calibrated for other apertures"):
         sorted_shots([Shot(tmp_path / "a.jpg", Exposure(0.1, 8.0))], canon)
+
+
+@pytest.mark.contract
+def test_each_frame_is_read_once_in_each_pass() -> None:
+    """Frames that do not fit in memory are read from the disk: once to predict, twice to merge."""
+    truth = np.full((4, 2, 8), 50.0, np.float32)
+    frames = [expose(truth, step, np.random.default_rng(1)) for step in STEPS]
+    reads = [0] * len(frames)
+
+    def load(i: int) -> RawSignal:
+        reads[i] += 1
+        return frames[i]
+
+    merge_signals([partial(load, i) for i in range(len(frames))], truth.shape)
+    assert reads == [3] * len(frames)

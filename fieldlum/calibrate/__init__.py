@@ -1,8 +1,7 @@
-"""Camera profiles from ordinary captures: response, vignetting, scale, lens and colour.
+"""Fit the parts of a camera profile to ordinary captures.
 
-Fits with several models try small ones first and take the smallest whose held-out error is within
-one standard error of the best; a line with the choice goes into the profile. Scale, image circle
-and bad pixels have one model.
+A fit with several models takes the smallest whose held-out error is within one standard error of
+the best. The profile stores a line about each fit.
 """
 
 from fieldlum.calibrate.readings_csv import save_calibration

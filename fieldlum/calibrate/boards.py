@@ -33,8 +33,8 @@ class Boards:
     """Chessboard corners on the sensor, their places on the board, and start values of a fit.
 
     corners [boards, points, 2] px; points [points, 3] in squares; poses [boards, 6] : rotation
-    vector and position in OpenCV's camera frame; targets : the rays of OpenCV's model at all
-    corners.
+    vector and position in OpenCV's camera frame; targets : rays of OpenCV's model in the part of
+    the picture that has corners.
     """
 
     corners: Array
@@ -44,7 +44,10 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Return a chessboard's inner corners [rows * columns, 2] in px; None if no board is found."""
+    """Return a chessboard's inner corners [rows * columns, 2] in px; None if no board is found.
+
+    Raises InputError if the file cannot be read as a picture.
+    """
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(
@@ -64,8 +67,9 @@ def from_boards(
 ) -> Boards:
     """Fit OpenCV's omnidirectional model to the corners of n boards; return its rays and poses.
 
-    corners : one [rows * columns, 2] px per picture; size_px : width, height. Raises
-    NotEnoughDataError for fewer than four boards, InputError if the fit does not converge.
+    corners : one [rows * columns, 2] px per picture; size_px : width, height; paths : files of the
+    boards. Raises NotEnoughDataError for fewer than four boards, InputError if the fit fails or its
+    residual is above 3 px.
     """
     import cv2
 
@@ -109,7 +113,8 @@ def from_boards(
 def fit(boards: Boards, lens: Lens) -> LensFit:
     """Fit the lens to the rays of OpenCV's model, then lens and board poses to the corners.
 
-    The start is `lens`. rms_px of the result is the residual of the corners.
+    The start is `lens`, and its pose does not change. rms_px of the result is the residual of the
+    corners. Raises the errors of `lens.fit`.
     """
     from scipy.optimize import least_squares
 

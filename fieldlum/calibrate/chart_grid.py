@@ -42,7 +42,7 @@ _QUARTER = np.array([[0, 1], [-1, 0]])  # of a turn, of row vectors
 def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads]:
     """Yield candidates [rows * columns, 4, 2] in pixels of picture [h, w, 3], row by row.
 
-    Candidates with most detected patches come first; mirror images are omitted. The caller must
+    The lattice with most detected patches comes first; mirror images are omitted. The caller must
     check that the colours are those of a chart.
     """
     quads = _quads(picture)

@@ -40,7 +40,7 @@ class Colours:
     """Camera colours and luminances of n readings.
 
     rgb [n, 3] : camera colours; y [n] : luminances, all in one unit; u_rel [n] : relative
-    uncertainty of y; labels [n] : names for messages.
+    uncertainty of y; labels [n] : names for messages; matrix [3, 3] : of the frames, XYZ to camera.
     """
 
     rgb: Array
@@ -48,7 +48,7 @@ class Colours:
     u_rel: Array
     labels: tuple[str, ...]
     frames: tuple[Path, ...]
-    matrix: Array | None = None  # XYZ to camera; None if the frames do not state it
+    matrix: Array | None = None  # None if the frames do not state it
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,8 @@ class ColourFit:
 def from_table(path: Path, profile: CameraProfile) -> Colours:
     """Read spot readings from a csv with the columns file, x_px, y_px and luminance_cdm2.
 
-    Optional columns: radius_px (default 12) and u_rel. The profile's vignetting is corrected.
+    Optional columns: radius_px (default 12) and u_rel of the reading (default 0.02). The profile's
+    vignetting is corrected.
     """
     rows = read_table(path, ("file", "x_px", "y_px", "luminance_cdm2"), ("radius_px", "u_rel"))
     frames: dict[Path, LinearFrame] = {}
@@ -92,7 +93,7 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 
     The chart is searched in the frame, or placed by corners_px: x and y of the outer corners of the
     field of patches, top left (dark skin), top right, bottom right (black), bottom left. Raises
-    InputError if no chart is detected, or if the corners are in another order.
+    InputError if no chart is detected, or if its patches are not in the order of a chart.
     """
     frame = linear_frame(path, profile)
     centres, radius = (
@@ -123,8 +124,8 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
     """Return the coefficients [3] from which the fit may start, each with a name.
 
-    These are the profile's coefficients and the luminance row of the frames' own matrix (camera to
-    XYZ), scaled to the same size.
+    These are the profile's coefficients and, if the frames state a colour matrix, its luminance
+    row (camera to XYZ), scaled to the same size.
     """
     of_profile = np.array(profile.colour.y_from_rgb)
     starts: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]
@@ -143,8 +144,9 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     Leave-one-out errors choose the start and the weight of the ridge. The new coefficients give the
     mean colour of the readings the same luminance as the start does: only their proportion is
     fitted here. The absolute factor belongs to `calibrate scale` and is returned separately, as
-    `scale`. Raises NotEnoughDataError for fewer than four readings, InputError for readings that do
-    not fit the colours.
+    `scale`. Gross errors of readings are omitted and listed in the choice's line. Raises
+    NotEnoughDataError for fewer than four readings, InputError for readings that are not positive
+    or do not fit the colours.
     """
     n = len(colours.y)
     if n < LEAST:

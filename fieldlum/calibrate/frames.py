@@ -33,7 +33,8 @@ _MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not m
 class Patch:
     """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
 
-    u_rel : relative uncertainty of the mean.
+    The mean is trimmed by a tenth at each end. u_rel : relative standard uncertainty of the mean
+    green.
     """
 
     rgb: NDArray[np.float64]
@@ -45,8 +46,9 @@ class Patch:
 class LinearFrame:
     """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting.
 
-    bad [h, w] : saturated, or outside the codes for which a JPEG's response is valid; step : sensor
-    pixels for each pixel of rgb.
+    bad [h, w] : above 0.97 of the saturation, or outside the codes for which a JPEG's response is
+    valid; step : sensor pixels along the edge of a pixel of rgb, 2 for raw and 1 for JPEG;
+    colour_matrix : XYZ to camera as stored in a raw file, else None.
     """
 
     path: Path
@@ -57,9 +59,10 @@ class LinearFrame:
     colour_matrix: NDArray[np.float64] | None = None
 
     def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
-        """Return the mean colour of a disc of the sensor, centred at x_px, y_px.
+        """Return the mean colour of the good pixels in a disc of the sensor around x_px, y_px.
 
-        Raises InputError for a disc outside the picture, or with over a fifth of it clipped.
+        Raises InputError for a disc that is not completely in the picture, or over a fifth of which
+        is bad.
         """
         h, w = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)

@@ -1,4 +1,4 @@
-"""Fit a lens's mapping and pose to known directions, chessboards, or the edge of its circle."""
+"""Fit a lens's mapping and pose to targets at known directions."""
 
 from __future__ import annotations
 
@@ -39,18 +39,19 @@ TURNED_DEG = 30.0  # a larger difference from the profile's pose causes a warnin
 class Targets:
     """Known directions of n targets, and their places on the sensor.
 
-    x_px, y_px [n]; rays [n, 3] : unit vectors in the panorama's frame, whose north is the heading.
+    x_px, y_px [n]; rays [n, 3] : unit vectors, x east, y north, z up, with north in the camera's
+    heading; pose_known : the rays are relative to the optical axis (y) instead.
     """
 
     x_px: Array
     y_px: Array
     rays: Array
     frames: tuple[Path, ...] = ()
-    pose_known: bool = False  # True if the directions are relative to the optical axis
+    pose_known: bool = False
 
     @property
     def source(self) -> Path | str:
-        """The file that errors about the targets name; "targets" without one."""
+        """The first file, which errors about the targets name; "targets" without files."""
         return self.frames[0] if self.frames else "targets"
 
 
@@ -127,10 +128,11 @@ def _solve(
 def fit(targets: Targets, lens: Lens) -> LensFit:
     """Fit centre, radius, pose and mapping by robust least squares in pixels.
 
-    The fit starts from the profile's lens. Mappings with none to four free terms are compared on
-    held-out targets. Targets that no lens explains are omitted and listed. Raises
-    NotEnoughDataError for fewer than eight targets; InputError for directions that are mirrored,
-    behind the lens, or fit no lens.
+    The fit starts from `lens`; with `targets.pose_known` the pose does not change. Mappings with
+    none to three free terms are compared on held-out targets. Targets that no lens explains, at
+    most a fifth, are omitted and listed in `doubts`. Raises NotEnoughDataError for fewer than eight
+    targets; InputError for directions that are mirrored, outside the lens's full angle, or fit no
+    lens.
     """
     n = len(targets.x_px)
     if n < LEAST:

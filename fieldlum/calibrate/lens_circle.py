@@ -1,4 +1,4 @@
-"""Detect the image circle of a fisheye in a frame."""
+"""Detect the image circle of a fisheye in a frame; shift it or make it smaller."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
-    """Read a raw, JPEG or PNG file as grey codes 0 to 255 at sensor size, [h, w].
+    """Read a raw, JPEG, PNG or TIFF file as grey codes 0 to 255 at sensor size, [h, w].
 
     Raises InputError for a file that cannot be read.
     """
@@ -130,7 +130,7 @@ def _size(picture: NDArray[np.uint8]) -> str:
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
     """Return how far the picture `after` moved from `before` [px], right and down.
 
-    Phase correlation of grey pictures [h, w]. Raises InputError for different sizes.
+    By cross-correlation of grey pictures [h, w]. Raises InputError for different sizes.
     """
     from skimage.registration import phase_cross_correlation
 
@@ -164,7 +164,7 @@ def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
 
 
 def trimmed(lens: Lens, width_deg: float) -> Lens:
-    """Return the lens with an image circle that is `width_deg` narrower all round.
+    """Return the lens with a half angle that is `width_deg` smaller.
 
     Angles map to the same pixels, with the same vignetting. Raises ValueError for a width that is
     not positive or leaves no picture.

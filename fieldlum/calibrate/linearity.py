@@ -57,9 +57,9 @@ class Levels:
 class LinearityFit:
     """A fitted linearity.
 
-    coefficients: a of 1 + a1 x + a2 x2 + ..., with x the share of the full scale; offset_s,
-    u_offset_s: the shutter's offset and its standard error [s]; u_rel: held-out rms of the light,
-    relative.
+    coefficients: a of the factor 1 + a1 x + a2 x2 + ... on the counts, with x the share of the full
+    scale; offset_s: the shutter's offset [s], 0 unless it is above four standard errors;
+    u_offset_s: its standard error [s]; u_rel: relative held-out rms of the light, at least 5e-4.
     """
 
     coefficients: tuple[float, ...]

@@ -1,11 +1,10 @@
-"""Find hot, dead and stuck pixels: they deviate from their neighbours in every view.
+"""Find hot, dead and stuck pixels: they deviate from their neighbours in most views.
 
 The neighbours are those of the same colour. A small light or the edge of an object deviates too,
-but not in every view. The camera must be turned between the views; the details of the pictures show
+but in fewer views. The camera must be turned between the views; the details of the pictures show
 whether it was. With the cap on (`dark`) no light can be mistaken for a defect, but dead pixels are
-invisible. The number of pixels that would deviate everywhere by chance follows from the number that
-deviates in each view. It decides in how many views a pixel must deviate. If even all views are too
-few, there is no result.
+invisible. A pixel must deviate in three quarters of the views, or in more if so many pixels deviate
+in each view that some would do so by chance. If even all views are too few, there is no result.
 """
 
 from __future__ import annotations
@@ -61,9 +60,10 @@ class PixelDefects:
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
     """Find the bad pixels of a raw camera.
 
-    sources : frames, or folders that each contain the frames of one view; dark : the cap was on,
-    and each frame counts as a view. Raises InputError for frames of another camera,
-    NotEnoughDataError for views that are too few or too similar.
+    sources : frames, or folders of frames; frames with the same details count as one view. dark :
+    the cap was on, and each frame counts as a view. Raises InputError for frames that are not raw
+    frames of this camera, or not dark with `dark`; NotEnoughDataError if there are fewer than three
+    different views (two dark frames), or if too many pixels deviate.
     """
     if profile.camera.kind != "raw":
         raise InputError(
@@ -207,9 +207,10 @@ def _planes(
 def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
     """Return a mask [h, w] of the raw pixels that deviate from the median of their neighbourhood.
 
-    The neighbourhood is nine pixels of one colour. A pixel deviates if it differs by more than the
-    noise, a tenth of the light, and the spread of the nine. alone : omit pixels with three or more
-    neighbours that deviate likewise, as at the corner of an object.
+    The neighbourhood is nine pixels of one colour. A pixel deviates if it differs by more than six
+    times the noise, a tenth of the light, and four times the spread of the nine. Pixels in nearly
+    saturated neighbourhoods are omitted. alone : also omit pixels with three or more neighbours
+    that deviate likewise, as at the corner of an object.
     """
     import cv2
 

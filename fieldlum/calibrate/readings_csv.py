@@ -20,7 +20,8 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
 
     needed, also : required and optional columns. Paths are relative to the csv. Separators are
     commas, semicolons or tabs; with the last two, decimals may have a comma. An empty cell is None.
-    Raises InputError with line and column.
+    Empty lines and lines that begin with # are skipped. Raises InputError for a missing or unknown
+    column, an invalid cell, or a csv without readings.
     """
     numbered = _lines(path)
     lines = [line for _, line in numbered]
@@ -125,7 +126,7 @@ def save_calibration(
     """Write the profile with its fields in `changed` replaced, to the file `out`, and return it.
 
     The profile's provenance gets the sha256 of `frames`, and `lines` (one about each fit), dated
-    `today`.
+    `today`; the camera's date becomes `today`.
     """
     hashes = tuple(sorted({sha256(path) for path in frames}))
     before = profile.provenance

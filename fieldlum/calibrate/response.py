@@ -44,8 +44,9 @@ TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 class Places:
     """Codes of the same places in all frames of a bracket, pooled over brackets.
 
-    codes [places, frames, 3] : 0 if the bracket has no such exposure; log_exposure [frames];
-    bracket [places] : index of the bracket; law : shutter law that log_exposure assumes.
+    codes [places, exposures, 3] : 0 if the bracket has no such exposure; log_exposure [exposures] :
+    ln of shutter time [s] times ISO; bracket [places] : index of the bracket; frames : files; law :
+    shutter law that log_exposure assumes.
     """
 
     codes: NDArray[np.uint8]
@@ -60,7 +61,7 @@ class ResponseFit:
     """A fitted JPEG response, its residual for each colour, and the line about the choice."""
 
     response: Response
-    residual: tuple[float, float, float]  # rms of ln z for each colour, of held-out places
+    residual: tuple[float, float, float]  # rms of ln z for each colour, within places
     choice: OrderSelection
 
 
@@ -98,9 +99,10 @@ def sample(
 ) -> Places:
     """Sample the same flat places in every frame of a bracket, pooled over brackets.
 
-    A profile with shutter law "auto" gets the law that the codes support. The places are spread
-    over the brightnesses. Raises InputError for a bracket of mixed apertures or with fewer than
-    three exposures.
+    If the profile's shutter law is "auto", the law is that of the EXIF times, unless another one
+    leaves a clearly smaller residual. The places are spread over the brightnesses. Raises
+    InputError for a bracket of mixed apertures or sizes or with fewer than three exposures,
+    NotEnoughDataError for one with fewer than 50 flat, well exposed places.
     """
     parts: list[_Part] = []
     for paths in brackets:
@@ -271,9 +273,9 @@ def fit(places: Places) -> ResponseFit:
     """Fit the response: standard curves, then monotone tables from stiff to flexible.
 
     Held-out places choose among them. Complete brackets are held out if there are three or more,
-    else every eighth place. If the darkest codes do not follow the light (because of a black
-    level), low_code rises to the first code that does. Raises NotEnoughDataError for fewer than 20
-    places.
+    else an eighth of the places at a time. If the darkest codes do not follow the light (because of
+    a black level), low_code rises to the first code that does. Raises NotEnoughDataError for fewer
+    than 20 places that are well exposed in two frames.
     """
     low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8

@@ -46,7 +46,11 @@ _LIKE = 0.06  # largest relative difference from a ratio of `SLIPS`; chosen
 
 @dataclass(frozen=True, slots=True)
 class LuminanceReading:
-    """One comparison of a meter's reading with the picture's value there, in the same unit."""
+    """One comparison of a meter's reading with the picture's value there.
+
+    meter, image : both in cd/m2 (kind "spot") or lx (kind "illuminance"); u_rel : relative
+    uncertainty of their ratio, without that of the meter's calibration.
+    """
 
     kind: str  # "spot" or "illuminance"
     label: str
@@ -63,7 +67,7 @@ class ScaleFit:
     u_rel: float
     residual: NDArray[np.float64]  # meter over corrected picture minus one, [n]
     far: tuple[str, ...]
-    line: str  # the error of readings that were left out
+    line: str  # states the held-out error
 
 
 def from_table(
@@ -74,8 +78,8 @@ def from_table(
     The column u_rel is optional. Azimuth is clockwise from north. A spot is the trimmed mean over 1
     degree; an illuminance is that of a plane which faces the direction. Values of the pictures are
     converted to the profile's k from the k that they were merged with. Return readings, pictures
-    and notes. Raises InputError for a line with both or neither reading, and for pictures of
-    another calibration.
+    and notes. Raises InputError for a line with both or neither reading, a clipped or black place,
+    and pictures of another calibration.
     """
     rows = read_table(
         path,
@@ -199,7 +203,7 @@ def spot_cdm2(
     """Return the trimmed mean luminance [cd/m2] of a spot meter's field, and its relative u.
 
     The field is a disc of 1 degree around the direction, at least a few pixels. file : for errors.
-    Raises InputError for a place that is clipped or dark.
+    Raises InputError for a place that is clipped or black.
     """
     from scipy.stats import trim_mean
 
@@ -232,8 +236,8 @@ def fit(
     """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
 
     meter_u : relative u of the meter, part of u(k); source : for errors. Raises NotEnoughDataError
-    without readings, InputError if a reading is not positive, or if too many readings contradict
-    each other.
+    without readings, InputError if a reading is not positive, or if more than a third of them are
+    outliers.
     """
     if not readings:
         raise NotEnoughDataError(
@@ -276,7 +280,7 @@ def fit(
 def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
     """Return a text on each outlier with its ratio to the picture.
 
-    If the ratio is that of two units or a power of ten, the text names this as the likely error.
+    If the ratio is that of two units, or 10 or 1000, the text names this as the likely error.
     """
     texts = []
     for reading in readings:
@@ -296,10 +300,10 @@ def _slip(ratio: float) -> str:
 
 
 def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
-    """Return a warning if the calibrated factor k is not plausible for a camera, else "".
+    """Return a warning if the fitted k, summed over R, G and B, is not 0.5 to 2, else "".
 
-    path: the csv of readings, for the error. Raises InputError if k also differs from the profile's
-    k by more than a factor of ten.
+    Cameras are in this range. path: the csv of readings, for the error. Raises InputError if k also
+    differs from the profile's k by more than a factor of ten.
     """
     level = profile.scale.k * found.factor * sum(profile.colour.y_from_rgb)
     low, high = SENSIBLE_K

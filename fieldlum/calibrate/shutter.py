@@ -4,8 +4,7 @@ The sidecar of each merged bracket (panoramas/<slot>.json) states how far neighb
 differ, and the corrections that were applied. Their sum shows how much longer or shorter each frame
 was than assumed, relative to its neighbour. In one bracket the light also changes. The median over
 many brackets removes these changes, and a line over the seconds of each bracket removes a drift.
-Pictures determine only ratios: the mean level stays that of the profile's times, or of the snapped
-ones.
+Pictures determine only ratios: the mean level stays that of the times that the merge assumed.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class ShutterReading:
     """The measured ratio of two neighbouring frames of a bracket.
 
     log_ratio : ln(true / assumed exposure) of the shorter frame minus that of the longer one;
-    u_log : its uncertainty; seconds : time between the frames.
+    u_log : its uncertainty; seconds : from the longer to the shorter frame, None if unknown.
     """
 
     pair: Pair
@@ -76,7 +75,8 @@ class ShutterFit:
     """Fitted shutter times; each replaces the profile's time with the same nominal value.
 
     assumed_s : the time that the merge assumed before the fit, for each of `times`; brackets :
-    number of brackets that determine it; left_out : pairs that were not used, with the reason.
+    number of brackets that determine each time; left_out : pairs that were not used, with the
+    reason; line : about the choice, for the profile.
     """
 
     times: tuple[ShutterTime, ...]
@@ -95,8 +95,8 @@ def from_session(
 ) -> tuple[list[list[ShutterReading]], tuple[Path, ...]]:
     """Return the readings of every bracket that was merged with this profile, and their sidecars.
 
-    Raises NotEnoughDataError if there is no such bracket, InputError if they were merged with
-    another profile.
+    Brackets without a usable ratio are omitted. Raises InputError if none remains and some were
+    merged with another profile, NotEnoughDataError if none remains otherwise.
     """
     brackets, files, others = [], [], 0
     for path in session.sidecar_files():
@@ -146,7 +146,8 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
 def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     """Return the measured ratios of neighbouring frames in one merged bracket.
 
-    Frames with a filter and pairs of two ISOs are omitted, because they have additional errors.
+    Pairs with a filter, with two ISOs, with equal times or with an uncertainty above 1 % are
+    omitted.
     """
     headings: list[list[FrameQuality]] = []
     for frame in sidecar.report.frames:

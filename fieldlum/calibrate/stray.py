@@ -35,7 +35,7 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
     (1.5, 6.0, 24.0, 96.0),
     (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
 )
-FEWEST_READINGS = 8  # twice the number of nodes of the smallest kernel; chosen, not measured
+FEWEST_READINGS = 8  # twice the nodes of the fourth kernel; chosen, not measured
 TRAP_RADIUS_DEG = 0.5  # radius of the place that is averaged, unless the csv states another; chosen
 # of the stray light: interpolation on a grid of 3 degrees is not better; not measured
 LEAST_U_REL = 0.1
@@ -47,8 +47,8 @@ MOST_SHARE = 0.3
 class StrayReading:
     """The stray light at one dark place, and the light that may cause it.
 
-    stray_cdm2 : recorded minus true luminance; angle_rad [n] : angle of each lit pixel from the
-    place; flux [n] : its luminance times solid angle.
+    stray_cdm2 : recorded minus true luminance; angle_rad [n] : angle of each lit pixel, and of the
+    sun disc, from the place; flux [n] : its luminance times solid angle [lx].
     """
 
     label: str
@@ -60,7 +60,10 @@ class StrayReading:
 
 @dataclass(frozen=True, slots=True)
 class StrayFit:
-    """A fitted kernel, and the stray light that it predicts for each reading [cd/m2]."""
+    """A fitted kernel, and the stray light that it predicts for each reading [cd/m2].
+
+    total_share : share of a source's light that the kernel spreads.
+    """
 
     kernel: StrayLight
     predicted_cdm2: Array
@@ -72,8 +75,9 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     """Read a csv of dark places: panorama, azimuth_deg, altitude_deg.
 
     Optional columns: luminance_cdm2, the true luminance of the place (default 0), and radius_deg of
-    the place. Azimuth is clockwise from north. Pictures have one heading and were merged without a
-    stray-light kernel. Raises InputError with the picture or the line at fault.
+    the place (default 0.5). Azimuth is clockwise from north. Raises InputError for an invalid line,
+    for the errors of `reading`, and for a picture that was merged with another calibration or with
+    a stray-light kernel.
     """
     rows = read_table(
         path, ("panorama", "azimuth_deg", "altitude_deg"), ("luminance_cdm2", "radius_deg")
@@ -118,9 +122,9 @@ def reading(
 ) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    at_deg : azimuth and altitude of the place; true_cdm2 : its own luminance. Only the field of the
-    lens whose axis is nearest to the place counts. Raises InputError for a place that is clipped,
-    that no lens sees, or that is not brighter than true_cdm2.
+    at_deg : azimuth and altitude of the place; true_cdm2, radius_deg : its own luminance, its
+    radius. Only the field of the lens whose axis is nearest to the place counts. Raises InputError
+    for a place that is clipped, that no lens sees, or that is not brighter than true_cdm2.
     """
     height, width = picture.luminance_cdm2.shape
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
@@ -174,7 +178,8 @@ def _field_of_nearest_lens(
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
     """Fit a kernel K >= 0 that falls with the angle; held-out readings choose the number of nodes.
 
-    Raises NotEnoughDataError for too few readings, InputError for a kernel that no lens has.
+    Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that spreads
+    over 30 % of a source's light.
     """
     if len(readings) < FEWEST_READINGS:
         raise NotEnoughDataError(

@@ -68,17 +68,17 @@ class VignettingFit:
 # readings
 
 
-def from_table(path: Path, profile: CameraProfile) -> Samples:
+def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
     """Read readings from a csv with angle_deg and value, or of one patch in many frames.
 
     The second form has the columns file, x_px and y_px. Optional columns: reference (a meter's
     reading at that time, which corrects the drift of a lamp); u_rel and f_number in the first form;
-    radius_px of the patch (default 12) in the second. Raises InputError for other columns or
-    values.
+    radius_px of the patch (default 12) in the second. lens : index for the first form; the second
+    has the lens that shows the first patch. Raises InputError for other columns or values.
     """
     if "angle_deg" in columns_of(path):
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
-        half = profile.lens[0].full_angle_deg / 2
+        half = profile.lens[lens].full_angle_deg / 2
         r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
         if r.max() > BEYOND:
             raise InputError(
@@ -91,7 +91,9 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
             [needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows]
         )
         u = np.array([row.get("u_rel") or 0.005 for row in rows])
-        return Samples(r, value, u, rows[0].get("f_number") or profile.bracket.f_number, 0, (path,))
+        return Samples(
+            r, value, u, rows[0].get("f_number") or profile.bracket.f_number, lens, (path,)
+        )
     rows = read_table(path, ("file", "x_px", "y_px"), ("radius_px", "reference"))
     return _from_patches(path, rows, profile)
 
@@ -121,9 +123,10 @@ def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
-    """Read frames of an evenly lit field (a sphere, a diffuser) as medians over BINS rings.
+    """Read frames of an evenly lit field (a sphere, a diffuser) as medians over 60 rings.
 
-    lens : index. Raises InputError for frames of several apertures, or saturated or dark ones.
+    lens : index. Raises InputError for frames of several apertures, or if all pixels are saturated
+    or dark.
     """
     geometry, rings = profile.lens[lens].geometry, []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
@@ -201,8 +204,9 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
 def fit(samples: Samples) -> VignettingFit:
     """Fit an even polynomial V(r) of the smallest order that the readings support.
 
-    Raises NotEnoughDataError for fewer than five readings, or none beyond half of the half angle;
-    InputError for a curve that rises to the edge.
+    Readings that contradict their neighbours, less than a quarter, are omitted and listed in the
+    choice's line. Raises NotEnoughDataError for fewer than five readings, or none beyond half of
+    the half angle; InputError for readings that are not positive or rise to the edge.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:

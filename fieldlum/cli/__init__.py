@@ -66,7 +66,10 @@ class _CommandGroup(LazyGroup):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command to run; suggest a similar name for an unknown one."""
+        """Return the command's name, the command, and the arguments after its name.
+
+        An unknown name is a usage error, which suggests a similar name if there is one.
+        """
         from difflib import get_close_matches
 
         near = get_close_matches(args[0], COMMANDS, n=1)

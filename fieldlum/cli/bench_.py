@@ -75,10 +75,9 @@ def command(
 ) -> None:
     """Chart speed against accuracy of the models.
 
-    Writes bench.md, scores.csv and .png; if there are enough data, also learning_curve, periods and
-    stress.
-    --test and --pool use the same fitted scene as PAIRS, or the same [room] if the csv has no sun
-    patches.
+    Writes bench.md, scores.csv and scores.png; with enough data also learning_curve and periods;
+    with --stress also stress. The fitted scene of PAIRS is used for --test and --pool too. Without
+    a scene, sun patches that a csv lacks are computed from the [room].
 
     \b
     Example:

@@ -32,13 +32,13 @@ class Refit:
     as_json: bool
 
     def profile(self) -> CameraProfile:
-        """Load the profile from which the fit starts. Raises InputError for an invalid one."""
+        """Load the profile of --camera. Raises InputError if it is missing or invalid."""
         from fieldlum.profiles import load_camera_profile
 
         return load_camera_profile(self.camera)
 
     def draw(self, figure: Callable[[], Figure]) -> None:
-        """Draw the figure and save it, if --picture names a file."""
+        """Call `figure` and save what it returns, if --picture names a file."""
         from fieldlum.calibrate import pictures
 
         if self.picture:
@@ -115,9 +115,9 @@ def with_lens(profile: CameraProfile, index: int, lens: Lens) -> tuple[Lens, ...
 
 
 def say_time(frames: Iterable[Path], profile: CameraProfile, *, boards: bool = False) -> None:
-    """Print how long it may take to read the frames, or to detect boards in them.
+    """Print the estimated time to read frames, if it is 20 s or more.
 
-    frames: files or folders.
+    frames: files, or folders of files; boards: estimate the time to detect chessboards instead.
     """
     files = sum(
         sum(1 for p in path.iterdir() if p.is_file()) if path.is_dir() else 1 for path in frames

@@ -31,7 +31,8 @@ def command(
     """Fit the loss of light towards the edge, for one aperture.
 
     READINGS.csv has the columns file, x_px, y_px (optional: radius_px, reference) of one patch seen
-    at many angles; or the columns angle_deg and value. FRAMEs are pictures of an evenly lit field.
+    at many angles, by the lens that shows it; or the columns angle_deg and value, for --lens.
+    FRAMEs are pictures of an evenly lit field.
 
     \b
     Example:
@@ -42,7 +43,7 @@ def command(
     profile = refit.profile()
     index = lens_index(profile, lens_number)
     if len(sources) == 1 and sources[0].suffix.lower() == ".csv":
-        samples = vignette.from_table(sources[0], profile)
+        samples = vignette.from_table(sources[0], profile, index)
     else:
         say_time(sources, profile)
         samples = vignette.from_uniform(sources, profile, index)

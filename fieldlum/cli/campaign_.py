@@ -30,8 +30,8 @@ campaign_argument = click.argument("campaign_file", metavar="CAMPAIGN.toml", typ
 def command() -> None:
     """Run a stage for all sessions of a campaign.
 
-    CAMPAIGN.toml names the sessions. A room whose session is missing or broken is reported and
-    skipped.
+    CAMPAIGN.toml names the sessions; plan writes those that are missing. The other stages report
+    and skip a room whose session is missing or broken.
 
     \b
     Example:

@@ -40,9 +40,9 @@ def _shown(name: str) -> Iterator[Progress]:
 def command(folder: Path, preset: str, seed: int) -> None:
     """Run all stages on simulated captures.
 
-    Renders nine days of brackets in the paper's office with Radiance, then runs plan, capture,
-    merge, pair, train, predict, glare and report. Run it again after an interruption: it continues
-    where it stopped.
+    Plans nine days in the paper's office and renders their hours with Radiance. Then runs capture,
+    with a simulated camera, merge, pair, train, predict and report. Run it again after an
+    interruption: finished work is not repeated.
 
     \b
     Example:

@@ -48,7 +48,8 @@ def merge_s(folders: Iterable[Path]) -> float:
 def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
     """Return the estimated time to train [s].
 
-    It is the complete budget if the dense network is tried.
+    It is the complete budget for the models auto and dense, and 0 for mean and nearest. captures:
+    number of pairs; pixels: of one map.
     """
     if model in ("auto", "dense"):
         return 60.0 * budget_min
@@ -80,9 +81,10 @@ def bench_s(
 ) -> float:
     """Return the estimated time of a benchmark [s].
 
-    transport, slow: number of transport models, and of trainings of the dense network. folds:
-    number of fits of a model for the score table. curve_captures: sum of the captures over all fits
-    of a learning curve.
+    transport: number of transport models; slow: number of trainings of the dense network; captures,
+    pixels: number of pairs, and of pixels of one map; folds: fits of one model for the score table;
+    curve_captures: sum of the captures over all fits of a learning curve; budget_min: minutes of
+    one training of the dense network; render_hours: number of hours that Radiance renders.
     """
     quick = transport * _FIT_S_PER_CAPTURE * (folds * captures + curve_captures)
     rendering = render_hours * _RADIANCE_S * pixels
@@ -90,7 +92,10 @@ def bench_s(
 
 
 def frames_s(count: int, pixels: int, *, boards: bool = False) -> float:
-    """Return the estimated time to read frames, or to detect boards in them [s]."""
+    """Return the estimated time to read frames, or to detect chessboards in them [s].
+
+    count: number of frames; pixels: of one frame; boards: detect chessboards.
+    """
     per_megapixel = _BOARD_S_PER_MEGAPIXEL if boards else _FRAME_S_PER_MEGAPIXEL
     return per_megapixel * count * pixels / 1e6
 
@@ -105,7 +110,10 @@ def duration_text(seconds: float) -> str:
 
 
 def estimate_text(seconds: float, processes: int = 1) -> str:
-    """Return a sentence on the time that a command will take; "" for less than 20 s."""
+    """Return a sentence on the time that a command will take; "" for less than 20 s.
+
+    seconds: on one core [s], divided evenly among `processes`.
+    """
     needed = seconds / max(processes, 1)
     if needed < _LEAST_PRINTED_S:
         return ""

@@ -81,7 +81,7 @@ def command(
     """Import a card's folder and a logger's file.
 
     Frames are grouped into brackets by their exposures and times, and matched to the plan; frames
-    without a match are listed. The card is not changed, so that it can be imported again.
+    without a match are reported. The card is not changed, so that it can be imported again.
 
     \b
     Example:

@@ -59,7 +59,10 @@ def _short(value: object) -> str:
 
 
 def describe(path: Path) -> Facts:
-    """Return what `fieldlum info` prints about a file. Raises InputError for an unknown kind."""
+    """Return what `fieldlum info` prints about a file or folder, without its path.
+
+    Raises InputError if it is missing, invalid or of an unknown kind.
+    """
     if path.is_dir():
         return _folder(path)
     if not path.is_file():
@@ -84,6 +87,10 @@ def _panorama(path: Path) -> Facts:
 
     panorama = read_panorama_with_sun(path)
     values = panorama.luminance_cdm2[np.isfinite(panorama.luminance_cdm2)]
+    if not values.size:
+        raise InputError(
+            path, "no finite luminance", "a panorama with luminances", "merge or convert it again"
+        )
     flagged = 0.0 if panorama.flags is None else 100.0 * float((panorama.flags > 0).mean())
     return {
         "kind": "panorama",

@@ -121,7 +121,8 @@ class _StatusFile:
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
     """Yield a function that shows the state of a capture, and writes it to status_json if stated.
 
-    On a terminal it shows a panel; otherwise it prints one line for each outcome on stderr.
+    On a terminal it shows a panel. Otherwise it prints the counts of slots on stderr, about 20
+    times in a plan.
     """
     status_file = _StatusFile(status_json)
     if not terminal.seen():

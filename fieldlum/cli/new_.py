@@ -22,8 +22,8 @@ _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 def command(site_file: Path) -> None:
     """Ask questions about a site and write its SITE.toml.
 
-    Each answer is checked at once. If you describe the room, a plan SITE.svg is drawn too, which
-    shows a wrong window or azimuth. An existing file is never overwritten.
+    Each answer is checked at once. If you describe the room, it is drawn as SITE.svg: check the
+    windows and azimuths there. An existing SITE.toml is not overwritten.
 
     \b
     Example:

@@ -69,7 +69,8 @@ def command(
 ) -> None:
     """Choose the hours to capture and write the session.
 
-    With a session, list what to capture next, or add make-up slots for missed hours.
+    With a session, --next lists what to capture next, and --replan adds make-up slots for missed
+    hours.
 
     \b
     Example:

@@ -88,7 +88,8 @@ def command(
 ) -> None:
     """Predict a year of maps and glare from a weather file.
 
-    Writes hourly.csv (vertical illuminance, DGP, UGR and more for every hour and direction),
+    Writes hourly.csv (vertical illuminance, DGP, UGR and more for every daylight hour and
+    direction),
     predict.json (classes by EN 17037, with their confidence) and the maps of some typical hours.
 
     \b

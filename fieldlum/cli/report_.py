@@ -16,8 +16,7 @@ from fieldlum.cli.terminal import progress, say
 def command(session_folder: Path, out: Path | None) -> None:
     """Write a page that shows in which direction to sit, and why.
 
-    Writes index.html, one file that loads nothing from elsewhere, and report.json, into
-    SESSION/report.
+    Writes index.html, which loads no other file, and report.json.
 
     \b
     Example:

@@ -39,9 +39,9 @@ def fit(
 ) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
 
-    The fit starts from the `[room]` that was measured by tape. It writes scene.toml, with values
-    before and after the fit and their uncertainties, and pictures for checking; it changes no file
-    of yours. `train` then uses the session's scene/ unless `--scene none` is set.
+    The fit starts from the site's `[room]`. It writes scene.toml, with values before and after the
+    fit and their uncertainties, and pictures for checking. SITE.toml and the session do not change.
+    `train` then uses scene/ next to the pairs, unless its --scene names another folder or none.
 
     \b
     Example:

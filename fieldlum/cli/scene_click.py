@@ -54,8 +54,8 @@ def command(
     """Describe the room by clicking its corners on a panorama.
 
     Click corners of floor, ceiling and windows. The box, the windows and the hour's sun patch are
-    drawn over the picture at once. The command writes scene/clicked.toml, and the session's [room]
-    if the session has none. `scene fit` starts from this room.
+    drawn over the picture at once. The command writes scene/clicked.toml. The session gets this
+    room if it has no [room], or if you replace it; `scene fit` then starts from it.
 
     \b
     Example:

@@ -9,7 +9,10 @@ from fieldlum.records import Room, SiteFile, Window
 
 
 def site_text(setup: SiteFile) -> str:
-    """Return the text of a SITE.toml with site, camera and box room; `load_site` reads it back."""
+    """Return the text of a SITE.toml with site, camera and, if there is one, the box room.
+
+    `load_site` reads it.
+    """
     site, camera, room = setup.site, setup.camera, setup.room
     lines = [
         "# Written by fieldlum new. You can edit it; fieldlum plan checks every key.",

@@ -1,4 +1,4 @@
-"""Print the output of all commands: JSON on stdout, notes and progress on stderr."""
+"""Print JSON on stdout, notes and progress on stderr; keep long commands running."""
 
 from __future__ import annotations
 
@@ -67,8 +67,7 @@ def seen() -> bool:
 def unattended() -> Iterator[None]:
     """Let a command that runs for weeks survive a closed terminal, inside the block.
 
-    SIGHUP is ignored, also by processes that it starts, such as a camera's. SIGTERM ends it like
-    Ctrl-C.
+    The command and the processes that it starts ignore SIGHUP. SIGTERM ends it like Ctrl-C.
     """
     wanted: dict[signal.Signals, Any] = {signal.SIGTERM: signal.default_int_handler}
     if hasattr(signal, "SIGHUP"):  # not on Windows
@@ -111,9 +110,9 @@ def awake() -> Iterator[None]:
 
 
 def _progress_lines(label: str) -> Progress:
-    """Return a progress function for a pipe or a log: one line per minute.
+    """Return a progress function for a pipe or a log: at most one line per minute.
 
-    Short work prints no line.
+    Work of less than a minute prints no line.
     """
     started = last = time.monotonic()
     before = -1.0
@@ -136,7 +135,10 @@ def _progress_lines(label: str) -> Progress:
 
 @contextmanager
 def progress(label: str) -> Iterator[Progress]:
-    """Yield a progress function: a bar with the remaining time on a terminal, else lines."""
+    """Yield a progress function: a bar with the remaining time on a terminal.
+
+    Elsewhere it prints at most one line per minute on stderr.
+    """
     if not seen():
         yield _progress_lines(label)
         return

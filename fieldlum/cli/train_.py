@@ -71,8 +71,8 @@ def command(
 
     PAIRS is a session, a pairs.csv, or a URL to which `pair --pairs-to` wrote. The budget limits
     the complete command: reading, held-out days, the stored model and the learning curve. Two
-    held-out folds of each quick model, and the scan of north and clock, are always run. If captures
-    and options have not changed, the model is not trained again.
+    held-out folds of each model but dense, and the scan of north and clock, run in any case. If
+    captures and options have not changed, the model is trained again only with --force.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""Merge a bracket to a luminance panorama: linear merge on the mosaic, projection, uncertainty."""
+"""Merge the frames of a bracket to a luminance map with its uncertainty."""
 
 from fieldlum.merge.bracket import MergeResult, merge_frames, merge_shots
 from fieldlum.merge.merge_files import files_to_picture

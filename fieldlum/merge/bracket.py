@@ -57,8 +57,8 @@ def merge_headings(
     """Merge the frames of each heading on the sensor.
 
     shots: in the order of `sorted_shots`: by heading, then longest exposure first. heading_deg:
-    heading of the resulting picture. Return one merged sensor and one set of findings for each
-    heading.
+    heading of the resulting picture. Return two lists with one item for each heading: the merged
+    pixels of the sensor, and the findings.
     """
     images, findings = [], []
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):
@@ -82,8 +82,9 @@ def merge_shots(
 ) -> MergeResult:
     """Merge a bracket of one or several headings.
 
-    sun_deg: the sun's apparent altitude and azimuth; its disc is then removed from a panorama.
-    Raises InputError, naming the file, for anything that cannot be merged.
+    heading_deg: azimuth of the picture's centre; sun_deg: the sun's apparent altitude and azimuth:
+    if its disc is visible there, it is removed from a panorama. Raises InputError if the frames
+    cannot be merged.
     """
     options = options or MergeOptions()
     target = options.target(profile)
@@ -148,9 +149,9 @@ def merge_frames(
     heading_deg: float = 180.0,
     progress: Progress = quiet,
 ) -> MergeResult:
-    """Merge raw or JPEG files of one bracket; exposures and times come from their EXIF.
+    """Merge raw or JPEG files of one bracket and one heading; exposures come from their EXIF.
 
-    Raises InputError, naming the file, for anything that cannot be merged.
+    heading_deg: azimuth of the picture's centre. Raises InputError if the files cannot be merged.
     """
     shots = shots_of_files(files, profile.camera.fixed_f_number)
     return merge_shots(shots, profile, options, heading_deg=heading_deg, progress=progress)

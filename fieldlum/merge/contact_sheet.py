@@ -1,4 +1,4 @@
-"""Write contact-1.png and so on: every panorama of a session in false colour."""
+"""Write contact-1.png and so on: the panoramas of a session in false colour."""
 
 from __future__ import annotations
 

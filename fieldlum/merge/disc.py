@@ -1,8 +1,8 @@
 """Remove the sun's disc from a merged panorama, if it is visible where the ephemeris expects it.
 
-If frames were taken through a filter, the disc's illuminance is measured. Otherwise every frame is
-clipped at the disc: the removed light is a lower bound and its pixels keep CLIPPED_HIGH. `pair`
-later computes the disc's illuminance from the irradiance of that hour.
+The disc's illuminance is measured if a frame is not clipped there, such as one through a filter. If
+every frame is clipped, the removed light is a lower bound, and the disc's pixels keep CLIPPED_HIGH;
+`pair` later computes the disc's illuminance from the irradiance of that hour.
 """
 
 from __future__ import annotations

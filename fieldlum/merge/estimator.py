@@ -1,11 +1,11 @@
 """Merge frames by weighting each one with the inverse of its predicted variance.
 
 Model of a frame: y = e L + noise, with e the counts per cd/m2 and var(y) a known function of e L.
-The first pass computes sum y / sum e, which only serves to predict the signal. The second pass uses
-the weights e / var(predicted). Its result is unbiased and reaches the Cramer-Rao bound from far
+The first pass computes sum y / sum e, which only serves to predict the signal. Later passes use the
+weights e / var(predicted). Their result is unbiased and reaches the Cramer-Rao bound from far
 below the noise to just below saturation (Aguerrebere et al. 2014; bench/merge_estimator.py).
 Weights computed from the noisy value itself would bias dark pixels by -15 %. Negative signals are
-included, because clipping them would bias dark pixels too. The sums are two float32 arrays.
+included, because clipping them would bias dark pixels too.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -33,7 +33,7 @@ class Signal(Protocol):
 
     @property
     def per_cdm2(self) -> NDArray[np.float32]:
-        """Return counts per cd/m2, broadcastable to the array."""
+        """Return counts per cd/m2, broadcastable."""
         ...
 
     @property
@@ -42,9 +42,9 @@ class Signal(Protocol):
         ...
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return the counts above black [rows, w], and a mask of saturated pixels with neighbours.
+        """Return the counts above black of rows first to last - 1, and a mask of the same shape.
 
-        The mask is None if nothing is saturated.
+        The mask is True at saturated pixels and next to them. It is None if nothing is saturated.
         """
         ...
 
@@ -56,15 +56,15 @@ class Signal(Protocol):
         ...
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask [rows, w] of counts far enough below saturation to predict a luminance."""
+        """Return a mask of counts that may predict a luminance, because they are not saturated."""
         ...
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask [rows, w] of counts below saturation, and the variance of the counts."""
+        """Return a mask of counts that are not saturated, and the variance of the counts."""
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the luminance at which this frame saturates [cd/m2], broadcastable."""
+        """Return the largest luminance that this frame can measure [cd/m2], broadcastable."""
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
@@ -79,7 +79,8 @@ class Signal(Protocol):
 class Merged:
     """Merged pixels, in the frames' shape.
 
-    value_cdm2: luminance in the sensor's own colours; variance: of it; flags: `Flag` bits.
+    value_cdm2: luminance in the sensor's own colours; variance: its variance [(cd/m2)^2]; flags:
+    `Flag` bits.
     """
 
     value_cdm2: NDArray[np.float32]
@@ -95,11 +96,16 @@ def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
 
 def _predict(
     frames: Sequence[Callable[[], Signal]], shape: tuple[int, ...], tick: Callable[[], None]
-) -> Strip:
-    """Return sum y / sum e over usable counts, at least 0; infinite where no frame is usable."""
+) -> tuple[Strip, bool]:
+    """Return sum y / sum e over usable counts, and whether a frame was taken through a filter.
+
+    The quotient is at least 0, and infinite where no frame is usable.
+    """
     total, exposure = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    through_nd = False
     for load in frames:
         signal = load()
+        through_nd |= signal.through_nd
         for a, b in _strips(shape):
             counts, full = signal.strip(a, b)
             ok = signal.usable(counts)
@@ -118,7 +124,7 @@ def _predict(
         np.divide(total[a:b], exposure[a:b], out=total[a:b], where=seen)
         np.maximum(total[a:b], 0.0, out=total[a:b])
         total[a:b][~seen] = np.inf
-    return total
+    return total, through_nd
 
 
 @dataclass(slots=True)
@@ -185,10 +191,11 @@ def merge_signals(
     """Merge frames of one `shape`.
 
     frames: functions that load the frames, sorted by exposure, most exposed first, so that the
-    result does not depend on the order of files. Each function is called once per pass. resident:
-    all frames are in memory, so that loading again costs nothing; each strip then goes through all
-    passes while it is in a core's cache, with the same result. u_ratio: relative disagreement of
-    frames that does not count as motion.
+    result does not depend on the order of files; without `resident` each is called in every pass.
+    passes: number of weighted passes. resident: all frames are in memory; each strip then goes
+    through all passes while it is in a core's cache, with the same result. u_ratio: relative
+    disagreement of frames that does not count as motion; motion_sigma: a larger disagreement, in
+    standard deviations, gives the flag MOTION.
 
     A pixel that is saturated in all frames gets a lower bound and the flag CLIPPED_HIGH. A pixel
     that is only next to saturated ones gets the value of the most exposed frame that is readable
@@ -201,8 +208,7 @@ def merge_signals(
     def tick() -> None:
         progress(next(done), total, "frames")
 
-    value = _predict(frames, shape, tick)
-    nd = any(load().through_nd for load in frames)
+    value, nd = _predict(frames, shape, tick)
     variance, flags = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     for number in range(passes):
         last = number == passes - 1

@@ -47,7 +47,7 @@ class SampledFrames:
 class Deviations:
     """Deviations of the fitted exposures from the profile's.
 
-    log_ratio: ln of fitted over nominal, [frames]. u_prior: its prior uncertainty, [frames].
+    log_ratio: ln of fitted over the profile's, [frames]. u_prior: its prior uncertainty, [frames].
     """
 
     log_ratio: NDArray[np.float64]
@@ -55,12 +55,12 @@ class Deviations:
 
     @property
     def span_percent(self) -> float:
-        """Range of the ratios of fitted to nominal exposures [%]."""
+        """Range of the ratios of fitted exposures to the profile's [%]."""
         return float(100 * np.ptp(self.log_ratio))
 
     @property
     def beyond_prior(self) -> bool:
-        """Whether an exposure deviates by more than its prior uncertainty explains."""
+        """Whether an exposure deviates by more than 2 % and three prior uncertainties."""
         limit = np.maximum(_REPORTED_DEVIATION, _REPORTED_SIGMA * self.u_prior)
         return bool((np.abs(self.log_ratio) > limit).any())
 
@@ -88,9 +88,10 @@ class ExposureTrust:
 
 
 def sample_frames(store: FrameStore) -> SampledFrames:
-    """Return sampled pixels of every frame, and the measured exposure ratios of all pairs.
+    """Return sampled pixels of every frame, and the measured exposure ratios of pairs.
 
-    Only pairs with bright common pixels have a ratio.
+    The frames of a pair are at most three apart in the order of exposure, and have common
+    well-exposed pixels.
     """
     samples = take_samples(store)
     return SampledFrames(samples, bracket_pairs(samples))
@@ -103,10 +104,11 @@ def decide_shutter_law(
     shots: Sequence[Shot],
     profile: CameraProfile,
 ) -> tuple[SampledFrames, ShutterLaw]:
-    """Return the shutter law that fits the frames better, if the profile leaves the choice open.
+    """Return the sampled frames and the shutter law; if EXIF times suggested `law`, test it.
 
-    The profile has the law that the frames were read with. If another law fits better, the frames
-    of `store` get its exposures and are sampled again.
+    `profile` has the law with which `store` read the frames. If another law fits the frames better,
+    `store` gets its exposures, and the frames are sampled again. A law that the profile or the
+    frames decided does not change.
     """
     if law.decided_by != "labels":
         return sampled, law
@@ -122,7 +124,7 @@ def decide_shutter_law(
 def fit_exposures(
     sampled: SampledFrames, shots: Sequence[Shot], profile: CameraProfile, fits: bool
 ) -> tuple[RatioFit, NDArray[np.float64]]:
-    """Return corrections of the exposures, and their prior covariance [frames, frames].
+    """Return a fit of the exposures' corrections, and their prior covariance [frames, frames].
 
     Without `fits` the pairs are ignored: corrections are 1 and the covariance is the prior.
     """

@@ -31,7 +31,7 @@ class FirstLook:
     black_off_dn: float = 0.0
 
     def plateau(self, shot: Shot) -> Plateau:
-        """Return the saturation of a frame's colours [DN]."""
+        """Return the counts at which R, G1, G2 and B of a frame saturate [DN]; None if unknown."""
         return self.plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
 
 
@@ -68,9 +68,10 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
-    """Return how the frames' EXIF contradicts the profile's roll; "" if it does not.
+    """Return how the frames' EXIF roll contradicts the profile's, or changes; "" if it does not.
 
-    A camera held on its side gives a rotated map, and no other figure of the merge shows that.
+    Cameras with several lenses, and lenses tilted by over 45 degrees, are not checked. A camera
+    held on its side gives a rotated map, and no other figure of the merge shows that.
     """
     lens = profile.lens[0]
     # Cameras with two fisheyes have no upright position, and the EXIF roll is unreliable when the

@@ -49,7 +49,7 @@ class Crop:
 def lens_crop(profile: CameraProfile) -> Crop:
     """Return the part of the sensor that the lenses illuminate.
 
-    Raises InputError if a lens's circle is outside the sensor.
+    Raises InputError if it is empty, because all lens circles are outside the sensor.
     """
     body = profile.camera
     top, left, bottom, right = body.height_px, body.width_px, 0, 0
@@ -158,18 +158,18 @@ class RawSignal:
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask of counts [rows, ...] below saturation, and the counts' variance [DN2]."""
+        """Return a mask of counts [rows, ...] below `limit`, and the counts' variance [DN2]."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
         return counts < self.limit, variance.astype(np.float32)
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the luminance at which the frame saturates [cd/m2], broadcastable."""
+        """Return the luminance of `limit` [cd/m2], broadcastable."""
         return self._limit_cdm2
 
     def small(self) -> Small:
-        """Return a reduced picture, the sum of all four colours, to detect turns by its edges."""
+        """Return a reduced picture, the mean of all colours, to detect turns by its edges."""
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
@@ -192,7 +192,7 @@ class RawSignal:
 
 
 def evenly_spread(length: int, wanted: int) -> NDArray[np.intp]:
-    """Return at most `wanted` indices [n], spread evenly over 0 to `length`."""
+    """Return at most `wanted` indices [n], spread evenly over 0 to `length` - 1."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 

@@ -117,18 +117,18 @@ class JpegSignal:
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask of values [rows, W, 3] whose codes the response knows well."""
+        """Return a mask of values [rows, W, 3] that may predict a luminance."""
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high
         return ok
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask of values [rows, W, 3] below the top code, and their variance."""
+        """Return a mask of values [rows, W, 3] up to code 250, and their variance."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the luminance of the top code, broadcastable to [H, W, 3], in cd/m2."""
+        """Return the luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
     def small(self) -> Small:

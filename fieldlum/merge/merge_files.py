@@ -45,6 +45,7 @@ def files_to_picture(
 ) -> tuple[MergeResult, dict[str, float]]:
     """Merge files and write the picture; return the result and {"vertical_illuminance_lx": lx}.
 
+    The illuminance is that of `axis_illuminance_lx`. heading_deg: azimuth of the picture's centre.
     Raises InputError for a frame that cannot be merged, or if `out` ends neither in .exr nor in
     .hdr.
     """

@@ -45,8 +45,8 @@ _WITNESSES = 2  # least number of agreeing frames; chosen
 class Consensus:
     """The frames' consensus at m pixels, [m] each.
 
-    value_cdm2: value that most frames share. clear: whether frames outside the consensus are
-    excluded. sure: number of frames whose noise is small enough to confirm the value.
+    value_cdm2: value that most frames share. clear: whether the vote is clear, as `vote` describes.
+    sure: number of frames whose noise is small enough to confirm the value.
     """
 
     value_cdm2: NDArray[np.float32]

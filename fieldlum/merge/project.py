@@ -215,7 +215,7 @@ def finish(
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
     + (stray light)^2 + edges^2. The uncertainty of a filter is part of the exposure's. The glare
     floor is a share of the mean luminance that is seen. A clipped pixel is a lower bound with an
-    uncertainty of 100 %. bench/merge_budget.py compares u with simulated cameras;
+    uncertainty of 100 % or more. bench/merge_budget.py compares u with simulated cameras;
     bench/merge_scene.py compares the part for edges with a scene.
     """
     p, light = profile, view.luminance

@@ -1,4 +1,4 @@
-"""A lens whose image is dark at its edge: the profile states a larger image circle than it has."""
+"""Find lenses whose image is dark at its edge, because the profile states a larger image circle."""
 
 from __future__ import annotations
 
@@ -41,10 +41,12 @@ def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
 def dark_rim(
     luminance_cdm2: NDArray[np.float64], from_edge_deg: NDArray[np.float64]
 ) -> tuple[float, float] | None:
-    """Return the width [degrees] of a dark rim and its luminance over that further in, or None.
+    """Return the width [degrees] of a dark rim and its luminance over that further in.
 
-    The arrays [n] are of the outer 3.4 degrees of a lens's image. The median luminance of rings
-    must fall to the outermost one. None also for a picture with too few pixels in a ring.
+    The arrays [n] are of the outer 3.4 degrees of a lens's image, which are divided into seven
+    rings. The rim is dark if the median of the outermost ring is at most 0.6 of the innermost one's
+    and the medians of the outer three fall outwards. Return None otherwise, or if a ring has fewer
+    than 50 pixels.
     """
     step = _TAPER_DEG / _RINGS
     ring = np.minimum((from_edge_deg / step).astype(int), _RINGS - 1)

@@ -59,7 +59,8 @@ class SensorImage:
 class Findings:
     """What the frames of one heading showed about exposures, noise, saturation and motion.
 
-    dropped: share of its pixels that each frame lost to motion; empty without `drop_moved`.
+    moved: turns of the camera between frames; dropped: share of its pixels that each frame lost to
+    motion, empty without `drop_moved`.
     """
 
     shots: tuple[Shot, ...]
@@ -112,7 +113,7 @@ def merge_sensor(
 
     shots: sorted by exposure, longest first. turn_deg: heading of the camera minus that of the
     resulting picture. budget_bytes: memory for frames. Raises InputError for a frame that cannot be
-    read, or of another camera or aperture.
+    read or is of another camera.
     """
     options = options or MergeOptions()
     fits = options.fits(profile)

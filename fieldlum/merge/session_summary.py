@@ -35,8 +35,8 @@ _LEAST_GHI_WM2 = 5.0
 def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
     """Return the median of true over assumed exposure, by the exposure's text.
 
-    Only brackets whose neighbouring frames agree count. Exposures with fewer than MIN_BRACKETS of
-    them are omitted.
+    Only brackets whose neighbouring frames agree within 3 % count. Exposures with fewer than five
+    of them are omitted.
     """
     corrections: dict[str, list[float]] = defaultdict(list)
     for sidecar in sidecars:
@@ -55,8 +55,8 @@ def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
 def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | None:
     """Return the change of the light from the first frame to the last [%].
 
-    typical: result of `typical_corrections`. Return None if fewer than three frames can be
-    compared.
+    typical: result of `typical_corrections`. Return None if fewer than three frames, or only frames
+    of one time, can be compared.
     """
     rows = [
         (f.t_utc.timestamp(), float(np.log(f.correction / typical[text])), f.u_percent)
@@ -114,7 +114,10 @@ def write_summary(session: Session) -> None:
 
 
 def summary_due(session: Session) -> bool:
-    """Return whether a sidecar is newer than quality.csv, which happens after a killed run."""
+    """Return whether a sidecar is newer than quality.csv, or quality.csv does not exist yet.
+
+    Without sidecars return False.
+    """
     path = session.quality
     written_ns = path.stat().st_mtime_ns if path.is_file() else -1
     return any(path.stat().st_mtime_ns > written_ns for path in session.sidecar_files())

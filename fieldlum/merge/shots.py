@@ -47,9 +47,10 @@ def middle_of(shots: Sequence[Shot]) -> datetime | None:
 
 
 def shots_of_slot(folder: Path) -> list[Shot]:
-    """Return the frames in raw/<slot>/, described by capture.json if it exists, else by their EXIF.
+    """Return the frames in raw/<slot>/, as listed by capture.json, else described by their EXIF.
 
-    Raises InputError for a folder without frames, or with frames that cannot be read.
+    Raises InputError for an invalid capture.json. If it lists no frames or is missing, also for a
+    folder without frames, or a frame whose EXIF has no exposure.
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
@@ -76,8 +77,8 @@ def frame_files(folder: Path) -> list[Path]:
 def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
     """Return frames described by their EXIF.
 
-    lens_f_number: for files without an aperture. Raises InputError for a file without an exposure
-    time, or if a file is named twice.
+    Their headings and times are None. lens_f_number: for files without an aperture. Raises
+    InputError without files, for a missing file, a file without an exposure, or one named twice.
     """
     if not files:
         raise InputError(
@@ -102,7 +103,8 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     """Return the frames sorted by heading, then by exposure, longest first, then by name.
 
-    Raises InputError for frames of another camera, ISO, aperture or filter than the profile's.
+    Raises InputError for a filter that is not in the profile, a JPEG frame with a profile of a raw
+    camera or the reverse, an aperture for which k is not calibrated, and several apertures.
     """
     known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
     for shot in shots:
@@ -161,9 +163,9 @@ def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDArray[np.float64]]:
-    """Return the times of the frames under each law [s, frames].
+    """Return the shutter times [frames] in s under each shutter law, by its name.
 
-    Measured times are the same under all.
+    Times in the profile's table of shutter times are the same under all laws.
     """
     profiles = {law: replace(profile, shutter_law=law) for law in LAWS}
     return {

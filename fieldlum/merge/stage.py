@@ -311,9 +311,10 @@ def run(
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
-    """Merge every slot that has no panorama from the same frames and profile.
+    """Merge every slot that has no panorama from the same frames, profile and options.
 
-    Then write the summary. Raises NotEnoughDataError if nothing was captured, InputError if no
+    force: merge the others too. Then write the summary, if a panorama is new. Return the verdicts
+    by slot. Raises NotEnoughDataError if nothing was captured, InputError if no
     bracket could be merged.
     """
     slots = captured_slots(session)
