@@ -3,8 +3,8 @@
 The neighbours are those of the same colour. A small light or the edge of an object deviates too,
 but in fewer views. The camera must be turned between the views; the details of the pictures show
 whether it was. With the cap on (`dark`) no light can be mistaken for a defect, but dead pixels are
-invisible. A pixel must deviate in three quarters of the views, or in more if so many pixels deviate
-in each view that some would do so by chance. If even all views are too few, there is no result.
+invisible. A pixel must deviate in three quarters of the views, or in more views if good pixels
+would otherwise do so by chance. If even all views are too few, there is no result.
 """
 
 from __future__ import annotations
