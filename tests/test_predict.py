@@ -83,6 +83,13 @@ def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Pa
     assert year.occupied.any()
 
 
+@pytest.mark.contract
+def test_damaged_pictures_are_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "pictures.npz").write_bytes(b"PK\x03\x04 cut")
+    with pytest.raises(InputError, match="run fieldlum predict again"):
+        read_pictures(tmp_path)
+
+
 @pytest.mark.slow
 @pytest.mark.property
 def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Path) -> None:

@@ -140,7 +140,7 @@ def learning_curves(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def collection_periods(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the error of each collection period (the paper's Figures 18 to 22)."""
+    """Draw the error of each collection period (as Figures 18 to 22 of Liu et al. 2020)."""
     figure, axis = _figure(9.0, 4.2)
     names = list(dict.fromkeys(row["period"] for row in rows))
     models = list(dict.fromkeys(row["name"] for row in rows))

@@ -1,4 +1,4 @@
-"""Measure the cost of the same maps as Radiance renderings."""
+"""Measure how long Radiance takes to render the maps that the models predict."""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
 "Reported" means one of three: the training warned (`train.consistency_warnings`); the model
-expected at least a third of the error; or it did not trust most of the hours with a large error. A
+expected more than a third of the error; or it did not trust most of the hours, or most of those
+with a large error. A
 gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04); no gross
 error may be both trusted and expected to be good.
 """
@@ -267,7 +268,10 @@ def run(
     budget_s: float = 60.0,
     progress: Progress = quiet,
 ) -> list[StressRow]:
-    """Fit the model under each condition and return one row per condition."""
+    """Fit the model under each condition that the data allow; return one row per condition.
+
+    data, test: training and test hours; pool: hours from which captures of one season are taken.
+    """
     rows: list[StressRow] = []
     normal: dict[str, float] = {}
     for case in cases(data, test, pool):

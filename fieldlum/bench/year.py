@@ -43,7 +43,7 @@ def learning_curve(
 ) -> list[dict[str, object]]:
     """Return rows with the error on `test` of models trained on 25, 50 ... captures of `data`.
 
-    way: captures are drawn at random, or taken in the order of use (greedy).
+    way: captures are drawn at random, or each is the most useful of those left (greedy).
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = curve_counts(len(data))
@@ -91,7 +91,7 @@ def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDAr
 
 
 def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
-    """Return the paper's collection periods that the data contain: masks [n] by name.
+    """Return the collection periods of Liu et al. (2020) with 20 or more hours: masks [n] by name.
 
     They are months; one and two weeks in March; 9, 12 and 4 days at equinoxes and solstices.
     """

@@ -1,6 +1,6 @@
 """Write and read the files of a predicted year.
 
-annual/<name>/hourly.csv      one row per hour: t_utc, t_local, light, trust, and
+annual/<name>/hourly.csv      one row per daylight hour: t_utc, t_local, light, trust, and
                               `metric@azimuth` for each direction
               predict.json     settings, versions, repairs, and the glare protection of each
                                direction
@@ -10,6 +10,7 @@ annual/<name>/hourly.csv      one row per hour: t_utc, t_local, light, trust, an
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -28,7 +29,8 @@ from fieldlum.session.files.predict_json import PredictFile
 class Annual:
     """A predicted year.
 
-    hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; summary: predict.json.
+    hours, views: the columns of hourly.csv for the hours [n] and for their directions [n, d];
+    summary: predict.json.
     """
 
     folder: Path
@@ -99,7 +101,7 @@ def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_annual(folder: Path) -> Annual:
-    """Read a predicted year. Raises InputError if `folder` has none."""
+    """Read a predicted year. Raises InputError if `folder` has none, or a damaged one."""
     summary = PredictFile.read(folder)
     rows = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
     return Annual(folder, summary, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
@@ -117,7 +119,7 @@ def read_pictures(folder: Path) -> Pictures:
                 found["disc_lx"],
                 float(found["heading_deg"]),
             )
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(
             path, str(error), "pictures of a predicted year", "run fieldlum predict again"
         ) from None

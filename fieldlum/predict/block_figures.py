@@ -29,8 +29,9 @@ def unseen_bounds(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return DGP with the least and the most light in the unseen part of each view, [k, d] each.
 
-    The least is 0 cd/m2. The most is the sky's mean luminance, as through a window, or the
-    luminance of the brightest hundredth of the seen pixels, whichever is larger.
+    found: the result of `view_figures`. The least is 0 cd/m2. The most is the sky's mean luminance,
+    as through a window, or the luminance of the brightest hundredth of the seen pixels, whichever
+    is larger.
     """
     most = block.light.diffuse_lx / np.pi
     if room.seen is not None and coverage.partly.any():
@@ -39,7 +40,10 @@ def unseen_bounds(
 
 
 def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
-    """Return the `HOUR_COLUMNS` of a block, [k] each; `occupied` is 0 until it is known."""
+    """Return the `HOUR_COLUMNS` of a block, [k] each, without disturbed_share.
+
+    `occupied` is 0, because the hours of use are not known here.
+    """
     light, predicted = block.light, block.prediction
     return {
         "dni_wm2": light.dni_wm2,
@@ -56,7 +60,10 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
 def view_figures(
     block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the `VIEW_COLUMNS` of a block, and the contrast sums behind DGP, [k, d] each."""
+    """Return the `VIEW_COLUMNS` of a block without dgp_low and dgp_high, [k, d] each.
+
+    The contrast sums behind DGP are added.
+    """
     maps = block.prediction.luminance_cdm2
     found = glare_directions(
         maps,

@@ -126,7 +126,7 @@ def inputs_of(
     seed: int,
     label_shift_min: float = 0.0,
 ) -> dict[str, object]:
-    """Return everything on which a predicted year depends, as plain values.
+    """Return what a predicted year depends on, as plain values, without lamps and maps_to.
 
     Raises InputError for a missing weather file.
     """

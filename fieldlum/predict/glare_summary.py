@@ -71,10 +71,10 @@ def judge(
 
 
 def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[SkyToCapture]:
-    """Return the occupied hours whose uncertainty keeps a class open, most uncertain first.
+    """Return up to twelve occupied hours whose uncertainty keeps a class open, most useful first.
 
-    Each day has at most one hour. A direction that was not fully seen remains open, whatever the
-    same lens captures.
+    Each day has at most one hour. Directions that were not fully seen are ignored, because captures
+    with the same lens cannot settle them. zone: time zone of the dates.
     """
     undecided = ~found.certain & np.array([word == SEEN for word in found.seen])
     if found.low is None or not undecided.any():
@@ -188,9 +188,8 @@ def _disc_note(annual: Annual) -> list[str]:
         return []
     return [
         f"In {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
-        f"wider than {_WIDE_DGP:g} in some direction, mostly because the stated room is too "
-        f"uncertain to decide whether the sun's disc is seen: measure the window, its bars and "
-        f"the camera's position."
+        f"wider than {_WIDE_DGP:g} in some direction: often the room is too uncertain to decide "
+        f"whether the sun's disc is seen; measure the window, its bars and the camera's position."
     ]
 
 

@@ -74,7 +74,10 @@ class FolderMapStore:
 def describe(
     folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]
 ) -> None:
-    """Write a store without maps: the coordinates, and the description of the maps."""
+    """Write a store without maps: the coordinates, and the description of the maps.
+
+    about: further attributes of the store.
+    """
     import xarray as xr
     import zarr
 

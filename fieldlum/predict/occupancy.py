@@ -65,7 +65,10 @@ def _hour_of_year(t_utc: datetime, timezone: str) -> int:
 
 
 def read_occupancy(path: Path) -> Occupancy:
-    """Read a csv of weekly periods or of 8760 hours. Raises InputError, naming the line."""
+    """Read a csv of weekly periods or of 8760 hours.
+
+    Raises InputError for a file that cannot be read, or for other content.
+    """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -154,8 +157,8 @@ def occupied_hours(
 ) -> tuple[int, int]:
     """Return the numbers of occupied hours and of days, over the weather's local standard dates.
 
-    Dark hours count. An hour with the sun up but without weather does not count, because it would
-    look like an hour without glare. Raises NotEnoughDataError if no hour counts.
+    Occupied hours in the dark count. An hour with the sun up but without weather does not count,
+    because it would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})

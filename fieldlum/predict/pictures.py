@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
     """Yield the name and the row of each hour to show.
 
-    These are the median, the 95th percentile and the worst of the occupied hours, for the worst and
-    the best direction, and one clear day.
+    These are the hours of the median, the 95th percentile and the highest DGP of the occupied
+    hours, for the worst and the best direction, and the hours of one clear day.
     """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
@@ -40,7 +40,7 @@ def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
 def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
     """Return the rows of the sunniest day within three weeks of the March equinox, [k].
 
-    If the year has no such day, return those of the sunniest day.
+    If the year has no hours in these weeks, return those of its sunniest day.
     """
     days = np.array([standard_date(t, zone).timetuple().tm_yday for t in annual.t_utc])
     near = np.abs(days - 80) <= 21
@@ -50,9 +50,9 @@ def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
 
 
 def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Predict the maps of `telling_hours` again.
+    """Return the maps of `telling_hours`, predicted again.
 
-    The year's maps were not kept, because they would need a gigabyte.
+    All maps of a year would need a gigabyte of memory.
     """
     chosen = list(telling_hours(annual, room.setup.site.timezone))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)

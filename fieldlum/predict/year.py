@@ -68,12 +68,14 @@ def run(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> PredictedYear:
-    """Predict all daylight hours of a weather file with a trained model.
+    """Predict all daylight hours of a weather file with a trained model, and write the year.
 
-    maps_to: URL of a bucket for the maps, for example s3://BUCKET/FOLDER; "" for none. lamps: "" as
-    in the captures; "off"; or a csv as for occupancy, with the hours in which lamps that are marked
-    in the captures are on. Raises InputError for a broken model or weather, or if weather, session
-    or camera do not belong to the model; NotEnoughDataError for weather without daylight.
+    A year that exists with the same inputs is returned instead, unless `force`. out: its folder;
+    views: number of view directions; maps_to: URL of a bucket for the maps, for example
+    s3://BUCKET/FOLDER; "" for none. lamps: "" as in the captures; "off"; or a csv as for occupancy,
+    with the hours in which lamps that are marked in the captures are on. Raises InputError for a
+    broken model or weather, or if weather, session or camera do not belong to the model;
+    NotEnoughDataError for weather without daylight.
     """
     from fieldlum.models import load, read_config
     from fieldlum.weather import read_weather

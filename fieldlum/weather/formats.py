@@ -87,7 +87,10 @@ def _pvgis_epw(file: WeatherTable, place: Site, offset: timedelta, zone: timedel
 
 
 def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a file, by the reader of its format. Raises InputError."""
+    """Return the content of a file whose `lines` were read, by the reader of its format.
+
+    Raises InputError for a header or row that the format does not allow.
+    """
     if (year := read_provider(path, lines)) is not None:
         return _of_provider(path, year)
     if path.suffix.lower() == ".epw" or lines[0].upper().startswith("LOCATION,"):

@@ -78,7 +78,10 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Array) -> 
 
 
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
-    """Raise InputError if rows are not one hour apart: later stages count rows as hours."""
+    """Raise InputError if the median or the shortest time between rows is not one hour.
+
+    Other stages count rows as hours. Fewer than three rows are not checked.
+    """
     if len(times) < 3:
         return
     steps = np.diff([t.timestamp() for t in times]) / 60.0

@@ -1,7 +1,7 @@
-"""Pages that `fieldlum watch` shows in a browser on site.
+"""Pages that `fieldlum watch` and `fieldlum scene click` show in a browser on site.
 
 `follow` reads a session's files as they grow, `snapshot` turns them into plain tables, `access`
-decides which requests are answered, and `server` answers them. The pages only read the files of a
-session; with --control they also write notes, marks, pauses and extra slots, which a capture reads
-(`control`). A capture never waits for the pages.
+decides which requests are answered, and `server` answers them. `answer` runs merge, pair, train and
+predict between brackets. With --control the page also writes notes, marks, pauses and extra slots,
+which a capture reads (`control`). A capture never waits for the pages.
 """

@@ -1,8 +1,8 @@
 """Compute the answer so far: the commands from frames to glare classes, at low priority.
 
-The commands run in their own process. They are paused before a slot begins and continue after it,
-so that a capture on the same computer never waits. Their results are in the session's folder
-watch/, separate from the user's own results.
+Each command runs in its own process. It is paused before a slot begins and continues after it (not
+on Windows), so that a capture on the same computer never waits. Merge and pair write into the
+session; the model and the year are in its folder watch/, separate from the user's own.
 """
 
 from __future__ import annotations
@@ -101,7 +101,11 @@ class Worker:
                 self.work()
 
     def work(self) -> None:
-        """Do what is due: merge and pair new brackets, then compute the answer if it is time."""
+        """Merge and pair new brackets if no slot is near; then train and predict if it is time.
+
+        It is time if 8 or more slots are captured, one of them since the last answer, and that is 6
+        or more hours old.
+        """
         now = self.moment()
         if not now.is_quiet or now.captured == 0:
             return

@@ -109,7 +109,7 @@ def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tu
 
 
 def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]:
-    """Return the routes of the page."""
+    """Return the routes of the page; camera_height_m: the page's first value of it."""
     session = picture.session
 
     def about(request: Request) -> Response:

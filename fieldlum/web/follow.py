@@ -89,7 +89,7 @@ class JournalFollower:
         self._tail, self.state = LineTail(session.journal), JournalState()
 
     def update(self) -> JournalState:
-        """Read the new lines. Damaged lines are skipped."""
+        """Read the new lines of the journal and return the state; skip damaged lines."""
         again, lines = self._tail.read()
         if again:
             self.state = JournalState()
@@ -141,7 +141,7 @@ class DayBins:
 
 
 class IrradianceFollower:
-    """Day files of the days that the page shows."""
+    """Irradiance of the UTC days that the page shows; the last six are stored."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

@@ -19,7 +19,10 @@ _KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more; 
 
 
 def luminance_ends(path: Path) -> tuple[float, float]:
-    """Return the 1 % and 99.9 % percentiles of a panorama's seen pixels, in cd/m2."""
+    """Return the 1 % and 99.9 % percentiles of a panorama's seen pixels above 0, in cd/m2.
+
+    The result is 1 and 1000 if there are none.
+    """
     return _ends(path, path.stat().st_mtime_ns)
 
 

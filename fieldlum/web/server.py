@@ -181,9 +181,9 @@ class Served:
 
 
 def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
-    """Listen on loopback, or on all interfaces for `lan`. A port of 0 takes a free one.
+    """Listen on loopback, or on all interfaces for `lan`; return the server of `routes`.
 
-    Raises DeviceError when the port is in use.
+    Port 0 is any free port. Raises DeviceError if the port cannot be used.
     """
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
