@@ -1,8 +1,9 @@
 """Run all stages on simulated captures, and compare the results with the truth.
 
-Radiance renders the paper's office at every planned hour. A simulated camera takes raw brackets of
-it, and a simulated SPN1 is read over a pseudo-terminal; no later stage knows that it is a
-simulation. Merged, paired and predicted results are then compared with the rendered truth.
+Radiance renders the office of Liu, Colburn and Inanici (2020) at every planned hour. A simulated
+camera takes raw brackets of it, and a simulated SPN1 is read over a pseudo-terminal; no later stage
+knows that it is a simulation. Merged, paired and predicted results are then compared with the
+rendered truth.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """Open the session in `folder`; if there is none, plan nine days in the paper's office."""
+    """Open the session in `folder`; if there is none, plan nine days in the shipped office."""
     from fieldlum import plan
 
     if (folder / "session.toml").is_file():
@@ -265,9 +266,9 @@ def run(
 ) -> Outcome:
     """Run all stages in `folder`, write demo.json, and return the outcome.
 
-    preset: a name in `PRESETS`. weather: a weather file; None: the paper's weather. show: called
-    with the name of each stage, returns a context manager that yields a progress function. workers:
-    number of processes. Results that are already in `folder` are used again.
+    preset: a name in `PRESETS`. weather: a weather file; None: the shipped Seattle year. show:
+    called with the name of each stage, returns a context manager that yields a progress function.
+    workers: number of processes. Results that are already in `folder` are used again.
     """
     from fieldlum import irradiance, merge, pair, predict, report, simulate, train
     from fieldlum.models.data import load_pairs

@@ -1,7 +1,7 @@
 """Every error that a user can meet.
 
 FieldlumError            exit 1   a defect
-├── InputError           exit 3   a file has content that cannot be used
+├── InputError           exit 3   a file or an option cannot be used
 ├── DeviceError          exit 4   a camera or an instrument did not do what was requested
 └── NotEnoughDataError   exit 5   the data were read, but are too few to answer the question
 
@@ -18,7 +18,7 @@ class FieldlumError(Exception):
 
 
 class InputError(FieldlumError):
-    """A bad input file.
+    """An input (a file, an option, a session) that cannot be used.
 
     Printed as one line: `FILE: what was found; expected what; what to do`. `expected` and `remedy`
     may be empty.

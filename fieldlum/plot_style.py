@@ -1,4 +1,4 @@
-"""Colours and matplotlib settings of every chart: no pyplot, no global state."""
+"""Colours and matplotlib settings of charts: no pyplot, no global state."""
 
 from __future__ import annotations
 

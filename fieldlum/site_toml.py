@@ -23,7 +23,7 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     """Build the site, camera and room from the parsed content of a SITE.toml.
 
     where: name of the source in errors. Raises InputError for unknown keys, an impossible place, or
-    a time zone that is unknown or hours from the longitude's.
+    a time zone that is unknown or over 4 h from the solar time of the longitude.
     """
     setup = build(SiteFile, table, where)
     site = setup.site
@@ -77,7 +77,7 @@ def site_table(setup: SiteFile) -> dict[str, Any]:
 
 
 def load_site(path: Path) -> SiteFile:
-    """Read a SITE.toml. Raises InputError as `site_from_table`.
+    """Read a SITE.toml. Raises InputError for a file or a value that cannot be used.
 
     The camera's height may be stated in [camera] or in [room], and then counts in both; two
     different heights are an error.

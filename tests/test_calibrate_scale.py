@@ -74,7 +74,13 @@ def test_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
         match=r"p.exr: the picture was merged with another calibration .sim.*merge it again",
     ):
         scale.from_table(table, other)
-    write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
+    grey = np.full((60, 120), 100.0, np.float32)
+    for wrong in ("nan", "0", "-1", "one"):
+        mark = {**calibration_mark(PROFILE), "k": wrong}
+        write_panorama(tmp_path / "p.exr", Panorama(grey, 180.0, attributes=mark))
+        with pytest.raises(InputError, match=f"the stored factor k is '{wrong}'"):
+            scale.from_table(table, PROFILE)
+    write_panorama(tmp_path / "p.exr", Panorama(grey, 180.0))
     assert "no factor k is stored in p.exr" in scale.from_table(table, PROFILE)[2][0]
 
 

@@ -13,7 +13,7 @@ from learning_room import dataset, write_pairs
 
 from fieldlum.campaign import read_campaign, run_stage
 from fieldlum.campaign.drift import FEWEST, series
-from fieldlum.campaign.overview import RoomOverview
+from fieldlum.campaign.overview import RoomOverview, overview_of
 from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.models import read_config
@@ -130,6 +130,16 @@ def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Pat
     assert {row["room"] for row in rows} == {"good"} and rows[0]["t_utc"] == first["t_utc"]
     azimuth = rows[1]["azimuth_deg"]
     assert float(rows[1]["dgp"]) == float(first[f"dgp@{azimuth}"])
+
+
+@pytest.mark.contract
+def test_a_missed_slot_is_not_to_be_captured(tmp_path: Path) -> None:
+    times = (datetime(2020, 3, 1, 20, tzinfo=UTC), datetime(2090, 3, 1, 20, tzinfo=UTC))
+    slots = [Slot(t, 30.0, 180.0, (Exposure(0.1, 4.0),)) for t in times]
+    create_session(tmp_path / "a", SiteFile(DATA.setup.site, CameraSetup()), slots, {})
+    campaign = read_campaign(campaign_file(tmp_path, '[[room]]\nsession = "a"\n'))
+    room = overview_of(campaign, campaign.rooms[0])
+    assert (room.broken, room.planned, room.captured, room.to_do) == ("", 2, 0, 1)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from fieldlum import doctor
 from fieldlum.cli import main
 from fieldlum.devices import FORM_ALONE, CameraInfo, IlluminanceReading, InstrumentInfo
 from fieldlum.doctor import awake, computer, instruments, planned
+from fieldlum.errors import InputError
 from fieldlum.profiles import (
     Bracket,
     CameraBody,
@@ -192,6 +193,9 @@ def test_pyranometer_readings() -> None:
         spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE
     )
     assert "fail" in [f.verdict for f in night]
+    wrong = InstrumentInfo("ascii", "rig", calibration_date="2022")
+    with pytest.raises(InputError, match="profile of the pyranometer rig: date '2022'"):
+        instruments.judge_pyranometer(wrong, IrradianceSample(NOON, 500.0), SEATTLE)
     old = InstrumentInfo("smp", calibration_date="2022-01-01")
     said = " ".join(
         f.text

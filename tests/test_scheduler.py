@@ -138,7 +138,7 @@ def test_a_lost_process_costs_its_unit_alone(tmp_path: Path) -> None:
         "hangs",
     ]
     assert outcomes["poison"].trouble == "given up after 2 tries, the last: its process was killed"
-    with pytest.raises(InputError, match="poison: given up after 2 tries"):
+    with pytest.raises(InputError, match="unit of work poison: given up after 2 tries"):
         outcomes["poison"].result()
 
 

@@ -1,7 +1,7 @@
 """The Python API: the functions of `import fieldlum`, for scripts and notebooks.
 
-Every function takes paths as text or `Path`, and returns arrays in frozen dataclasses. The command
-line and this module call the same stages; `docs/python.md` shows both in use.
+Functions take paths as text or `Path`. The command line and this module call the same stages;
+`docs/python.md` shows both in use.
 """
 
 from __future__ import annotations

@@ -113,10 +113,10 @@ def read_panorama(file: str | Path) -> Panorama:
     Returns
     -------
     Panorama
-        `luminance_cdm2` [H, 2H] with the zenith in row 0 and `heading_deg` in the centre column,
-        without the sun's disc; `u_cdm2` (standard uncertainty), `flags` and `sun` where the file
-        has them. In a session the sun is that of suns.csv, as `pair` completed it; where it is only
-        a lower bound, `attributes["note"]` reports that.
+        `luminance_cdm2` [H, 2H] with the zenith in row 0 and `heading_deg` in the centre column (in
+        an .exr of fieldlum without the sun's disc); `u_cdm2` (standard uncertainty), `flags` and
+        `sun` where the file has them. In a session the sun is that of suns.csv, as `pair` completed
+        it; where it is only a lower bound, `attributes["note"]` reports that.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def read_weather(
     -------
     Weather
         `dni_wm2`, `dhi_wm2`, `ghi_wm2` [n] at `t_utc` [n], the middle of each hour; `repairs`
-        has one sentence for every value that was corrected.
+        has one sentence for each kind of correction.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def read_weather(
         A line cannot be read, the station is over 300 km from the site, or the values contradict
         the sun's position (wrong units, wrong time zone).
     NotEnoughDataError
-        The file has no hours.
+        No hour of the file has both direct and diffuse irradiance.
 
     Examples
     --------

@@ -220,13 +220,13 @@ def predict_year(
         A weather year in any format of docs/file-formats.md, or ``synthetic``.
     out
         Folder for hourly.csv, predict.json and pictures.npz; None: annual/NAME in the session, or
-        next to the model folder.
+        annual in a model folder outside a session.
     views
         Number of view directions, evenly around from the model's heading.
     maps
         Also store every map, as maps.zarr in the folder (0.7 GB for a year at 460 x 230).
     occupancy_file
-        When the room is used; None: 08:00 to 18:00.
+        When the room is used; None: 08:00 to 18:00 every day.
     label_shift_min
         Added to the times in the weather file, where its labels are known to be off. [min]
     force

@@ -57,9 +57,10 @@ def plan_captures(
     Raises
     ------
     NotEnoughDataError
-        The sun does not rise in the window, or ``best`` has no weather.
+        The sun does not rise in the window, ``best`` has no weather, or the weather is of other
+        dates.
     InputError
-        `out` is a session already.
+        `out` is a session already, or the site or its camera profile cannot be used.
 
     Examples
     --------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -144,15 +145,19 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
             f"the calibration of {profile.camera.name}",
             "merge it again with this profile (fieldlum merge)",
         )
+    stored = known.get("k", own["k"])
     try:
-        return profile.scale.k / float(known.get("k", own["k"]))
-    except (ValueError, ZeroDivisionError):
+        k = float(stored)
+    except ValueError:
+        k = math.nan
+    if not 0.0 < k < math.inf:
         raise InputError(
             file,
-            f"the stored factor k is '{known['k']}'",
+            f"the stored factor k is '{stored}'",
             "a number above 0",
             "merge it again (fieldlum merge)",
-        ) from None
+        )
+    return profile.scale.k / k
 
 
 def _inside(

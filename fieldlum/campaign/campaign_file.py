@@ -15,9 +15,9 @@ _EXPECTED = "a table [[room]] with session = FOLDER for each room"
 class CampaignRoom:
     """One room of a campaign. Paths are relative to CAMPAIGN.toml.
 
-    An empty value is replaced by that of [common]. session: its folder. site and set: from which
-    `plan` creates a missing session. model, seed, budget_min: for `train`. weather and views: for
-    `predict`. size: for `merge`.
+    An empty value is replaced by that of [common], else by a default. session: its folder. site and
+    set: from which `plan` creates a missing session. model, seed, budget_min: for `train`. weather
+    and views: for `predict`. size: for `merge`.
     """
 
     session: str = ""
@@ -56,7 +56,8 @@ class CampaignFile:
 def read_campaign(path: Path) -> CampaignFile:
     """Read a CAMPAIGN.toml.
 
-    Raises InputError for unknown keys, for a room without a session, and for a session named twice.
+    Raises InputError for a file that is no TOML, for unknown keys, without a room, for a room
+    without a session, and for a session named twice.
     """
     table = read_toml(path)
     unknown = table.keys() - {"name", "common", "room"}

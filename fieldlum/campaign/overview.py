@@ -9,6 +9,7 @@ import html
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +36,16 @@ _SLOTS = 6
 class RoomOverview:
     """What the page shows about one room.
 
-    broken: why the room could not be read, "" if it could. protection: rows of predict.json;
-    failed: slot and reason.
+    broken: why the room could not be read, "" if it could. to_do: slots that can still be captured.
+    usable: rows of pairs.csv that training uses. protection: rows of predict.json. failed: slot and
+    reason.
     """
 
     session: str
     broken: str = ""
     captured: int = 0
     planned: int = 0
+    to_do: int = 0
     usable: int = 0
     failed: tuple[tuple[str, str], ...] = ()
     protection: tuple[DirectionYear, ...] = ()
@@ -52,7 +55,7 @@ class RoomOverview:
 
     @property
     def worst(self) -> DirectionYear | None:
-        """Direction with the highest DGP in 5 % of the hours; None without a predicted year.
+        """Direction with the highest DGP in 5 % of the hours; None if no year shows a direction.
 
         The room's own report names the same direction.
         """
@@ -61,9 +64,10 @@ class RoomOverview:
 
     @property
     def best(self) -> DirectionYear | None:
-        """Direction with the lowest DGP in 5 % of the hours; None without a predicted year.
+        """Direction with the lowest DGP in 5 % of the hours; None if no year shows a direction.
 
-        The room's own report names the same direction.
+        A partly seen direction counts with the upper end of its interval. The room's own report
+        names the same direction.
         """
         ends = best_and_worst(self.protection)
         return ends and ends[0]
@@ -101,6 +105,7 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
         room.session,
         captured=found["capture"]["done"],
         planned=found["plan"]["slots"],
+        to_do=_to_do(session, datetime.now(UTC)),
         usable=len(pairs.usable),
         failed=_failed(session, pairs),
         protection=year.protection,
@@ -108,6 +113,14 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
         capture_next=year.capture_next,
         drifts=drifts_of(session),
     )
+
+
+def _to_do(session: Session, now_utc: datetime) -> int:
+    """Return the number of planned slots that can still be captured."""
+    from fieldlum.session.ledger import owed, read_ledger
+
+    slots = owed(session.slots(), read_ledger(session))
+    return sum(slot.t_utc + session.grace >= now_utc for slot in slots)
 
 
 def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
@@ -327,13 +340,12 @@ def _failures(rooms: Sequence[RoomOverview]) -> Section:
 def _next(rooms: Sequence[RoomOverview]) -> Section:
     body = []
     for room in rooms:
-        owed = room.planned - room.captured
         hours = "; ".join(
             f"{h.date} {h.hour} (direct {h.dni_wm2:.0f}, diffuse {h.dhi_wm2:.0f} W/m²)"
             for h in room.capture_next[:_NEXT]
         )
-        if owed > 0 or hours:
-            body.append((room.session, f"{max(owed, 0)}", hours or "nothing is open"))
+        if room.to_do or hours:
+            body.append((room.session, f"{room.to_do}", hours or "nothing is open"))
     text = (
         "Slots that are still to be captured, and hours that would decide a class not certain yet."
     )

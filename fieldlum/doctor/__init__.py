@@ -1,7 +1,4 @@
-"""Check, before a campaign, everything that could ruin a month of captures.
-
-One line for each check.
-"""
+"""Check, before a campaign, what could ruin a month of captures; each finding is one line."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def parse_locks(listed: str) -> list[Lock]:
 
 
 def has_lid() -> bool:
-    """Return whether this computer has a lid."""
+    """Return whether this computer has a lid, by Linux's ACPI; False on other systems."""
     return any(Path("/proc/acpi/button/lid").glob("*"))
 
 

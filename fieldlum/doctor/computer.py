@@ -60,7 +60,7 @@ def check_clock(synchronised: bool | None) -> Finding:
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Return whether the disk has space for the frames of all future slots, with a 30 % margin."""
+    """Return a finding on the disk: it must have space for all future slots, with a 30 % margin."""
     ahead = owed_slots(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
@@ -115,7 +115,9 @@ def check_writing(folder: Path) -> list[Finding]:
         text = f"{folder}: the bytes read differ from those written: use another disk"
         return [Finding("writing", "fail", text)]
     verdict: Verdict = "warn" if took > SLOW_FSYNC_S else "ok"
-    findings = [Finding("writing", verdict, f"1 MB written and flushed in {took * 1000:.0f} ms")]
+    text = f"1 MB written and flushed in {took * 1000:.0f} ms"
+    text += ", which delays the frames of a bracket: use a faster disk" if verdict == "warn" else ""
+    findings = [Finding("writing", verdict, text)]
     if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
         text = (
             "the folder is synchronised by a cloud service, which can lock files: move it to a "
@@ -131,10 +133,11 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
     locks: of all programs; own: the lock that `capture` can get. By logind's default a closed lid
     overrides a lock on sleep; only a lock on handle-lid-switch prevents this.
     """
-    how = {
+    command = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
         "darwin": "caffeinate -dims fieldlum capture ...",
-    }.get(sys.platform, "switch sleep off in the power settings")
+    }.get(sys.platform)
+    how = f"start the capture with: {command}" if command else "switch sleep off in the settings"
     if locks is None and not own:
         return Finding("sleep", "warn", f"it is unknown whether this computer will sleep: {how}")
     held = [lock for lock in locks or () if lock.mode == "block"]
@@ -142,9 +145,7 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
         held.append(Lock("capture itself while it runs", frozenset(own.split(":")), "block"))
     by = next((lock.who for lock in held if "sleep" in lock.what), "")
     if not by:
-        return Finding(
-            "sleep", "warn", f"nothing keeps this computer awake: start the capture with: {how}"
-        )
+        return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
     if lid and not any("handle-lid-switch" in lock.what for lock in held):
         text = f"prevented by {by}, but a closed lid would still send this computer to sleep: {how}"
         return Finding("sleep", "warn", text)

@@ -36,13 +36,16 @@ def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
     return [slot for slot in open_slots if slot.t_utc + grace >= now_utc]
 
 
-def iso_date(text: str) -> date | None:
-    """Parse an ISO date; None for an empty text. Raises InputError for any other text."""
+def iso_date(text: str, source: str = "camera profile") -> date | None:
+    """Parse an ISO date; None for an empty text. Raises InputError for any other text.
+
+    source: what states the date, for the error.
+    """
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:
         raise InputError(
-            "camera profile",
+            source,
             f"date '{text}'",
             "a date such as 2027-03-20",
             "correct the date in the profile",

@@ -32,7 +32,10 @@ CAMERA_CLOCK_FAIL_S = 300.0  # the default grace of a slot; chosen, not measured
 
 
 def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
-    """Check that the camera opens; report its name, its clock and the free space of its card."""
+    """Check that the camera opens, has the planned exposures, and is that of the profile.
+
+    The findings also report its name, its clock and the free space of its card.
+    """
     if not uri:
         text = "no camera stated: add --camera URI, or import its card afterwards"
         return [Finding("camera", "warn", text)]
@@ -200,7 +203,7 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
             "line per second, so that each row has three lines"
         )
         findings.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))
-    calibrated = iso_date(info.calibration_date)
+    calibrated = iso_date(info.calibration_date, f"profile of the pyranometer {who}")
     if calibrated and (sample.t_utc.date() - calibrated).days > CALIBRATION_YEARS * 365.25:
         text = (
             f"last calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago: calibrate "

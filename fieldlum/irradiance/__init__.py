@@ -114,9 +114,10 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
     """Return a mask [n] of single rows that are far above or far below both neighbours.
 
-    The usual step is the ninth largest of the other steps within 120 rows on each side. Where the
-    light changes often, as under broken clouds, no row is a spike (bench/damaged_series.py). Rows
-    next to a gap, and short series, are not judged.
+    Far is over 20 W/m2, and over three times the usual step, which is the ninth largest of the
+    other steps within 120 rows on each side. Where the light changes often, as under broken clouds,
+    no row is a spike (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243
+    rows, are not judged.
     """
     out = np.zeros(len(value), bool)
     if len(value) < 3 + 2 * _SPIKE_ROWS:

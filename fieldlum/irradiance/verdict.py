@@ -23,7 +23,9 @@ MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; no
 class Health:
     """What health.json reports about an instrument and its logger.
 
-    marks: number of rows with each mark. Other fields are explained at their definitions.
+    every_s: median time between rows. night_offset_wm2: median of the global at night.
+    closure_pass: share of testable rows with global = diffuse + direct. clock_off_s: middle of the
+    logged daylight minus solar noon. marks: number of rows with each mark. None: not determined.
     """
 
     rows: int

@@ -42,13 +42,13 @@ def read_address(option: str) -> str:
 
 
 def fetch(address: str) -> None:
-    """Fetch an address and ignore the answer. Raises OSError without an answer in time."""
+    """Fetch an address and ignore the content. Raises OSError for no answer or an HTTP error."""
     with urllib.request.urlopen(address, timeout=TIMEOUT_S) as answer:
         answer.read(1024)
 
 
 class Heartbeat:
-    """Fetches an address in its own thread, after each `beat` and every `every_s` seconds."""
+    """Fetches an address in its own thread: at once, after each `beat`, and every `every_s` s."""
 
     def __init__(
         self,

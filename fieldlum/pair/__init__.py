@@ -185,10 +185,11 @@ def run(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> list[Pair]:
-    """Write pairs.csv, suns.csv and sunpatches/; the panoramas do not change.
+    """Write pairs.csv, suns.csv and, with a room, sunpatches/; return the pairs.
 
-    irradiance/clean.csv is required. A simulated session's own pairs remain in truth/pairs.csv.
-    Raises NotEnoughDataError if nothing is merged, InputError for irradiance with light at night.
+    The panoramas do not change. A simulated session's own pairs remain in truth/pairs.csv. Raises
+    NotEnoughDataError if nothing is merged, InputError without irradiance/clean.csv or for light at
+    night.
     """
     brackets = taken_brackets(session)
     if not brackets:

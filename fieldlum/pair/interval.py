@@ -38,9 +38,9 @@ class Outside:
 def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside:
     """Return the mean irradiance and its steadiness during a bracket, from `opened` to `closed`.
 
-    If there are fewer than three rows, one more row on each side is included. `why` is set if rows
-    are over 15 minutes apart, or if any time in the interval is more than two poll periods from a
-    usable row: the last value is never extended.
+    If it has fewer than three rows, those within one row interval before and after it are included.
+    `why` is set if rows are over 15 minutes apart, if any time of the bracket is more than two row
+    intervals from a usable row, if diffuse is above global, or if the light changed by over 50 %.
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)

@@ -60,7 +60,7 @@ DEFAULT_CAMERA = "sim-dual-fisheye"
 def find_camera_profile(name: str) -> Path:
     """Return the path of a profile: `name` as a path, or a file of the shipped calibration/.
 
-    Raises InputError with the list of profiles.
+    An empty name is that of sim-dual-fisheye. Raises InputError with the list of profiles.
     """
     path = Path(name or DEFAULT_CAMERA)
     for candidate in (
@@ -80,9 +80,9 @@ def find_camera_profile(name: str) -> Path:
 
 
 def load_camera_profile(name: str | Path) -> CameraProfile:
-    """Read a profile.
+    """Read a profile: a shipped one by name, or any by path; "" is sim-dual-fisheye.
 
-    Raises InputError for a file that is not a profile, or that has impossible values.
+    Raises InputError for a missing file, one that is not a profile, or impossible values.
     """
     path = find_camera_profile(str(name))
     profile = build(CameraProfile, read_toml(path), str(path))

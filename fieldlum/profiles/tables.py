@@ -195,7 +195,7 @@ class CameraProfile:
     # Veiling glare of the lens, as a share of the mean luminance; 0 once [stray] is calibrated.
     glare_floor_rel: float = 0.0005
     stray: StrayLight = field(default_factory=StrayLight)
-    expires: str = ""  # ISO date after which doctor warns
+    expires: str = ""  # ISO date after which doctor reports a failure
     provenance: Provenance = field(default_factory=Provenance)
     # How nominal times without a measured time are converted: see photometry/shutter_law.py.
     shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"

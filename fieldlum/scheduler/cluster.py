@@ -119,7 +119,11 @@ class ClusterCrew:
     # units
 
     def free(self) -> int:
-        """Return how many more units the usable workers can accept."""
+        """Return how many more units the usable workers can accept.
+
+        Raises InputError if all workers have been rejected for a minute, NotEnoughDataError if
+        there was no usable worker for ten minutes.
+        """
         if time.monotonic() - self._looked_s > POLL_S:
             self._look()
         self._check_patience()

@@ -49,7 +49,7 @@ class Crew(Protocol):
         ...
 
     def ended(self) -> list[Ended]:
-        """Return the units that ended; if none did, wait for at most `POLL_S`."""
+        """Return how units ended; if none did, wait for about `POLL_S` (0.5 s)."""
         ...
 
     def status(self) -> str:
@@ -87,7 +87,7 @@ class LocalCrew:
         self._next = (key, unit)
 
     def ended(self) -> list[Ended]:
-        """Run the stored unit and return it."""
+        """Run the stored unit and return how it ended."""
         assert self._next is not None
         (key, unit), self._next = self._next, None
         try:
@@ -163,7 +163,7 @@ class ProcessCrew:
         return self._pool()
 
     def ended(self) -> list[Ended]:
-        """Return units that ended, after at most `POLL_S`."""
+        """Return how units ended; wait for at most `POLL_S` if none did."""
         if not self._running:  # every process is still starting
             starting = [self._pids[pool] for pool in self._idle]
             wait(starting, timeout=POLL_S, return_when=FIRST_COMPLETED)

@@ -68,11 +68,16 @@ class UnitOutcome:
     trouble: str = ""
 
     def result(self) -> Any:
-        """Return the value; raise the error of the call, or InputError for lost workers."""
+        """Return the value; raise the error of the call, or InputError for trouble of workers."""
         if self.error is not None:
             raise self.error
         if self.trouble:
-            raise InputError(self.unit.name, self.trouble, remedy="start the command again")
+            raise InputError(
+                f"unit of work {self.unit.name}",
+                self.trouble,
+                "a worker that completes it",
+                "check memory and disk of the workers, then start the command again",
+            )
         return self.value
 
 
@@ -127,7 +132,10 @@ def relative_folder(folder: Path) -> str:
 
 
 def task_of(unit: WorkUnit) -> Task:
-    """Return what a worker needs for `unit`, with the sha256 of its input files."""
+    """Return what a worker needs for `unit`, with the sha256 of its input files.
+
+    Raises InputError if its folder is outside the shared folder.
+    """
     files = tuple((name, sha256(unit.folder / name)) for name in unit.files)
     folder = relative_folder(unit.folder)
     return Task(unit.name, unit.call, folder, unit.argument, files + unit.recorded)
@@ -164,11 +172,11 @@ def _inside(name: str) -> PurePosixPath:
 
 
 def corrected(unit: WorkUnit, answer: Answer) -> WorkUnit | None:
-    """Return the unit with the recorded sha256 replaced, if this computer sees the same content.
+    """Return the unit with the recorded sha256 replaced, if the file is the same on this computer.
 
-    Return None if the worker's file system is out of date. A frame that was damaged after its
-    capture differs from what capture.json records; the stage decides what to do with it, on a
-    worker as on this computer.
+    Return None if it is not: then the worker's file system is out of date. A frame that was
+    damaged after its capture differs from what capture.json records; the stage decides what to do
+    with it, on a worker as on this computer.
     """
     recorded = dict(unit.recorded)
     if answer.text not in recorded or _digest(unit.folder / answer.text) != answer.seen:

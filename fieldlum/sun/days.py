@@ -18,10 +18,9 @@ from fieldlum.sun.ephemeris import position
 
 @lru_cache(maxsize=256)
 def standard_offset(timezone: str, year: int) -> timedelta:
-    """Return the UTC offset of local standard time: the year's smallest.
+    """Return the UTC offset of local standard time: the smallest of the year's months.
 
-    Daylight saving always adds to it. The "dst" field of the time zone data is not used: for
-    Ireland it marks winter as the exception.
+    The "dst" field of the time zone data is not used: for Ireland it marks winter as the exception.
     """
     zone = ZoneInfo(timezone)
     offsets = [

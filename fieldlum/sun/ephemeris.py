@@ -1,7 +1,4 @@
-"""The sun's position, computed by pvlib. Naive times are refused.
-
-Heavy imports are in functions.
-"""
+"""The sun's position, computed by pvlib. Naive times are refused."""
 
 from __future__ import annotations
 

@@ -18,7 +18,10 @@ COLOURS = "inferno"  # perceptually uniform, and readable without red and green
 def write_png(
     path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region], isolines: bool
 ) -> None:
-    """Draw the pictures next to each other on one scale."""
+    """Draw the pictures next to each other on one scale, with the regions; write a PNG.
+
+    isolines: draw lines at the powers of ten.
+    """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 

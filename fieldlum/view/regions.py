@@ -77,7 +77,7 @@ def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
 
 
 def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
-    """Return the row of `COLUMNS` of a region; values are None if it has no pixel.
+    """Return the row of `COLUMNS` of a region; without a pixel its statistics are None.
 
     Mean and standard deviation are weighted by solid angle, the median by pixels. Pixels that no
     lens saw do not count.
@@ -102,7 +102,7 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
 
 
 def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
-    """Return the ends of a scale [cd/m2]: 1 % of the darkest and 99.9 % of the brightest picture.
+    """Return the ends of a scale [cd/m2]: the pictures' lowest 1 % and highest 99.9 % percentile.
 
     They are rounded outwards to one digit, and at least a factor of ten apart.
     """
