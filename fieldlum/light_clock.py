@@ -122,8 +122,8 @@ def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
     """Return the minutes (UTC) with over `LIT_WM2` of light while the sun is below -3 degrees.
 
     They show that the logger's clock, the stated offset, or the sign of the longitude is wrong.
-    Unlike `clock_off_s` this needs no complete day, but gives no offset, and does not detect an
-    offset of less than half an hour. t_unix_s, ghi_wm2 : [n] rows.
+    Unlike `clock_off_s` this needs no complete day, but gives no offset, and can miss one of less
+    than half an hour. t_unix_s, ghi_wm2 : [n] rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     if len(minutes) == 0:

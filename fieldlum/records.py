@@ -106,7 +106,7 @@ class CameraSetup:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A glazed rectangle in a wall; ``left_m`` counts from the left end, as seen from inside."""
+    """A glazed rectangle in a wall; ``left_m`` is from the wall's left end, seen from inside."""
 
     wall: Literal["south", "west", "north", "east"]
     left_m: float

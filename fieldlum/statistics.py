@@ -46,7 +46,7 @@ def nan_percentiles(values: NDArray[np.floating], percent: tuple[float, ...]) ->
 
 
 def median_standard_error(sigma: float, count: int) -> float:
-    """Return the standard error of the median of `count` values of standard deviation `sigma`."""
+    """Return the standard error of the median of `count` normal values of deviation `sigma`."""
     return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))
 
 

@@ -24,7 +24,7 @@ MOST_SUN_DEG = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Columns of the usable rows, [n]; angles that the csv does not have are NaN."""
+    """Columns of a pairs.csv, of its n usable rows; angles that the csv does not have are NaN."""
 
     lines: Sequence[int]
     t_utc: Sequence[datetime]

@@ -1,10 +1,10 @@
-"""Compare predicted maps with the truth, in the paper's way and by solid angle.
+"""Compare predicted maps with the truth, as Liu, Colburn and Inanici (2020), and by solid angle.
 
 Luminance errors and `dgp_mse` use the true sun disc in truth and prediction, so they judge only the
 map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from the stated room,
 or, without a room, guessed from the map.
 
-The paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
+That paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
 e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
 levels, with and without the authors' cut at 500. By solid angle: weights with a mean of 1; mean,
 median, 90th percentile and worst image.

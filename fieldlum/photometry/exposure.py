@@ -35,7 +35,7 @@ def ev_between(a: Exposure, b: Exposure) -> tuple[float, float, float]:
 
 
 def same_exposure(a: Exposure, b: Exposure) -> bool:
-    """Return whether shutter, aperture and ISO agree within `SAME_SETTING_EV`.
+    """Return whether shutter, aperture and ISO each agree within 1/6 EV.
 
     Filters are not compared, because cameras do not record them.
     """

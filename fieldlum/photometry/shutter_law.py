@@ -58,7 +58,10 @@ def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def time_under(law: str, nominal_s: float) -> float:
-    """Return the time [s] that a nominal time means under a law; "auto" uses the nearer grid."""
+    """Return the time [s] that a nominal time means under a law of `LAWS`, or "auto".
+
+    "auto" uses the nearer grid, of third or half stops.
+    """
     return snap_shutter_s(nominal_s) if law == AUTO else float(times_under(law, nominal_s))
 
 

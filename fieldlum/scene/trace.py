@@ -70,8 +70,8 @@ def _first(scene: BoxScene, origins: Array, directions: Array) -> tuple[NDArray[
 class Panes:
     """The first pane on each of n rays.
 
-    opening [n] : its index, -1 without a pane; distance_m [n]; through, back [n] : transmittance
-    and reflectance at the ray's angle.
+    opening [n] : its index, -1 without a pane; distance_m [n] : inf without a pane; through, back
+    [n] : transmittance and reflectance at the ray's angle, 1 and 0 without a pane.
     """
 
     opening: NDArray[np.int32]

@@ -282,8 +282,8 @@ def gather(
     if len(rows) < min_hours:
         raise NotEnoughDataError(
             f"{len(rows)} captures have direct sun on a window, but at least "
-            f"{min_hours} are needed: capture clear hours; train then uses the stated [room] or no "
-            f"sun patch, and states why"
+            f"{min_hours} are needed: capture clear hours; until then train uses the stated [room] "
+            f"or no sun patch, and states why"
         )
     chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
     rays, pixel = _rays(data, chosen)

@@ -44,9 +44,9 @@ class SceneFit:
 
     stated, heading_deg: the room and the captures' heading that the fit started at. room: the
     fitted box in the stated world axes; `guess.north_deg` and `guess.clock_min` are the corrections
-    of north and clock. u: standard uncertainties by parameter name. before and after: values by
-    parameter name. albedo: of each surface [6 + solids]. hours: number of sunny hours. room_draws:
-    see `posterior.Posterior`.
+    of north and clock. before, after: values before and after the fit, and u: standard
+    uncertainties, by parameter name. albedo: of each surface [6 + solids]. hours: number of sunny
+    hours. room_draws: see `posterior.Posterior`.
     """
 
     stated: Room

@@ -33,9 +33,9 @@ class Posterior:
 def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Posterior:
     """Return the uncertainty of a fitted guess by six searches with other days and stated values.
 
-    objective: of all hours. Days are resampled. Stated values are drawn from their priors, so that
-    a parameter which the captures do not determine has the prior's uncertainty. No u is smaller
-    than the last step of the search.
+    objective: of all hours. Days (with under three days: hours) are resampled. Stated values are
+    drawn from their priors, so that a parameter which the captures do not determine has the prior's
+    uncertainty. No u is smaller than the last step of the search.
     """
     rng = np.random.default_rng(seed)
     parameters = objective.parameters

@@ -42,7 +42,7 @@ class BoxVerdict:
 
 
 def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
-    """Return the choice between no patch and the stated box; None with enough clear hours.
+    """Return the choice between no patch and the stated box; None with 12 clear hours or more.
 
     The box is not used if it leaves over 10 % more wrong pixels near sun patches than no patch.
     Otherwise, also if no capture has direct sun on a window, it is used: a box of about the right

@@ -1,8 +1,8 @@
 """Choose the geometry for training, and its expected error: no patch, stated box, or fitted scene.
 
-The sun patches of hours that no search saw choose the geometry (decision 17). The expected error
-and the share of trusted hours are those that the transport model, trained with the chosen geometry,
-gives to the hours of a year (decision 18): `predict` gives the same.
+The sun patches of hours that no search used choose the geometry (decision 17). The expected error
+and the share of trusted hours are those that a transport model of some pixels, trained with the
+chosen geometry, gives to hours of a year (decision 18).
 """
 
 from __future__ import annotations
@@ -171,10 +171,10 @@ def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
 def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
     """Return the simplest geometry that no richer one clearly beats; scores are simplest first.
 
-    A richer geometry beats a simpler one if its patches leave clearly fewer wrong pixels on hours
-    that no search saw. If both leave as many, its expected error must be clearly smaller. The
-    choice is not trusted if the model trusts less than half of a year's hours, or if the expected
-    errors speak for another geometry.
+    A richer geometry beats a simpler one if the simpler one's patches leave over 10 % more wrong
+    pixels on hours that no search used. If the numbers agree within 10 %, the richer one's expected
+    error must be over 5 % smaller. The choice is not trusted if the model trusts less than half of
+    a year's hours, or if the expected error of another geometry is over 5 % smaller.
     """
     chosen = scores[0]
     for score in scores[1:]:

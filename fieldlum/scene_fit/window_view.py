@@ -38,9 +38,10 @@ MAX_ROOM_SHARE = 0.5
 class WindowView:
     """The median picture of q pixels near the windows, and the rays that sample it.
 
-    seen: luminance over the hour's mean pane [q]; row: of the picture, from 0 [q]; weights: share
-    of the solid angle that the camera sees, 0 if the room is too bright to show edges [q]; rays in
-    stated world axes [r, 3]; pixel: index below q of each ray [r]; per_pixel: number of rays.
+    seen: luminance over that of the hour's mean pane, median of the hours [q]; row: of the picture,
+    from 0 [q]; weights: share of the solid angle that the camera sees, 0 if the room is too bright
+    to show edges [q]; rays in stated world axes [r, 3]; pixel: index below q of each ray [r];
+    per_pixel: number of rays.
     """
 
     seen: Array

@@ -101,10 +101,10 @@ def run(
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
-    Slots that were rendered before in the same way are kept. drift : irradiance changes within the
-    hour instead of having its mean; troubles : differences from the stated session; cache : folder
-    of the Radiance coefficients, by default the session's truth/. Raises InputError for a room that
-    cannot be rendered.
+    Slots that were rendered before in the same way are kept, unless `force`. drift : irradiance
+    changes within the hour instead of having its mean; troubles : differences from the stated
+    session; cache : folder of the Radiance coefficients, by default the session's truth/. Raises
+    InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     truth = ground_truth(

@@ -1,9 +1,9 @@
 """Coefficients of a room's points for each part of the sky and each surface piece, by rcontrib.
 
-Every surface is cut into pieces. One rcontrib run from the middles of the pieces and one from the
-points that the pixels see (irradiance mode, one bounce) give sparse coefficients for the same
-columns: 2305 Reinhart patches of the sky, the open plain below the horizon, then the pieces.
-Interreflection is a sparse fixed point over the pieces, so that no bounce is lost.
+Every surface is cut into pieces. rcontrib follows rays from the middles of the pieces, and from the
+points that the pixels see, to the first surface. This gives sparse coefficients of both for the
+same columns: 2305 Reinhart patches of the sky, the open plain below the horizon, then the pieces.
+`truth` computes interreflection from the pieces' coefficients.
 """
 
 from __future__ import annotations

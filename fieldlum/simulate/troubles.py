@@ -65,7 +65,7 @@ class Troubles:
     instrument_drift : relative change of its readings from the first to the last slot.
     horizon : altitude below which the instrument is in shade, deg.
     north : turn of room and camera, clockwise from the stated one, deg.
-    clock_drift : delay of the stated times after a week, min.
+    clock_drift : delay of the stated times after a week, min; then the clock is set.
     knock : turn of the camera from the 4th to the 6th day, deg.
     lamps : luminance that lamps add to walls in some evenings, cd/m2.
     blind : share of light that a half-lowered blind removes on one day.

@@ -91,7 +91,7 @@ class Process:
 
     @property
     def shows_exceptions(self) -> bool:
-        """Whether enough days have pictures that can be judged."""
+        """Whether at least four days have pictures that can be judged."""
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:

@@ -46,8 +46,8 @@ _MAD = 1.4826  # standard deviation over median absolute deviation, of a normal 
 def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
     """Return a mask [n, H, W] of pixels that something darkens in a single capture.
 
-    It is empty with too few days to show exceptions. Brightened regions are not searched, because
-    they can be direct sun that the room does not explain.
+    With under four days that can be judged, no pixel is marked. Brightened regions are not
+    searched, because they can be direct sun that the room does not explain.
     """
     small = thinned(data)
     process = process_of(data, with_patch=with_patch, complete=True, windows=True)

@@ -46,12 +46,12 @@ _EMPTY = np.zeros((0, 0), np.float32)
 class Physics:
     """A coarse model of the sun's light in the room, after all bounces.
 
-    modes [k, p]: singular modes of the camera's light due to sun on the room's p surface pieces,
-    divided by `norm`, so that their features are about one with the sun in the room. position [m,
-    3], axis, sign, share, piece [m]: points of the pieces that are tested for sun, in room
-    coordinates. Computed light on a panorama of 2 h^2 pixels, cd/m2: sun_light [k, 2 h^2] per unit
-    of a mode; sky_modes [s, 2306] of the luminance of sky and ground; sky_light [s, 2 h^2] per unit
-    of these. The three are empty in models of earlier versions.
+    modes [k, p]: singular modes of the camera's light due to sun on the room's p surface pieces;
+    norm: divisor of `sunlight`, so that its values are about one with the sun in the room.
+    position [m, 3], axis, sign, share, piece [m]: points of the pieces that are tested for sun, in
+    room coordinates. Computed light on a panorama of 2 h^2 pixels, cd/m2: sun_light [k, 2 h^2] per
+    unit of a mode; sky_modes [s, 2306] of the luminance of sky and ground; sky_light [s, 2 h^2] per
+    unit of these. The three are empty in models of earlier versions.
     """
 
     room: Room
@@ -88,7 +88,10 @@ class Physics:
         return sunlight[:, :MODES]
 
     def sunlight(self, light: Light) -> NDArray[np.float32]:
-        """Return bounced sunlight over total light as coefficients of the k modes, [n, k]."""
+        """Return bounced sunlight as coefficients of the k modes, [n, k].
+
+        They are divided by the total light and by `norm`.
+        """
         points = self._points
         toward = points.scene.to_room(light.shown_sun_direction)
         beam = light.direct_lx / light.total_lx / self.norm

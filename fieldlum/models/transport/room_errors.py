@@ -34,7 +34,7 @@ class RoomError:
 
 
 def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | None:
-    """Return the wrong measure of the room that explains most of the misfit of the sun patches.
+    """Return the measure of the room that, if wrong, explains the misfit of sun patches best.
 
     None without a box room, or if no measure lowers the misfit. Amounts up to 15 cm are tried in
     steps of 5 cm, for the camera's place and the windows' left and sill, one measure at a time;

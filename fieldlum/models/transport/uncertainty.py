@@ -133,11 +133,14 @@ class Uncertainty:
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
-        """Return a mask [m] of hours whose log10 MSE `off` by displaced patches is small enough."""
+        """Return a mask [m] of hours with a log10 MSE `off` by displaced patches below 0.01."""
         return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
-        """Return a mask [m] of hours near enough to captures, by predictive variance [m]."""
+        """Return a mask [m] of hours that are near enough to captures.
+
+        Their predictive variance [m] is at most 1.5 times `novelty`.
+        """
         return variance <= NOVEL * self.novelty
 
     def factor(self, beam: Array, variance: Array) -> Array:
