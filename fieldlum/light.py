@@ -125,7 +125,7 @@ class Light:
     def total_lx(self) -> Array:
         """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
-        Features are divided by it; it is at least `LEAST_LX`, and not small for a low sun.
+        Features are divided by it; it is at least 0.001 lx, and not small for a low sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 
@@ -196,9 +196,9 @@ class Features:
     sky [n, P] : luminances weighted by the root of the solid angle; beam [n] : the sun's share;
     direction [n, 3] : of the sun; cells [n, c] : direct sun in view by cells of the picture, if sun
     patches are known; bounced [n, k] : the sun's light in a coarse model of the room, if there is
-    one; lamps [n, l] : electric light, which does not follow daylight, LAMP_LX / E while on;
-    changed [n, m] : 1 while the room is in a state (such as a blind down) that changes its
-    response.
+    one; lamps [n, l] : electric light, which does not follow daylight, 1 000 lx over the total
+    light while on, else 0; changed [n, m] : 1 while the room is in a state (such as a blind down)
+    that changes its response.
     """
 
     sky: NDArray[np.float32]

@@ -93,8 +93,9 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
     """Return the first and last lit time [unix s] of each day between two logged nights.
 
-    A row is lit above `LIT_WM2`. Darkness under two hours, as in a storm, does not end a day; a day
-    of less than two hours is omitted. t_unix_s, ghi_wm2 : [n] rows in order of time.
+    A row is lit above 10 W/m2. Darkness under two hours, as in a storm, does not end a day; a day
+    of less than two hours is omitted, and one with a gap of 15 minutes in the rows at its beginning
+    or end. t_unix_s, ghi_wm2 : [n] rows in order of time.
     """
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
@@ -119,7 +120,7 @@ def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
 
 
 def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
-    """Return the minutes (UTC) with over `LIT_WM2` of light while the sun is below -3 degrees.
+    """Return the minutes (UTC) with over 10 W/m2 of light while the sun is below -3 degrees.
 
     They show that the logger's clock, the stated offset, or the sign of the longitude is wrong.
     Unlike `clock_off_s` this needs no complete day, but gives no offset, and can miss one of less

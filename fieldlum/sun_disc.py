@@ -116,8 +116,8 @@ def find_disc(
     pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, if known.
 
     A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
-    surroundings, and its energy is that of a disc of `LEAST_DISC_CDM2` or more. If pixels near
-    `near_deg` are clipped, only positions count: a compact clipped spot, or clipping at `near_deg`.
+    surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`
+    are clipped, only positions count: a compact clipped spot, or clipping at `near_deg`.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = light.shape

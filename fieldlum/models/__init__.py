@@ -92,7 +92,7 @@ class Fitted(Protocol):
     """
 
     name: str
-    parameters: int  # number of stored values: smaller models are tried first
+    parameters: int  # number of fitted values, which `train` reports
     # Weighted log10 MSE [n] of each training map, predicted by a fit without its day; None if not
     # computed.
     held_out_mse: NDArray[np.float64] | None

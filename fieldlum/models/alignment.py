@@ -48,9 +48,9 @@ def find_turns(
     """Return how each capture's camera was turned.
 
     The turns are read from the table next to `pairs` if it matches all maps. Otherwise all turns
-    are estimated by `camera_turns`; with at least `LEAST_CAPTURES` captures and `LEAST_ROWS` rows,
-    a new table is written if the folder is writable. pictures: names as in the csv; maps,
-    has_value: in the order of time [n, H, W].
+    are estimated by `camera_turns`; with at least 5 captures and 40 rows, a new table is written if
+    the folder is writable. pictures: names as in the csv; maps, has_value: in the order of time [n,
+    H, W].
     """
     path = alignment_path(pairs)
     digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]

@@ -280,8 +280,7 @@ def camera_turns(
     """Return how the camera of each capture [n, H, W] was turned; captures in the order of time.
 
     seen: pixels with a value [H, W]. Consecutive captures of one pose get the median turn; a turn
-    too small to be certain is zero. With fewer than LEAST_CAPTURES captures or LEAST_ROWS rows all
-    turns are zero.
+    too small to be certain is zero. With fewer than 5 captures or 40 rows all turns are zero.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))

@@ -54,9 +54,9 @@ class TrainingPlan:
 class Run:
     """The progress of a training, which is stored in its checkpoint.
 
-    stage, stage_epoch: of the paper's schedule; stale: epochs since the last improvement; rate:
-    learning rate; best: least validation loss; skipped: updates omitted because the loss was not
-    finite.
+    stage, stage_epoch: of the paper's schedule; stale: epochs without improvement at this learning
+    rate; rate: learning rate, in the short schedule its highest value; best: least validation loss;
+    skipped: updates omitted because the loss was not finite.
     """
 
     epoch: int = 0
@@ -162,7 +162,7 @@ def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
 def update_paper_rate(run: Run, improved: bool) -> None:
     """Halve the learning rate in `run` after two epochs without improvement.
 
-    Begin the next stage after 30 epochs of a stage, or when the rate is below `LEAST_RATE`.
+    Begin the next stage after 30 epochs of a stage, or when the rate is below 1e-10.
     """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1

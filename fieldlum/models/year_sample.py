@@ -49,7 +49,7 @@ class YearExpectation:
 
 
 def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
-    """Return `YEAR_HOURS` random daylight hours of a year, each under the sky of a random capture.
+    """Return 150 random daylight hours of a year, each under the sky of a random capture.
 
     A capture's sky is its beam and diffuse irradiance over those of a cloudless sky, at most 1.2
     and 4.

@@ -43,7 +43,10 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
-    """Return the linear signal z in [0, 1] per cd/m2, the inverse of L = k 87 N^2 / (t S) z."""
+    """Return the linear signal z (1 at full scale) per cd/m2, by L = k 87 N^2 / (t S) z.
+
+    t: shutter time [s]; N: f-number; S: ISO; k: factor of the scale calibration.
+    """
     return shutter_s * iso / (STONITS * f_number**2 * k)
 
 

@@ -35,8 +35,9 @@ _NEAR = 0.5
 class ShutterLaw:
     """The law of a bracket's shutter times.
 
-    law : one of `LAWS`; decided_by : "profile", "labels" or "frames"; misfit_percent : rms
-    difference of the measured ratios from each law, empty without measured ratios.
+    law : "third-stops", "half-stops" or "exact"; decided_by : "profile", "labels" or "frames";
+    misfit_percent : rms difference of the measured ratios from each law, empty without measured
+    ratios.
     """
 
     law: str
@@ -45,7 +46,7 @@ class ShutterLaw:
 
 
 def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the times [n] in s that nominal times [n] mean under a law.
+    """Return the times [n] in s that nominal times [n] mean under a law of `ShutterLaw`.
 
     A time far from the law's grid is not a rounded label and is returned unchanged.
     """
@@ -58,7 +59,7 @@ def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def time_under(law: str, nominal_s: float) -> float:
-    """Return the time [s] that a nominal time means under a law of `LAWS`, or "auto".
+    """Return the time [s] that a nominal time means under a law of `ShutterLaw`, or "auto".
 
     "auto" uses the nearer grid, of third or half stops.
     """

@@ -42,7 +42,7 @@ def seen_shares(
 
 
 def seen_words(shares: NDArray[np.floating]) -> tuple[str, ...]:
-    """Return "seen", "partly seen" or "not seen" for each share, [d]."""
+    """Return "seen" (from 98 %), "partly seen" (from 50 %) or "not seen" for each share, [d]."""
     return tuple(
         SEEN if s >= FULLY_SEEN_SHARE else PARTLY_SEEN if s >= LEAST_SEEN_SHARE else NOT_SEEN
         for s in shares

@@ -23,8 +23,9 @@ COLUMNS = ("kind", "window", "x_px", "y_px")
 class Click:
     """A click on a panorama, on a corner, a bar or a transom of a room.
 
-    kind: one of `KINDS`. window: number from 1, 0 for corners of the room. x_px, y_px: from the
-    panorama's upper left corner. line: of the csv, or the number of the click.
+    kind: floor, ceiling or window (a corner), bar or transom. window: number from 1, 0 for corners
+    of the room. x_px, y_px: from the panorama's upper left corner. line: of the csv, or the number
+    of the click.
     """
 
     kind: Kind
@@ -59,7 +60,7 @@ class ClickGrid:
 
 
 def read_clicks(path: Path) -> list[Click]:
-    """Read a csv with the columns of `COLUMNS`.
+    """Read a csv with the columns kind, window, x_px, y_px.
 
     Raises InputError for a file that cannot be read, other columns, or a wrong cell (with its
     line).
@@ -82,7 +83,7 @@ def read_clicks(path: Path) -> list[Click]:
 
 
 def clicks_from_rows(rows: Any) -> list[Click]:
-    """Return the clicks of a page's list of at most 500 dicts (keys: `COLUMNS`).
+    """Return the clicks of a page's list of at most 500 dicts (keys: kind, window, x_px, y_px).
 
     Raises InputError for anything else.
     """

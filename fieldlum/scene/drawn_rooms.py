@@ -109,7 +109,7 @@ def uncertainty_of_draws(room: Room, draws: Mapping[str, Sequence[float]]) -> Ro
 
     draws: for each of `room_parameters`, its values in two or more searches with resampled
     captures. Parameters that the room does not have are ignored. Standard uncertainties are at
-    least `SEARCH_LENGTH_M` and `SEARCH_ANGLE_DEG`.
+    least 1 cm and 0.05 degrees.
     """
     values = room_parameters(room)
     names = tuple(

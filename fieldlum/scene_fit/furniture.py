@@ -51,8 +51,8 @@ FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 class PixelDepths:
     """The surface, nearer than the guess's, that explains the light of each of m pixels best.
 
-    position_m: in room axes [m, 3]; face: index in `FACES` [m]; albedo [m]; gain: decrease of the
-    pixel's misfit, 0 if no nearer surface is better [m].
+    position_m: in room axes [m, 3]; face: index in `FACES` (axis and sign of the normal) [m];
+    albedo [m]; gain: decrease of the pixel's misfit, 0 if no nearer surface is better [m].
     """
 
     position_m: Array

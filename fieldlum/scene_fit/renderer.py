@@ -34,8 +34,8 @@ _SMALLEST = 1e-9
 class Surfaces:
     """Where r camera rays end.
 
-    position_m [r, 3]; axis and sign [r] of the normal of the surface that is hit; surface [r]: one
-    of `FLOOR` ..., `SHELL` + k for solid k, or `OUTSIDE` for a ray through a window;
+    position_m [r, 3]; axis and sign [r] of the normal of the surface that is hit; surface [r]:
+    `WEST` to `CEILING`, `SHELL` + k for solid k, or `OUTSIDE` for a ray through a window;
     spread_m [r]: distance between the ends of neighbouring rays.
     """
 

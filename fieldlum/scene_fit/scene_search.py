@@ -221,7 +221,7 @@ class SceneSearch:
     def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
         """Find bars in each window from its sun patches; search their place, width and depth.
 
-        Blinds (wider than `MAX_BAR_M`) remain. fine: factor on the last steps of the search.
+        Blinds (bars wider than 20 cm) remain. fine: factor on the last steps of the search.
         """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))

@@ -53,8 +53,8 @@ class Objective:
     """Misfit plus prior of a guess, for some evidence.
 
     start: the stated guess; albedo: of each surface [6 or more]; prior_unit: cost of one standard
-    deviation of one parameter; pose: replaces the priors of `POSE_NAMES`; count: number of
-    evaluations so far.
+    deviation of one parameter; pose: replaces the priors of north, tilt, roll and clock; count:
+    number of evaluations so far.
     """
 
     evidence: SceneEvidence
@@ -101,7 +101,8 @@ class Objective:
     def prior(self, guess: Guess) -> float:
         """Return the cost of deviating from the stated numbers.
 
-        If sun discs determined a pose, `POSE_NAMES` are compared with that pose instead.
+        If sun discs determined a pose, north, tilt, roll and clock are compared with that pose
+        instead.
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
         z = [

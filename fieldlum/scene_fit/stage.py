@@ -91,7 +91,7 @@ def judged_scene(
 
     If too few directions of the sun were captured, the misfit of patches on held-out hours chooses
     alone, the expected error is unknown (None), and the choice is not trusted. The choice is not
-    trusted either with fewer than `MIN_HOURS_OUTSIDE` held-out hours.
+    trusted either with fewer than four held-out hours.
     """
     try:
         verdict = judge_fit(data, fit, seed=seed, progress=progress)

@@ -93,10 +93,10 @@ def with_judged_box(
 ) -> tuple[Dataset, str]:
     """Return captures without a scene as `judge_box` decides, and the patch mode for training.
 
-    They do not change with a scene, with `MIN_CLEAR_HOURS` clear hours, with `patch` "none", or
-    with sun patches that are not those of a box `[room]`. Edges measured by tape are wrong by
-    centimetres. Patches of the stated box are therefore learnt like those of a fitted scene, by
-    robust recipes (decision 13).
+    They do not change with a scene, with 12 clear hours or more, with `patch` "none", or with sun
+    patches that are not those of a box `[room]`. Edges measured by tape are wrong by centimetres.
+    Patches of the stated box are therefore learnt like those of a fitted scene, by robust recipes
+    (decision 13).
     """
     room = data.setup.room
     if data.scene is not None or patch == "none" or room is None:

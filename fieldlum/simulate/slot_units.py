@@ -51,7 +51,7 @@ def truth_units(
     quality: str,
     troubles: Troubles,
 ) -> list[WorkUnit]:
-    """Return units of work, `SLOTS_A_UNIT` slots each, that render the slots with indices `owed`.
+    """Return units of work, 16 slots each, that render the slots with indices `owed`.
 
     light: as stated, for the sun patches; shining: as the room receives it; cache: folder of the
     Radiance coefficients.

@@ -111,9 +111,10 @@ class Process:
         return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))
 
     def lamp_light(self, rows: Rows, noise: float) -> float:
-        """Return the fitted light of a lamp in the captures `rows`, per `LAMP_LX` (pixel median).
+        """Return the fitted light of a lamp in the captures `rows`, median over the pixels.
 
-        It is negative if these captures are darker than the others. noise: relative variance.
+        1 is a pixel's usual light under 1 000 lx outside. It is negative if these captures are
+        darker than the others. noise: relative variance.
         """
         judged = np.flatnonzero(self.judged)
         lit = np.zeros(len(self.days))
@@ -193,7 +194,7 @@ def process_of(
 ) -> Process:
     """Return the captures as a process; hidden values (a sun patch, flags) are filled.
 
-    It has `_PIXELS` pixels; `complete`: all seen pixels of `thinned(data)`. Windows are hidden
+    It has at most 200 pixels; `complete`: all seen pixels of `thinned(data)`. Windows are hidden
     unless `windows` is set. seen_skies: captures have the skies that the windows showed.
     """
     small = thinned(data)

@@ -1,8 +1,8 @@
 """Detect unmarked changes of the room, by comparing captures with those of all other days.
 
-Two kinds are searched, each at a cost for the captures that it explains. Either a lamp was on in
-the mornings or evenings of some days; or captures, complete days or a season contradict the rest.
-In the remaining captures, regions with an object are searched (`changed_regions`).
+Two kinds are searched: a lamp that was on in the mornings or evenings of some days; and captures,
+complete days or a season that contradict the rest. In the remaining captures, regions with an
+object are searched (`changed_regions`).
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) ->
 
 
 def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
-    """Return captures that contradict the rest [k], and days of which all captures do."""
+    """Return captures that contradict the rest [k], and the days that do so as complete days."""
     judged = np.flatnonzero(process.judged)
     rows, whole = judged, []
     while True:

@@ -373,7 +373,7 @@ def computed_light(
     """Return the computed light of surfaces [n, P] with each pixel's gain.
 
     open_sky: the pixels that are windows, whose gain is 0. A pixel's gain differs from the median
-    by at most a factor of `MOST_GAIN`.
+    by at most a factor of 20.
     """
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(LEAST_COMPUTED_CDM2)))
     middle = np.median(gain)

@@ -285,11 +285,11 @@ def calibrate(
 ) -> Uncertainty:
     """Fit the factors so that 90 % of held-out errors are within 1.645 standard deviations.
 
-    This holds for each class. arrays, noise: of the pixels that calibrate; noise_of_all: of all
-    pixels, in overcast and in sunny hours [P] each; doubt: of each hour [n]; second: inverse of the
-    second stage [n, n]. Held-out errors of days in one season are too small: then the worst class
-    sets all three factors. With several seasons, `seasons_out` holds out each season; its factors,
-    if they are larger, are for hours as far from the captures.
+    Overcast, intermediate and clear hours have a factor each. arrays, noise: of the pixels that
+    calibrate; noise_of_all: of all pixels, in overcast and in sunny hours [P] each; doubt: of each
+    hour [n]; second: inverse of the second stage [n, n]. Held-out errors of days in one season are
+    too small: then the largest factor replaces all three. With several seasons, `seasons_out` holds
+    out each season; its factors, if they are larger, are for hours as far from the captures.
     """
     groups = [(chosen.held, arrays.days)]
     groups += [] if seasons_out is None else [(seasons_out, seasons(arrays.days))]

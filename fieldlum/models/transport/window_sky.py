@@ -105,8 +105,8 @@ def scatter_of_skies(
     """Return how far seen skies differ from Perez's in each group of captures, masks of [n].
 
     It is the robust standard deviation of ln of seen over usual luminance; None for groups with
-    under FEWEST_HOURS captures that show the sky. The field's sd is another figure: a few captures
-    with a wrong diffuse irradiance can multiply it.
+    under five captures that show the sky. The field's sd is another figure: a few captures with a
+    wrong diffuse irradiance can multiply it.
     """
     ratios, _ = _patch_ratios(arrays)  # [n, k]
     seen = np.isfinite(ratios)
