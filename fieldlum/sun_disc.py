@@ -140,6 +140,11 @@ def find_disc(
     return None if near_deg is None and too_bright else disc
 
 
+def brightest_surface_cdm2(dni_wm2: float) -> float:
+    """Return a luminance [cd/m2] that no surface or sky away from the sun exceeds under a DNI."""
+    return max(_SURFACE_MARGIN * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
+
+
 def without_disc(luminance_cdm2: Float, disc: SunDisc) -> NDArray[np.float32]:
     """Return the map [H, W] with the disc's pixels at the luminance of their surroundings."""
     return np.where(disc.pixels, disc.surroundings_cdm2, luminance_cdm2).astype(np.float32)
@@ -312,8 +317,7 @@ def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
     peak, least_lx = float(band.light[inside].max()), LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
     surface = BRIGHTEST_SURFACE_CDM2
     if dni_wm2 is not None:
-        full_lx = _LUMENS_PER_WATT * dni_wm2
-        surface = max(_SURFACE_MARGIN * full_lx / np.pi, _BRIGHTEST_SKY_CDM2)
-        least_lx = max(least_lx, _LEAST_SHARE * full_lx)
+        surface = brightest_surface_cdm2(dni_wm2)
+        least_lx = max(least_lx, _LEAST_SHARE * _LUMENS_PER_WATT * dni_wm2)
     contrast = peak > _CONTRAST * disc.surroundings_cdm2
     return peak > surface and contrast and disc.normal_lx >= least_lx

@@ -23,6 +23,7 @@ RANKS = (
         "strict_toml",
         "sun",
         "sun_disc",
+        "sun_images",
         "sky",
         "light",
         "light_clock",

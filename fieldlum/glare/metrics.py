@@ -8,6 +8,8 @@ illuminance at the lens and a solid angle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +17,9 @@ from fieldlum.glare.geometry import Views, angles_from_view, panorama_views, pos
 from fieldlum.glare.sources import sources_of
 from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
+
+# What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
+DiscLight = tuple[tuple[Float, Float], Float]
 
 METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
 MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
@@ -144,15 +149,22 @@ def sun_per_lx(
 
 
 def dgp_with_disc(
-    parts: dict[str, NDArray[np.float64]], per_lx: tuple[Float, Float], disc_lx: Float
+    parts: dict[str, NDArray[np.float64]],
+    per_lx: tuple[Float, Float],
+    disc_lx: Float,
+    images: Sequence[DiscLight] = (),
 ) -> NDArray[np.float64]:
     """Return DGP with a disc of another illuminance than in `parts`, [..., n, d].
 
-    parts : result of `glare_directions`; per_lx : result of `sun_per_lx`; disc_lx : [..., n].
+    parts : result of `glare_directions`; per_lx : result of `sun_per_lx`; disc_lx : [..., n];
+    images : the same two of each mirrored sun.
     """
-    disc = np.asarray(disc_lx, float)[..., None]
-    ev = parts["ev_lx"] - parts["sun_ev_lx"] + disc * per_lx[0]
-    contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0) + disc**2 * per_lx[1]
+    ev = parts["ev_lx"] - parts["sun_ev_lx"]
+    contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0)
+    for of_lx, source_lx in ((per_lx, disc_lx), *images):
+        source = np.asarray(source_lx, float)[..., None]
+        ev = ev + source * of_lx[0]
+        contrast = contrast + source**2 * of_lx[1]
     return dgp(ev, contrast)
 
 

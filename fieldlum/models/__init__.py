@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -28,6 +28,7 @@ from fieldlum.version import __version__
 if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models.data import Dataset
+    from fieldlum.models.mirrors import Mirror
 
 Patch = Literal["absolute", "gain", "none"]
 """How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
@@ -119,16 +120,21 @@ def fit(name: str, data: Dataset, **options: Any) -> Fitted:
     return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
 
 
-def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
+def save(
+    folder: Path, fitted: Fitted, data: Dataset, *, mirrors: Sequence[Mirror] = (), **more: Any
+) -> None:
     """Write weights.npz, then config.json, each atomically; `more`: further keys of config.json."""
+    from fieldlum.models.mirrors import arrays_of, table_of
+
     state = fitted.state()
-    arrays = {"seen": data.seen, **state.arrays}
+    arrays = {"seen": data.seen, **arrays_of(mirrors), **state.arrays}
     with replacing(folder / "weights.npz") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
     table = {
         "model": fitted.name,
         "software": {"fieldlum": __version__},
         **data.about(),
+        **({"mirrors": table_of(mirrors)} if mirrors else {}),
         **more,
         **state.config,
     }

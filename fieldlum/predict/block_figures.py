@@ -13,7 +13,6 @@ from fieldlum.glare.metrics import glare_directions
 from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.glare.standards import dgp_uncertainty
 from fieldlum.glare.unseen import ViewCoverage, brightest_cdm2, unseen_dgp_bounds
-from fieldlum.models import trusted_hours
 from fieldlum.predict.blocks import HourBlock, ModelRoom
 
 # Relative standard uncertainty of the disc's illuminance, for luminous efficacy and glass together.
@@ -52,7 +51,7 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
         "sun_azimuth_deg": light.sun_azimuth_deg,
         "disc_lx": block.disc_lx,
         "occupied": np.zeros(len(light)),
-        "trusted": trusted_hours(predicted).astype(float),
+        "trusted": block.trusted.astype(float),
         "expected_log10_mse": predicted.expected_mse,
     }
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.models import seen_of
+from fieldlum.models import seen_of, trusted_hours
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
+from fieldlum.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.records import Progress, SiteFile, quiet
 from fieldlum.session.files.model_config import ModelConfig
 
@@ -27,18 +28,31 @@ BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 class HourBlock:
     """Some hours: the model's prediction with its uncertainty, and the sun's disc at the lens.
 
-    prediction: maps without the disc [k, H, W] cd/m2; disc_lx: [k] lx.
+    prediction: maps without the disc [k, H, W] cd/m2; disc_lx: [k] lx; images: of the sun, one for
+    each mirror.
     """
 
     rows: slice
     light: Light
     prediction: Prediction
     disc_lx: NDArray[np.float64]
+    images: tuple[MirroredSun, ...] = ()
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """Mask [k] of the trusted hours; an image that may be in view makes an hour untrusted."""
+        trusted = trusted_hours(self.prediction)
+        for image in self.images:
+            trusted &= ~image.possible
+        return trusted
 
 
 @dataclass(frozen=True, slots=True)
 class ModelRoom:
-    """Place, room, size and heading of a model's pictures; seen [H, W]: pixels with values."""
+    """Place, room, size and heading of a model's pictures, and the mirrors of the sun.
+
+    seen [H, W]: pixels with values.
+    """
 
     setup: SiteFile
     height: int
@@ -47,6 +61,7 @@ class ModelRoom:
     needs_patch: bool
     # [H, W]; None if all pixels were seen, or for a model of 0.1.0
     seen: NDArray[np.bool_] | None = None
+    mirrors: tuple[Mirror, ...] = ()
 
     @property
     def disc_from(self) -> str:
@@ -99,7 +114,8 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     seen = seen_of(folder)
     if seen is not None and seen.shape != (height, width):
         seen = None  # `blocks` rejects the maps of such a model
-    return ModelRoom(setup, height, width, heading, wants_patch(config), seen)
+    mirrors = read_mirrors(folder, config)
+    return ModelRoom(setup, height, width, heading, wants_patch(config), seen, mirrors)
 
 
 def blocks(
@@ -131,7 +147,8 @@ def blocks(
         if disc is None:
             disc = guessed_disc_lx(maps, part, room.heading_deg)
         progress(rows.stop, count, "hours predicted")
-        yield HourBlock(rows, part, prediction, disc)
+        images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
+        yield HourBlock(rows, part, prediction, disc, images)
 
 
 def _patches(

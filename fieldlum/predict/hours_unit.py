@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from fieldlum.glare.contrast import ViewRegions
 from fieldlum.glare.geometry import Views, panorama_views
-from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
+from fieldlum.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
 from fieldlum.glare.unseen import ViewCoverage, view_coverage
 from fieldlum.models.disc_in_view import guessed_disc_lx
 from fieldlum.predict.block_figures import hour_figures, unseen_bounds, view_figures
-from fieldlum.predict.blocks import BLOCK, ModelRoom, blocks, room_of
+from fieldlum.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
 from fieldlum.predict.maps import write_maps
 from fieldlum.scheduler import WorkUnit
 from fieldlum.session import sha256
@@ -116,11 +116,24 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     discs = job.discs_lx
     if discs is None:
         discs = guessed_disc_lx(maps, block.light, room.heading_deg, job.turns_deg)
-    drawn = dgp_with_disc(found, sun_per_lx(block.light.shown_sun_direction, ready.views), discs)
+    per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)
+    drawn = dgp_with_disc(found, per_lx, discs, drawn_images(block, ready.views, len(discs)))
     if job.maps:
         write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, maps)
     rows = (job.start, job.start + len(job.light))
     return HourFigures(rows, hour_figures(block), found, least, most, drawn.astype(np.float32))
+
+
+def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
+    """Return for each mirror what 1 lx of its image adds, and its illuminance [count, n] in draws.
+
+    A draw is a quantile: its images are visible in all hours whose chance exceeds it.
+    """
+    draws = (np.arange(count)[:, None] + 0.5) / count
+    return [
+        (sun_per_lx(image.towards, views), np.where(draws < image.chance, image.normal_lx, 0.0))
+        for image in block.images
+    ]
 
 
 @lru_cache(maxsize=1)

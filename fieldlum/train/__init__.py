@@ -19,6 +19,7 @@ from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
+from fieldlum.models.mirrors import Mirror, mirror_warnings, split_images
 from fieldlum.models.scores import summary
 from fieldlum.records import Progress, quiet
 from fieldlum.session import sha256
@@ -55,7 +56,8 @@ class Result:
     """A trained model, and how it was chosen.
 
     not_judged: trials that were too short for their scores to count; fit_s: time of the final fit
-    [s]; data: the captures of the training, without those of a changed room; year: see `year_of`.
+    [s]; data: the captures of the training, without those of a changed room; year: see `year_of`;
+    mirrors: of the sun, found in the captures.
     """
 
     fitted: Fitted
@@ -66,6 +68,7 @@ class Result:
     data: Dataset
     notes: tuple[str, ...] = ()
     year: YearExpectation | None = None
+    mirrors: tuple[Mirror, ...] = ()
 
     @property
     def held_out(self) -> HeldOutMaps | None:
@@ -124,6 +127,8 @@ def fit_and_score(
     """
     budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
+    captures = len(data)
+    data, mirrors = split_images(data)
     data, setting, changed = usable_captures(data, patch, progress)
     folds = day_folds(data)
     if not folds:
@@ -175,9 +180,12 @@ def fit_and_score(
     )
     fitted, doubted = findings(fitted, data, patch, setting)
     skies = seen_skies(fitted, data)
-    notes = (*_notes(data, patch, model, trials), *left_out, *skies, *changed, *doubted)
+    mirror = mirror_warnings(mirrors, captures)
+    notes = (*_notes(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
     year = year_of(fitted, data, patch, seed, progress)
-    return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year)
+    return Result(
+        fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year, mirrors
+    )
 
 
 def year_of(
@@ -365,6 +373,7 @@ def run(
             result.data,
             patch=mode,
             seed=seed,
+            mirrors=result.mirrors,
             chosen_because=result.choice.reason,
             warnings=[note for note in result.notes if note.startswith("WARNING")],
         )
