@@ -325,8 +325,8 @@ def greedy_hours(
 
     year, pool : features of the hours to predict and of the hours that can be chosen. Only weather
     is needed, no picture. taken : hours already captured; weights [len(year)] : importance of each
-    hour of the year; noise : variance of one capture, in units of the kernel. Cost: O(len(year)
-    len(pool) count).
+    hour of the year; noise : variance of one capture, in units of the kernel. Cost: O((len(year) +
+    len(pool)) len(pool) count).
     """
     w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
     cross, own = kernel(year, pool), kernel(pool, pool)

@@ -190,9 +190,9 @@ def _between(
 
 
 def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> int:
-    """Return the samples along one edge of a target pixel, at most 24.
+    """Return the samples along one edge of a target pixel, 3 to 24.
 
-    Chosen so that no sensor pixel of the colour is between two samples.
+    If 24 are enough for it, no sensor pixel of the colour is between two samples.
     """
     densest = lens.radius_px * max(
         1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad

@@ -261,8 +261,8 @@ def iter_traced(
 def traced_sky_share(room: Room, rays: Array) -> Array:
     """Return the share of the open sky's light that rays [m, 3] from the viewpoint receive, [m].
 
-    Rays are in world axes. The share is 0 behind an opaque surface, else the transmittance of the
-    glass.
+    Rays are in world axes. The share is 0 behind an opaque surface and below the horizon, else the
+    transmittance of the glass.
     """
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)

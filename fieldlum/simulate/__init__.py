@@ -50,9 +50,10 @@ class Simulated:
 
 
 def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
-    """Return the weather year of the file `path`, by default that of the site.
+    """Return the weather year of the file `path`.
 
-    It is the shipped year of Seattle for a site near it, else a synthetic year drawn by `seed`.
+    Without a file, return the shipped year of Seattle for a site near it, and a synthetic year
+    drawn by `seed` for other sites.
     """
     if path is not None:
         return read_weather(path, setup.site)

@@ -91,7 +91,7 @@ class PatchDescriptor:
     def add(
         self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
     ) -> Features:
-        """Return `features` with the direct flux in each cell, normalised.
+        """Return `features` with `patch_cells` over the total light and `cells_norm`.
 
         patch [n, H, W] cd/m2; open_sky [H, W] marks windows, which do not count.
         """

@@ -238,7 +238,8 @@ def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width:
     """Return the covariance of the second stage between hours, [len(a), len(b)].
 
     It has two parts: effects of the sun from nearly the same direction, and the season. share_a,
-    share_b: the sun's share of the total light, [len(a)] and [len(b)].
+    share_b: the sun's share of the total light, [len(a)] and [len(b)]; width: chord between two sun
+    directions within which the first part is correlated.
     """
     cosine = np.clip(a.sun_direction @ b.sun_direction.T, -1.0, 1.0)
     sharp = np.outer(share_a, share_b) * np.exp((cosine - 1.0) / width**2)

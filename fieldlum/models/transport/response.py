@@ -21,9 +21,9 @@ Array = NDArray[Any]
 class LightBasis:
     """The captured hours, with which the kernel compares a new hour.
 
-    captured: features of the n captured hours; captured_light: their sun and sky; projector: [n,
-    r]; physics: the coarse room model, if hours or the prior mean use it; patches: descriptor of
-    sun patches, if known.
+    captured: features of the n captured hours; captured_light: their light, of which only the sun's
+    directions are used; projector: [n, r]; physics: the coarse room model, if hours or the prior
+    mean use it; patches: descriptor of sun patches, if known.
     """
 
     kernel: Kernel
