@@ -1,9 +1,9 @@
 """Run all stages on simulated captures, and compare the results with the truth.
 
 Radiance renders the office of Liu, Colburn and Inanici (2020) at every planned hour. A simulated
-camera takes raw brackets of it, and a simulated SPN1 is read over a pseudo-terminal; no later stage
-knows that it is a simulation. Merged, paired and predicted results are then compared with the
-rendered truth.
+camera takes raw brackets of it, and a simulated SPN1 is read over a pseudo-terminal; later stages
+read the same files as those of real devices. Merged, paired and predicted results are then compared
+with the rendered truth.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
-    """Compare all merged panoramas with the rendered truth, over unflagged pixels.
+    """Compare merged panoramas with their rendered truth, over unflagged pixels.
 
     Return the median relative error (median of the maps' medians), the mean share of pixels within
     5 %, both as fractions, and the number of maps.

@@ -40,7 +40,7 @@ class DriftSeries:
     """One quantity over time: days since the first value [n], values [n], and their change.
 
     change: of a robust line from the first to the last value, with its 95 % interval; reach: a
-    larger change is significant. NaN with fewer than `FEWEST` values or `FEWEST_DAYS` days.
+    larger change is significant. NaN with fewer than 20 values or values of fewer than 3 days.
     """
 
     kind: str

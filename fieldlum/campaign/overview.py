@@ -55,7 +55,7 @@ class RoomOverview:
 
     @property
     def worst(self) -> DirectionYear | None:
-        """Direction with the highest DGP in 5 % of the hours; None if no year shows a direction.
+        """Direction with the highest DGP in 5 % of the hours; None without a predicted direction.
 
         The room's own report names the same direction.
         """
@@ -64,7 +64,7 @@ class RoomOverview:
 
     @property
     def best(self) -> DirectionYear | None:
-        """Direction with the lowest DGP in 5 % of the hours; None if no year shows a direction.
+        """Direction with the lowest DGP in 5 % of the hours; None without a predicted direction.
 
         A partly seen direction counts with the upper end of its interval. The room's own report
         names the same direction.

@@ -55,7 +55,7 @@ def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
 
 
 class GphotoCamera:
-    """A tethered camera; libgphoto2 runs in a child process under a watchdog. Implements `Camera`.
+    """A tethered camera, by libgphoto2 in a child process; implements `Camera` and `Choosing`.
 
     After a hang or a crash the next `expose` restarts the child. readout_s : time that is added to
     the shutter time before a call counts as hung; late_file_s : time to wait for the second file of

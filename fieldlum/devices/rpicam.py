@@ -91,7 +91,7 @@ def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
 
 
 class RpicamCamera:
-    """A Raspberry Pi camera; implements `Camera` and `ReportingCamera`.
+    """A Raspberry Pi camera; implements `Camera`, `Choosing` and `ReportingCamera`.
 
     Raises DeviceError if the program or the camera is missing.
     """

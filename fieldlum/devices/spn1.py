@@ -75,7 +75,7 @@ def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
 def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
     """Return whether the middle of three readings is half way between the others, to 25 W/m2.
 
-    This is so in light that rises or falls steadily. The outer two may differ by 200 W/m2.
+    This is so in light that rises or falls steadily. The outer two may differ by at most 200 W/m2.
     """
     triples = zip(_both(a), _both(b), _both(c), strict=True)
     return apart_wm2(a, c) <= STEEPEST_WM2 and all(

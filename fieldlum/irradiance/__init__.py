@@ -114,8 +114,9 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
     """Return a mask [n] of single rows that are far above or far below both neighbours.
 
-    Far is over 20 W/m2, and over three times the usual step, which is the ninth largest of the
-    other steps within 120 rows on each side. Where the light changes often, as under broken clouds,
+    Far is over 20 W/m2, over eight times the difference of the two neighbours, and over three times
+    the usual step, which is the ninth largest of the other steps within 120 rows on each side.
+    Where the light changes often, as under broken clouds,
     no row is a spike (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243
     rows, are not judged.
     """
@@ -213,7 +214,7 @@ def _without_neighbours(value: Float) -> NDArray[np.bool_]:
 
 
 def mark_text(marks: int) -> str:
-    """Return the names of a row's marks, such as ``low-sun gap``; "" without a mark."""
+    """Return the names of a row's marks without derived, such as ``low-sun gap``; "" if none."""
     shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
     return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
 

@@ -62,7 +62,7 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
 
 
 def chosen_days(days: NDArray[np.int64], captured: set[int]) -> list[int]:
-    """Return the days to draw, at most `MOST_DAYS`, in order of time.
+    """Return the days to draw, at most 64, in order of time.
 
     Days with captures are preferred; days and captured are day numbers.
     """

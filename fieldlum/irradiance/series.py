@@ -16,7 +16,7 @@ _BLOCK = 64  # rows over which the usual time between rows is computed; not meas
 
 
 class Mark(IntFlag):
-    """Possible faults of a row. Rows with a bit of `UNUSABLE` get NaN values."""
+    """Possible faults of a row. Rows with IMPOSSIBLE, STATUS or STUCK get NaN values."""
 
     IMPOSSIBLE = 1  # outside BSRN's physically possible limits
     EXTREME = 2  # outside BSRN's extremely rare limits

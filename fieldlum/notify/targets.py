@@ -23,7 +23,8 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
     """Return the addresses in ``@FILE``, and a note about the file, "" if there is none.
 
     option: value of ``--notify``; if it is empty, `variable`, the content of the environment
-    variable, is used, which is ``@FILE`` or addresses separated by blanks. A file has one address
+    variable, is used, which is ``@FILE`` or addresses separated by blanks; without both there is no
+    address. A file has one address
     per line; empty lines and lines that begin with # are skipped. Raises InputError for an option
     that is not ``@FILE``, and for a file that cannot be read or is empty; no error contains an
     address.

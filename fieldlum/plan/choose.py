@@ -33,8 +33,8 @@ NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions/00
 def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
     """Return indices [count], ascending, of points spread by farthest-point sampling.
 
-    Gonzalez 1985: the widest gap is at most twice the smallest possible. The first point is drawn
-    by `rng`.
+    All points are returned if there are no more than `count`. Gonzalez 1985: the widest gap is at
+    most twice the smallest possible. The first point is drawn by `rng`.
     """
     if count >= len(points):
         return np.arange(len(points))
@@ -49,7 +49,8 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
 def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
     """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
 
-    points : [n, k]; each of `count` clusters has one point.
+    points : [n, k]; each of `count` clusters has one point. All points are returned if there are no
+    more than `count`.
     """
     from scipy.cluster.vq import kmeans2
 

@@ -30,7 +30,11 @@ LINE = "#8a96a3"
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Shares of a year that a plan covers, in percent; None for shares that need a weather file."""
+    """Shares of a year that a plan covers, in percent; None for shares that need a weather file.
+
+    sun_band_percent: of the sun's positions in a year; irradiance_percent: of the weather's hours,
+    by direct and diffuse irradiance; both_percent: of the hours covered in both ways.
+    """
 
     # area of the band of sun positions that are within NEAR_DEG of a planned one
     sun_band_percent: float
@@ -63,7 +67,7 @@ def band_directions(site: Site) -> NDArray[np.float64]:
 
 
 def sun_band_percent(hours: DaylightHours, site: Site) -> float:
-    """Return the share of the sun band within NEAR_DEG of the sun of an hour, in percent."""
+    """Return the share of the year's sun positions within 10 deg of an hour's sun, in percent."""
     band = band_directions(site)
     if not len(hours) or not len(band):
         return 0.0

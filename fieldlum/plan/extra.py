@@ -23,7 +23,7 @@ MARGIN = timedelta(seconds=60)
 
 
 def add_extra(session: Session, now_utc: datetime) -> Slot:
-    """Add a slot to plan.csv at the next full minute after `LEAD`, and return it.
+    """Add a slot to plan.csv at the next full minute that is over 45 s away, and return it.
 
     Its exposures are those of the last planned slot before it. Raises InputError if the sun is
     down, if a coming extra slot is already planned, or if a coming slot is nearer than the duration

@@ -49,8 +49,9 @@ class _HoursJob:
 class HourFigures:
     """Figures of the n hours `rows` (first, end) of a year, in d view directions.
 
-    hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; least, most: bounds of DGP
-    by unseen parts of the view [n, d]; drawn: DGP in k drawn rooms [k, n, d].
+    hours: as `hour_figures` returns them, [n] each; views: as `view_figures` returns them, [n, d]
+    each; least, most: bounds of DGP by unseen parts of the view [n, d]; drawn: DGP in k drawn rooms
+    [k, n, d].
     """
 
     rows: tuple[int, int]
@@ -78,7 +79,7 @@ def hour_units(
     turns_deg: NDArray[np.float64],
     maps: str,
 ) -> list[WorkUnit]:
-    """Return the units of a year's n hours, with `BLOCK` hours each; the last may be shorter.
+    """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
 
     discs_lx: illuminance of the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun
     [k, 2]. maps: folder or URL of the maps, "" for none.

@@ -46,7 +46,7 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
 def add_note(session: Session, text: str) -> str:
     """Append a user's note to the journal; return it on one line, without control characters.
 
-    Raises InputError for an empty note and for a note of more than `MAX_NOTE` characters.
+    Raises InputError for an empty note and for a note of more than 500 characters.
     """
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     if not 0 < len(line) <= MAX_NOTE:

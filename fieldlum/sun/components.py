@@ -151,7 +151,7 @@ def bsrn_limits(
 def too_weak(
     ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Return where the global light is less than any sky transmits, [n]; False for a low sun.
+    """Return a mask [n] of global light below what any sky transmits; False for sun under 10 deg.
 
     Then the instrument is covered or dead, or the unit is kW/m2.
     """

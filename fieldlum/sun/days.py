@@ -63,7 +63,7 @@ def standard_midnight(day: date, timezone: str) -> datetime:
 
 
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
-    """Return daylight-saving changes from local midnight of `first` to that after `last`.
+    """Return the clock changes from local midnight of `first` to that after `last`.
 
     Each is (moment in UTC, change).
     """

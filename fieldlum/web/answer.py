@@ -81,7 +81,7 @@ class Worker:
 
     @property
     def folder(self) -> Path:
-        """Folder of the results."""
+        """The session's folder watch/, with the model, the year and the history of answers."""
         return self.session.root / "watch"
 
     def start(self) -> None:
@@ -103,8 +103,8 @@ class Worker:
     def work(self) -> None:
         """Merge and pair new brackets if no slot is near; then train and predict if it is time.
 
-        It is time if 8 or more slots are captured, one of them since the last answer, and that is 6
-        or more hours old.
+        It is time if 8 or more slots are captured, and if there is no answer yet, or it is 6 or
+        more hours old and slots were captured since.
         """
         now = self.moment()
         if not now.is_quiet or now.captured == 0:

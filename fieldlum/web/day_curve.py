@@ -14,7 +14,7 @@ from fieldlum.web.follow import BIN_S, IrradianceFollower
 
 
 def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
-    """Return the irradiance of a local day in bins of `BIN_S` [W/m2], and which bins are flagged.
+    """Return the irradiance of a local day in bins of 2 min [W/m2], and which bins are flagged.
 
     Flagged are impossible values and errors that the instrument reported.
     """

@@ -1,8 +1,8 @@
 """Read the growing files of a session, each time from where the last reading ended.
 
 A page that is open for a month must not read a month of files every few seconds, and its memory
-must not grow. So the journal is folded line by line, and a day of irradiance is a fixed number of
-bins.
+must not grow. So each line of the journal updates one state, and a day of irradiance is a fixed
+number of bins.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class JournalFollower:
 
 
 class DayBins:
-    """Mean irradiances in bins of `BIN_S` seconds, from the logger's file of one UTC day."""
+    """Mean irradiances in bins of two minutes, from the logger's file of one UTC day."""
 
     def __init__(self, path: Path) -> None:
         self._tail = LineTail(path)

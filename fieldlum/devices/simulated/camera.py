@@ -68,7 +68,7 @@ class SimulatedCamera:
         """Take one frame and return its file, `target` plus a suffix.
 
         The clock advances by the overhead plus the shutter time. Raises DeviceError for a setting
-        that the camera does not have.
+        that the camera does not have, and for a time without a picture in the session's truth/.
         """
         dial_s = self._allowed(exposure)
         set_to = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)

@@ -1,4 +1,4 @@
-"""Provide the scenes of simulated devices: a session's truth/ folder, or the built-in office.
+"""Provide the scenes of simulated devices from a session's truth/ folder.
 
 `fieldlum simulate` writes truth/: ``<slot>.exr``, a panorama with its sun, and ``irradiance.csv``
 with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted by time. Irradiance between its rows is

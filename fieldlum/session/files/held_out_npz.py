@@ -24,10 +24,10 @@ class HeldOutMaps:
 
     slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted, as in
     scores.json [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun
-    disc [n, 10]; contrast_measured,
-    contrast_predicted: of each pyramid level [n, 5] cd/m2; measured_log10, predicted_log10: log10
-    of cd/m2 [n, h, w], float16 (to 0.2 %), every f-th pixel, without the disc; season_deg: angle to
-    the nearest sun in that fit's training data [n] deg.
+    disc [n, 10]; contrast_measured, contrast_predicted: of each pyramid level [n, 5] cd/m2;
+    measured_log10, predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2 %), reduced to fewer
+    pixels, without the disc; season_deg: angle to the nearest sun in that fit's training data [n]
+    deg.
     """
 
     slots: NDArray[np.str_]

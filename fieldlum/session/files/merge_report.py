@@ -142,7 +142,7 @@ class MergeReport:
     dark_rims: tuple[DarkRim, ...] = ()
 
     def table(self) -> JsonTable:
-        """Return the object of the sidecar, without the optional keys that this bracket lacks."""
+        """Return the object `quality` of the sidecar, without optional keys that have no value."""
         optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims")
         return {
             _KEYS.get(name, name): value

@@ -25,9 +25,9 @@ NAME = "predict.json"
 class DirectionYear:
     """Glare of one view direction over the occupied hours; `glare_class` is the key `class`.
 
-    seen: how much of the view lenses saw, in the words of `predict`. dgp_exceeded: DGP that is
-    exceeded in `share` of the hours, with its 95 % interval low to high; None: unknown. hours_over:
-    number of hours above each limit of DGP.
+    certain: whether the class is decided. seen: how much of the view the lenses saw. dgp_exceeded:
+    DGP that is exceeded in `share` of the hours, with its 95 % interval low to high; None: unknown.
+    hours_over: number of hours above each limit of DGP.
     """
 
     azimuth_deg: float

@@ -133,7 +133,7 @@ class ScoresFile:
         return cls.read(folder) if (folder / "scores.json").is_file() else None
 
     def table(self) -> TrainAnswer:
-        """Return the object that `train --json` prints."""
+        """Return the object that `train --json` prints, without `kept`."""
         answer: TrainAnswer = {
             "models": list(self.models),
             "chosen": self.chosen,
