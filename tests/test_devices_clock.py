@@ -81,7 +81,9 @@ def test_bad_uris_name_themselves(text: str, said: str) -> None:
 def test_unknown_option_is_named() -> None:
     with pytest.raises(DeviceError, match=r"unknown option 'sede'; did you mean 'seed'\?"):
         parse_uri("sim:office?sede=1").read(seed=integer_option(0, 9))
-    with pytest.raises(DeviceError, match="option seed=12: expected an integer from 0 to 9"):
+    with pytest.raises(DeviceError, match="option seed=12; expected an integer from 0 to 9"):
         parse_uri("sim:office?seed=12").read(seed=integer_option(0, 9))
+    with pytest.raises(DeviceError, match="option seed=one; expected an integer from 0 to 9; corr"):
+        parse_uri("sim:office?seed=one").read(seed=integer_option(0, 9))
     with pytest.raises(DeviceError, match="expected a number from 0 to 1"):
         parse_uri("sim:office?noise=nan").read(noise=number(0, 1))

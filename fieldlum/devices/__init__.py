@@ -229,7 +229,7 @@ def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any
     if uri.scheme not in table:
         raise DeviceError(
             f"{uri.text}: no {what} driver '{uri.scheme}:'; expected one of "
-            f"{', '.join(sorted(table))}"
+            f"{', '.join(sorted(table))}; correct the URI"
         )
     module, function = table[uri.scheme]
     return getattr(import_module(module), function)

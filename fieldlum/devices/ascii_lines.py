@@ -30,6 +30,7 @@ _LONGEST = 1000  # bytes; a longer line has lost its end mark. Chosen, not measu
 # Limits of quantities other than irradiance; a number outside was misread. Chosen wider than any
 # instrument housing in use; not measured.
 _LIMITS = {"temperature_c": (-60.0, 150.0)}
+_CORRECT = "check the cable, or correct the instrument's program or the profile"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
         known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
         raise DeviceError(
             f"no profile of text lines named '{name}'; expected one of {known}, or the path "
-            "of a TOML file"
+            "of a TOML file; correct profile= in the URI"
         )
     profile = build(AsciiProfile, read_toml(path), str(path))
     quantities = [e.quantity for e in profile.entry]
@@ -164,10 +165,15 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
 
 def _complete_text(line: bytes) -> str:
     if not line.endswith(b"\n") or len(line) > _LONGEST:
-        raise DeviceError(f"line {line[:60]!r} does not end with a line feed")
+        raise DeviceError(
+            f"line {line[:60]!r} of {len(line)} bytes; expected at most {_LONGEST} bytes and a "
+            "line feed at the end; check cable and baud rate"
+        )
     body = line.rstrip(b"\r\n")
     if not body.isascii() or any(c < 32 and c != 9 for c in body):
-        raise DeviceError(f"line {line[:60]!r} has bytes that are not ASCII text")
+        raise DeviceError(
+            f"line {line[:60]!r} has bytes that are not ASCII text; check cable and baud rate"
+        )
     return body.decode("ascii")
 
 
@@ -176,7 +182,9 @@ def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
     data = body.removeprefix("$").encode("ascii")
     due = f"{reduce(xor, data, 0):02X}" if kind == "xor" else f"{crc16(data):04X}"
     if not star or digits.upper() != due:
-        raise DeviceError(f"line {text[:60]!r} has a wrong checksum; expected *{due}")
+        raise DeviceError(
+            f"line {text[:60]!r} has a wrong checksum; expected *{due}; check the cable"
+        )
     return body
 
 
@@ -210,7 +218,8 @@ def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
         key, equals, value = word.partition("=")
         if not equals or not key or key in found:
             raise DeviceError(
-                f"line {text[:60]!r}: {word!r} is not key=value, or its key occurs twice"
+                f"line {text[:60]!r}: {word!r} is not key=value, or its key occurs twice; "
+                f"{_CORRECT}"
             )
         found[key] = value
     return _having(profile, found, text)
@@ -230,18 +239,18 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise DeviceError(f"line {text[:60]!r} is not a JSON object")
+        raise DeviceError(f"line {text[:60]!r} is not a JSON object; {_CORRECT}")
     return _having(profile, found, text)
 
 
 def _having(profile: AsciiProfile, found: Mapping[str, object], text: str) -> Mapping[str, object]:
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in found]:
-        raise DeviceError(f"line {text[:60]!r} has no key {', '.join(missing)}")
+        raise DeviceError(f"line {text[:60]!r} has no key {', '.join(missing)}; {_CORRECT}")
     if profile.only and list(found) != keys:
         raise DeviceError(
             f"line {text[:60]!r} has keys {', '.join(found)}; expected exactly "
-            f"{', '.join(keys)}, in this order; correct the instrument's program or the profile"
+            f"{', '.join(keys)}, in this order; {_CORRECT}"
         )
     return found
 
@@ -257,7 +266,9 @@ def _number(value: object, entry: AsciiField, text: str) -> float:
         or (entry.width is not None and len(shown) != entry.width)
         or not math.isfinite(float(match[0]))
     ):
-        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}; expected {_form(entry)}")
+        raise DeviceError(
+            f"line {text[:60]!r}: {entry.key} is {value!r}; expected {_form(entry)}; {_CORRECT}"
+        )
     return float(match[0])
 
 

@@ -33,8 +33,8 @@ _ERRORS = {
     "1": "the receptor head was switched off; restart the meter",
     "2": "memory error; restart the meter",
     "3": "memory error; restart the meter",
-    "5": "the light is over the meter's range",
-    "7": "the light is out of the meter's range",
+    "5": "the light is over the meter's range; measure in less light",
+    "7": "the light is out of the meter's range; measure in other light",
 }
 _TRIES = 4  # measurements until the meter has settled on a range; chosen, not measured
 # Pauses that the meter needs after commands (CS-A32T): 0.5 s after PC mode, hold and measure,
@@ -64,7 +64,8 @@ def unframe(reply: bytes) -> str:
     match = re.fullmatch(rb"\x02([^\x02\x03]*)\x03([0-9A-F]{2})\r\n", reply)
     if match is None or bcc(match[1]) != match[2] or not match[1].isascii():
         raise DeviceError(
-            f"CL-200A answered {reply[:40]!r}; expected a frame with the right check digits"
+            f"CL-200A answered {reply[:40]!r}; expected a frame with the right check digits; check "
+            "the cable"
         )
     return match[1].decode("ascii")
 
@@ -99,9 +100,9 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
     if match[4] in _ERRORS:
         raise DeviceError(f"CL-200A: {_ERRORS[match[4]]}")
     if match[4] == "4":
-        raise NotReady("CL-200A has not measured yet")
+        raise NotReady("CL-200A has not measured yet; wait some seconds, then read it again")
     if match[5] == "6":
-        raise NotReady("CL-200A changes its range")
+        raise NotReady("CL-200A changes its range; read it again in steady light")
     illuminance_lx, x, y = (_value(match[7][i : i + 6]) for i in (0, 6, 12))
     if not (0.0 <= illuminance_lx <= 200_000.0 and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
         raise DeviceError(

@@ -73,7 +73,8 @@ class Child:
                     else f"exit code {code}"
                 )
                 raise DeviceError(
-                    f"{self._name}: the driver crashed in '{command}' ({why})"
+                    f"{self._name}: the driver crashed in '{command}' ({why}); check cable and "
+                    "battery, then run the command again"
                 ) from None
         if kind == "full":
             raise OSError(result, os.strerror(result))

@@ -127,7 +127,8 @@ class ModbusPyranometer:
                     ) from None
                 except minimalmodbus.ModbusException as error:
                     raise DeviceError(
-                        f"{self._port.name}: {self._profile.kind} unit {unit.address}: {error}"
+                        f"{self._port.name}: {self._profile.kind} unit {unit.address}: {error}; "
+                        "check wiring, baud rate and parity"
                     ) from None
             registers.update(zip(block.numbers, words, strict=True))
         raw = " ".join(f"{registers[r]:04x}" for b in self._profile.poll for r in b.numbers)

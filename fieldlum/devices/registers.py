@@ -113,7 +113,7 @@ def load_register_profile(kind: str) -> RegisterProfile:
     if not path.is_file():
         raise DeviceError(
             f"no instrument '{kind}'; expected one of {', '.join(known_kinds())}, or the path of a "
-            f"TOML file"
+            f"TOML file; correct kind= in the URI"
         )
     profile = build(RegisterProfile, read_toml(path), str(path))
     for block in (*profile.poll, *profile.at_open):
@@ -123,7 +123,8 @@ def load_register_profile(kind: str) -> RegisterProfile:
         ):
             raise InputError(
                 path,
-                f"a [[poll]] block of {block.count} registers from register {block.start}",
+                f"a [[poll]] or [[at_open]] block of {block.count} registers from register "
+                f"{block.start}",
                 f"1 to {profile.largest_request} registers in a request, from 0 to 65535",
                 "correct the block, or split it into two",
             )
@@ -133,8 +134,8 @@ def load_register_profile(kind: str) -> RegisterProfile:
         if not _needed_registers(entry) <= (polled if entry.name == "irradiance_wm2" else read):
             raise InputError(
                 path,
-                f"registers of entry '{entry.name}' are in no [[poll]] block",
-                "all registers of each entry in a block",
+                f"registers of entry '{entry.name}' that are in no [[poll]] block",
+                "all registers of each entry in such a block",
                 "add these registers to a [[poll]] block",
             )
     if "irradiance_wm2" not in {e.name for e in profile.entry}:

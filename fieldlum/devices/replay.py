@@ -39,7 +39,8 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
                 continue
     if not frames:
         raise DeviceError(
-            f"replay: no frames in {folder}; expected raw or JPEG files with their exposure in EXIF"
+            f"replay: no frames in {folder}; expected raw or JPEG files with their exposure in "
+            "EXIF; name another folder"
         )
     return sorted(frames, key=lambda frame: (_order(frame[1].t_camera), str(frame[0])))
 
@@ -102,5 +103,5 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     uri.read()
     folder = Path(uri.place)
     if not uri.place or not folder.is_dir():
-        raise DeviceError(f"{uri.text}: no such folder; expected replay:FOLDER")
+        raise DeviceError(f"{uri.text}: no such folder; expected replay:FOLDER; correct the path")
     return ReplayCamera(folder, clock)

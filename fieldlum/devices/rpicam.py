@@ -80,7 +80,7 @@ def parse_metadata(text: str) -> FrameMetadata:
     if not all(math.isfinite(v) and v > 0 for v in (*values, digital)):
         raise DeviceError(
             f"rpicam: impossible metadata: an exposure of {values[0]:g} us at gain {values[1]:g}; "
-            "expected numbers above 0"
+            "expected numbers above 0; install a newer rpicam-apps"
         )
     return FrameMetadata(values[0] * 1e-6, values[1], digital)
 
@@ -227,7 +227,8 @@ class RpicamCamera:
         except subprocess.TimeoutExpired:
             _kill(process)
             raise DeviceError(
-                f"rpicam: {PROGRAM} did not end within {timeout_s:.0f} s and was killed"
+                f"rpicam: {PROGRAM} did not end within {timeout_s:.0f} s and was killed; check the "
+                "camera's cable, then capture again"
             ) from None
         except BaseException:
             _kill(process)
@@ -245,7 +246,8 @@ def _reason(printed: str, code: int) -> str:
     errors = [line for line in lines if "ERROR" in line]
     if any("in use by another process" in line for line in lines):
         return "another program uses the camera; end that program"
-    return f"{(errors or lines or ['nothing printed'])[-1][:200]} (exit code {code})"
+    shown = (errors or lines or ["nothing printed"])[-1][:200]
+    return f"{shown} (exit code {code}); run {PROGRAM} in a terminal to find the cause"
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
@@ -277,5 +279,8 @@ def _planned_f_number(session: Session | None) -> float:
     slots = session.slots() if session is not None else []
     planned = {exposure.f_number for slot in slots for exposure in slot.exposures}
     if len(planned) != 1:
-        raise DeviceError("rpicam: state the lens's aperture, such as rpicam:0?f_number=2.0")
+        raise DeviceError(
+            "rpicam: the plan has no single aperture; state the lens's aperture in the URI, such "
+            "as rpicam:0?f_number=2.0"
+        )
     return planned.pop()

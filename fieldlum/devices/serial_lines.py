@@ -98,7 +98,7 @@ class LineInstrument:
     def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
         values = parse_line(self._profile, line)
         if reason := self._form.unlike(body_of(self._profile, line)):
-            raise DeviceError(f"the line differs from earlier lines: {reason}")
+            raise DeviceError(f"the line differs from earlier lines: {reason}; check the cable")
         return line.decode("ascii").strip(), values
 
     def _reading(self, valid: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:

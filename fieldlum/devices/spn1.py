@@ -57,12 +57,13 @@ def parse_reading(reply: bytes) -> Spn1Reading:
     match = _READING.fullmatch(reply)
     if match is None:
         raise DeviceError(
-            f"SPN1 answered {reply[:40]!r}; expected total, diffuse, sunshine and a carriage return"
+            f"SPN1 answered {reply[:40]!r}; expected total, diffuse, sunshine and a carriage "
+            "return; check the cable"
         )
     total, diffuse = float(match[1]), float(match[2])
     if max(total, diffuse) > LARGEST_WM2:
         raise DeviceError(
-            f"SPN1 answered {reply[:40]!r}; expected at most {LARGEST_WM2:g} W/m2, its range"
+            f"SPN1 answered {reply[:40]!r}; expected at most {LARGEST_WM2:g} W/m2; check the cable"
         )
     return Spn1Reading(total, diffuse, match[3] == b"1")
 
@@ -93,7 +94,10 @@ def parse_status(reply: bytes) -> Spn1Status:
     Raises DeviceError for another reply, and for an instrument with other units.
     """
     if not (_STATUS_REPLY.fullmatch(reply) and b"SPN1 " in reply):
-        raise DeviceError(f"SPN1 answered {reply[:40]!r}; expected lines about the instrument")
+        raise DeviceError(
+            f"SPN1 answered {reply[:40]!r}; expected lines about the instrument; check that this "
+            "is the port of an SPN1"
+        )
     text = reply.decode("ascii").replace("\r", "\n")
     units = re.search(r"Units: *(\S+)", text)
     if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):

@@ -184,7 +184,8 @@ class ThetaCamera:
         parts = urlsplit(url)
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
             raise DeviceError(
-                f"theta: the camera names a file at {url}; expected a file at {self._address}"
+                f"theta: the camera names a file at {url}; expected a file at {self._address}; "
+                "check that the address in the URI is that of the Theta"
             )
         path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
         body = self._http(urllib.request.Request(url), 60.0)
@@ -228,7 +229,9 @@ class ThetaCamera:
             self._clock.sleep(POLL_S)
             reply = self._post("/osc/commands/status", {"id": reply.get("id")})
         if reply.get("state") != "done":
-            raise DeviceError(f"theta: {name}: {_error_text(reply)}")
+            raise DeviceError(
+                f"theta: {name}: {_error_text(reply)}; restart the camera, then try again"
+            )
         results = reply.get("results")
         return results if isinstance(results, dict) else {}
 

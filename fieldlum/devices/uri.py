@@ -42,7 +42,9 @@ class DeviceUri:
             try:
                 values[name] = known[name](value)
             except ValueError as error:
-                raise DeviceError(f"{self.text}: option {name}={value}: {error}") from None
+                raise DeviceError(
+                    f"{self.text}: option {name}={value}; {error}; correct the URI"
+                ) from None
         return values
 
 
@@ -89,7 +91,10 @@ def _within(
     convert: Callable[[str], Number], expected: str, low: float, high: float
 ) -> Callable[[str], Number]:
     def reader(value: str) -> Number:
-        parsed = convert(value)
+        try:
+            parsed = convert(value)
+        except ValueError:
+            raise ValueError(f"expected {expected}") from None
         if not low <= parsed <= high:
             raise ValueError(f"expected {expected}")
         return parsed

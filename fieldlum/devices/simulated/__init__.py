@@ -22,7 +22,9 @@ _SEED = integer_option(0, 2**31)
 
 def _check_place(uri: DeviceUri) -> None:
     if uri.place not in ("office", ""):
-        raise DeviceError(f"{uri.text}: no simulated place '{uri.place}'; expected sim:office")
+        raise DeviceError(
+            f"{uri.text}: no simulated place '{uri.place}'; expected sim:office; correct the URI"
+        )
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:

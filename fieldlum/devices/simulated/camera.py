@@ -102,9 +102,13 @@ class SimulatedCamera:
             )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
             known = ", ".join(nd.name for nd in profile.nd) or "none"
-            raise DeviceError(f"simulated camera: no filter '{exposure.nd}'; expected {known}")
+            raise DeviceError(
+                f"simulated camera: no filter '{exposure.nd}'; expected {known}; correct the plan"
+            )
         if not 50 <= exposure.iso <= 6400:
-            raise DeviceError(f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400")
+            raise DeviceError(
+                f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400; correct the plan"
+            )
         return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
 
     def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
