@@ -74,8 +74,8 @@ def _privacy_note(path: Path) -> str:
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
     """Return a function that sends one message to all targets, and returns whether all succeeded.
 
-    Raises InputError without the package apprise and, naming the line, for a target that it does
-    not understand.
+    Raises InputError without the package apprise and for a target that it does not understand, with
+    the target's number but without its text. source: what states the targets, for errors.
     """
     logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
     try:
@@ -94,8 +94,8 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
         ) from None
     if not all(understood):
         raise InputError(
-            f"{source}:{understood.index(False) + 1}",
-            "an address that apprise does not understand",
+            source,
+            f"apprise does not understand address {understood.index(False) + 1} of {len(understood)}",
             "an address such as mailto://, ntfy:// or tgram://",
             "see the list of services in apprise's documentation",
         )

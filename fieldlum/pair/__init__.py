@@ -194,7 +194,7 @@ def run(
     brackets = taken_brackets(session)
     if not brackets:
         raise NotEnoughDataError(
-            f"{session.panoramas}: no panorama yet, run: fieldlum merge {session.root}"
+            f"{session.panoramas}: no panorama to pair; run fieldlum merge {session.root}"
         )
     setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)
     check_night(session.clean_irradiance, log, setup.site)

@@ -29,7 +29,7 @@ def pause(session: Session, duration: timedelta) -> datetime:
             session.root,
             f"a pause of {duration.total_seconds() / 60:.0f} minutes",
             f"1 to {longest} minutes",
-            "choose a shorter pause",
+            "choose a pause of that length",
         )
     now = datetime.now(UTC).replace(microsecond=0)
     until = now + duration

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, reason_of
 from fieldlum.session.writing import replacing
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
@@ -65,7 +65,7 @@ class CleanIrradiance:
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(
                 path,
-                f"{error}",
+                reason_of(error),
                 "the columns that fieldlum pair writes",
                 "delete the file and run fieldlum pair, which writes it again",
             ) from None

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, reason_of
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import replacing
 
@@ -94,7 +94,7 @@ class HourlyFile:
             return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
         except (ValueError, KeyError, IndexError) as error:
             raise InputError(
-                path, str(error), "what fieldlum predict wrote", "run fieldlum predict again"
+                path, reason_of(error), "what fieldlum predict wrote", "run fieldlum predict again"
             ) from None
 
     def write(self, folder: Path, timezone: str) -> None:

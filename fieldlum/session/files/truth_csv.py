@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, reason_of
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import write_table
 
@@ -37,7 +37,7 @@ class TruthIrradiance:
             times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
             light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
         except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(path, str(error), expected, remedy) from None
+            raise InputError(path, reason_of(error), expected, remedy) from None
         if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
             found = f"{len(times)} rows"
             if len(times) > 1:
