@@ -127,7 +127,7 @@ def test_addresses_come_from_a_file_and_no_error_quotes_one(tmp_path: Path) -> N
     assert "chmod 600" in read_targets("", f"@{path}")[1]
     assert read_targets("", "json://a json://b")[0] == ("json://a", "json://b")
     path.write_text(f"# comment\njson://127.0.0.1:1/\nnonsense:{SECRET}\n")
-    with pytest.raises(InputError, match="targets: .* understand address 2 of 2") as unknown:
+    with pytest.raises(InputError, match=r"targets: .* understand address 2 of 2") as unknown:
         apprise_post(read_targets(f"@{path}")[0], path)
     assert SECRET not in str(unknown.value)
     path.write_text("ftp://example.org\n")

@@ -93,9 +93,10 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
             "install it with: pip install 'fieldlum[notify]'",
         ) from None
     if not all(understood):
+        number = understood.index(False) + 1
         raise InputError(
             source,
-            f"apprise does not understand address {understood.index(False) + 1} of {len(understood)}",
+            f"apprise does not understand address {number} of {len(understood)}",
             "an address such as mailto://, ntfy:// or tgram://",
             "see the list of services in apprise's documentation",
         )
