@@ -19,10 +19,11 @@ from fieldlum import models, predict, report, train
 from fieldlum.cli import main
 from fieldlum.records import Exposure, Slot
 from fieldlum.report import annual as annual_page
-from fieldlum.report import evidence
+from fieldlum.report import captured, evidence
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
 
 pytestmark = pytest.mark.contract
@@ -144,6 +145,13 @@ def test_a_session_without_pairs_has_nothing_to_report(tmp_path: Path) -> None:
     create_session(tmp_path / "s", SETUP, [], {})
     shown = CliRunner().invoke(main, ["report", str(tmp_path / "s")])
     assert shown.exit_code == 5 and "no bracket was paired yet" in shown.output
+
+
+def test_without_a_usable_bracket_nothing_is_stated_about_its_irradiance(tmp_path: Path) -> None:
+    session = create_session(tmp_path / "s", SETUP, [], {})
+    none = np.empty(0)
+    text = captured.section(session, SETUP.site, PairsFile(session.pairs, ()), none, none).text
+    assert text == "0 usable brackets of 0 planned, on 0 days."
 
 
 @pytest.mark.slow

@@ -49,8 +49,9 @@ class BracketCapture:
     """Takes the frames of one slot.
 
     check: checks a frame's EXIF; check_opens: reads its pixels; check_shortest: checks the darkest
-    frame for clipping. Each returns what is wrong, or "". between: called after each frame, to log
-    irradiance and to refresh the display.
+    frame for clipping. Each returns what is wrong, or "". between: called with each frame, and with
+    None while waiting, to log irradiance and to refresh the display. meter: read before the first
+    frame and after the last one.
     """
 
     session: Session

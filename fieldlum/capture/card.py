@@ -1,4 +1,4 @@
-"""Read a camera's card: the frames of the session's camera, and a note on every other file."""
+"""Read a camera's card: the frames of the session's camera, and notes on other pictures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
 from fieldlum.raw import RAW_SUFFIXES, is_jpeg, read_exif, same_model
 from fieldlum.raw.exif import tags_of
-from fieldlum.records import Exposure, Progress, SiteFile, quiet
+from fieldlum.records import Exposure, Progress, SiteFile, counted, quiet
 from fieldlum.session import sha256
 
 _OTHER_PICTURES = (
@@ -34,9 +34,9 @@ _OTHER_PICTURES = (
 
 
 def card_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the frames in a folder, and a note on each kind of picture that merge cannot use.
+    """Return the frames in a folder and its subfolders, and a note on each kind of other picture.
 
-    Raises InputError if there is no frame.
+    Raises InputError if the folder is missing or has no frame.
     """
     if folder.is_file():
         raise InputError(
@@ -114,7 +114,8 @@ def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[s
                 continue
         kept.append(frame)
     return kept, [
-        f"{copies[0]}: a copy of another frame, as are {len(copies) - 1} more files"
+        f"{copies[0]}: a copy of another frame"
+        + (f", as are {counted(len(copies) - 1, 'more file')}" if len(copies) > 1 else "")
     ] if copies else []
 
 
@@ -153,8 +154,8 @@ def of_the_session(
     """Return the frames of the session's camera in one format, and a note on each other camera.
 
     The session's camera is the one that the profile names, else the one with most frames: frames of
-    two cameras never form a bracket. JPEG copies of raw frames are skipped without a note, unless
-    the profile is for JPEGs.
+    two cameras never form a bracket. If the camera has raw and JPEG frames, those of the profile's
+    kind are returned, and the other ones are skipped without a note.
     """
     body = CameraBody("", "raw", 0, 0)
     # doctor and merge report a missing profile; the frames are imported anyway

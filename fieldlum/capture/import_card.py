@@ -52,9 +52,9 @@ from fieldlum.session.ledger import SlotState, read_ledger
 class Report:
     """Result of an import.
 
-    left_out: a sentence on each file or bracket that was not imported. notes: a sentence on each
-    bracket that was imported but may be wrong. late_s: start of each bracket minus its slot's time
-    [s].
+    brackets, frames: number of new ones. left_out: sentences on files and brackets that were not
+    imported. notes: sentences on imported brackets that may be wrong. late_s: start of each bracket
+    minus its slot's time [s]. slots: of the new brackets.
     """
 
     brackets: int = 0
@@ -84,10 +84,10 @@ def run(
     """Copy brackets that match the plan into raw/ and the journal.
 
     Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
-    are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None fits the
-    camera's clock to the plan. columns: the logger's column name for each quantity, if it is
-    unusual. Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError
-    if no bracket matched.
+    are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None reads the
+    camera's from EXIF or fits it to the plan. columns: the logger's column name for each quantity,
+    if it is unusual. Raises InputError for a folder without frames or an ambiguous clock,
+    NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
         if logger is not None:
@@ -324,7 +324,7 @@ def meant(
     """Return the planned exposure and heading of frame `index` of a card's bracket.
 
     EXIF has neither filter nor heading, so they follow from the order of the frames. A frame that
-    is not in the plan keeps its EXIF exposure.
+    is not in the plan keeps its EXIF exposure, at the first heading.
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])

@@ -1,4 +1,4 @@
-"""Log irradiance during a capture: one row for each poll, even if the instrument fails."""
+"""Log irradiance: one row for each poll that the instrument answers."""
 
 from __future__ import annotations
 

@@ -32,8 +32,9 @@ from fieldlum.session.tables import LoggerFileTable
 class Adopted:
     """Result of adding a logger's file.
 
-    rows: number of rows added. withdrawn: rows of the same file that an earlier import had added
-    with another clock or other columns. left_out: a sentence on each unused part of the file.
+    rows: number of rows added. withdrawn: number of rows removed, which an earlier import of a file
+    with this name had added with another clock or other columns. left_out: a sentence on each
+    unused part of the file.
     """
 
     rows: int
@@ -49,7 +50,10 @@ def adopt_rows(
 ) -> Adopted:
     """Add the rows of a logger's file to the day files.
 
-    Raises InputError for a file that cannot be read.
+    Rows that an earlier import of this file name read with another clock or other columns are
+    removed. utc_offset_s: the logger's clock minus UTC [s], if the file does not state it. columns:
+    name of the column for each quantity, if it is unusual. Raises InputError for a file that cannot
+    be read.
     """
     table = _logger_table(path, utc_offset_s, columns)
     found = _read(path, table)
@@ -104,7 +108,7 @@ def _readable(path: Path, table: LoggerFileTable) -> Sequence[IrradianceSample]:
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Append the rows whose time is in no day file yet; return their number.
 
-    If several of these rows have the same time, all that differ are appended; copies are not.
+    If several of these rows have the same time, those that differ from the row before are appended.
     """
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:

@@ -126,8 +126,8 @@ def group_frames(
     """Group frames into brackets, in order of time.
 
     A new bracket begins after a pause, or with an exposure that the bracket already contains. The
-    pause is ten times this card's usual time between frames, because a bracket can take from three
-    seconds to two minutes.
+    pause is ten times this card's usual time between frames (60 times with several headings),
+    because a bracket can take from three seconds to two minutes.
 
     pattern: the plan's exposures. An exposure that is twice in the plan (once through a filter,
     which EXIF does not record) is expected twice. headings: number of headings of a turned head;
@@ -218,7 +218,7 @@ def find_offset(
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
-    """Refine the offset by the median delay, if all brackets start equally early or late.
+    """Refine the offset by the median delay, if three or more brackets start equally early or late.
 
     Such brackets were started by a timer, so that their common delay is an error of the camera's
     clock.
@@ -244,7 +244,8 @@ def match_groups(
 ) -> tuple[list[Match], list[Unmatched]]:
     """Match brackets to the nearest slot within 20 minutes; return matches and the others.
 
-    Of several brackets at one slot, the one with most of its exposures is matched.
+    A bracket must have two of the slot's exposures, or its only one. Of several brackets at one
+    slot, the one with most of its exposures is matched.
     """
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []

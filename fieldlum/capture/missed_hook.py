@@ -18,7 +18,7 @@ _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not m
 
 @dataclass(slots=True)
 class MissedHook:
-    """Counts missed slots in a row; runs `command`, if there is one, after the second."""
+    """Counts slots in a row without a bracket; runs `command`, if not empty, after the second."""
 
     command: str
     folder: Path

@@ -18,7 +18,7 @@ _CLOCK_CHECK_S = 5.0  # chosen
 
 
 def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
-    """Raise DeviceError if the clock shows a time before the last journal entry."""
+    """Raise DeviceError if the clock is over 2 s before the last journal entry."""
     if now_utc < last_utc - timedelta(seconds=2):
         raise DeviceError(
             f"this computer's clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC, before the last "

@@ -15,7 +15,7 @@ SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measure
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
 ) -> tuple[str, ...]:
-    """Remove imported brackets whose frames now match other slots; return their former slots.
+    """Remove imported brackets whose frames now have another slot or time; return their slots.
 
     matched: the new matches. The brackets' folders move to raw/withdrawn/, and what merge wrote
     from them is deleted. The slots are then without a bracket again.

@@ -82,7 +82,7 @@ class Keeper(Generic[D]):
         """Run `use(device)` under the watchdog and return its result.
 
         extra_s: additional time before the device counts as hung. Raises DeviceError if the device
-        is away or does not answer in time.
+        is away or does not answer in time, else what `use` raises.
         """
         device = self.get()
         if device is None:

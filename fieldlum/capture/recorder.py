@@ -177,7 +177,7 @@ class Recorder:
             self.days = DayFiles(self._session, flush=self.flush)
 
     def close(self) -> None:
-        """Write the events and rows that wait in memory, and close the files."""
+        """Write the events and rows that wait in memory, close the files, delete the reserve."""
         with self._lock:
             self._flush_events()
             self._flush_rows()

@@ -33,7 +33,7 @@ class Remote:
     _lock: Lock = field(default_factory=Lock)
 
     def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
-        """Send the messages that a journal event causes."""
+        """Send the messages that a journal event causes, and a heartbeat if it settles a slot."""
         if self.heartbeat is not None and event in SETTLED:
             self.heartbeat.beat()
         with self._lock:
@@ -41,7 +41,7 @@ class Remote:
         self._send(messages)
 
     def look(self, live: Live) -> None:
-        """Send the messages and the heartbeat that are due now."""
+        """Send the messages that are due now."""
         with self._lock:
             messages = self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2)
         self._send(messages)

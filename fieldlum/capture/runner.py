@@ -69,10 +69,14 @@ def run(
 ) -> Ledger:
     """Take all brackets that are due; return when every slot of the plan has an outcome.
 
-    `listen` is called with each journal event and must return at once. `open_cam`, `open_pyr` and
-    `open_met` replace what the URIs open. Raises DeviceError if a device does not open at the
-    start; InputError if another capture runs in the session; NotEnoughDataError if every slot is
-    past and no bracket was started.
+    Return the state of all slots. `watch` is called with the state of the capture, `listen` with
+    each journal event; both must return at once. `check`, `check_opens` and `check_shortest`: as in
+    `BracketCapture`. `open_cam`, `open_pyr` and `open_met` replace what the URIs open. Raises
+    DeviceError if the camera cannot be set to a planned exposure, or the clock is before the last
+    journal entry; the error of opening a device at the start, unless it is an instrument that an
+    earlier capture of the session used; InputError if another
+    capture runs in the session; NotEnoughDataError if every slot is past and none was begun, or if
+    no slot has an exposure.
     """
     with sole_user(session, "capture"):
         looks = check, check_opens, check_shortest

@@ -1,6 +1,7 @@
 """Check a new frame while it can still be taken again.
 
-It must be readable, have the requested exposure, and not be clipped everywhere.
+It must be readable and have the requested exposure. At most half of the darkest frame may be
+clipped.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def _columns(
     "offset_s",
     metavar="+HH:MM",
     callback=_offset_s,
-    help="Camera's and logger's clock minus UTC. [default: fitted to the plan]",
+    help="Camera's and logger's clock minus UTC. [default: from EXIF, or fitted to the plan]",
 )
 @click.option(
     "--column",

@@ -23,10 +23,11 @@ VERDICTS = (
 
 
 class ViewAnswer(TypedDict):
-    """The figures of one view direction in `glare --json`; None for an unseen direction.
+    """The figures of one view direction in `glare --json`; None where there is no figure.
 
-    dgp_low, dgp_high: bounds for a partly seen direction. sources: the strongest glare sources of a
-    single picture. reference: the result of evalglare.
+    That is the case for an unseen direction, and for an index of sources without a source. dgp_low,
+    dgp_high: bounds for a partly seen direction. sources: the strongest glare sources of a single
+    picture. reference: the result of evalglare.
     """
 
     azimuth_deg: float
@@ -143,7 +144,8 @@ def picture_warnings(picture: Picture) -> list[str]:
     if not picture.directed:
         warnings.append(
             "the picture's VIEW has no direction (-vd): the glare figures are right, but the "
-            "azimuth of 0 deg is an assumption; state the view with --view"
+            f"azimuth of {picture.panorama.heading_deg:.0f} deg is an assumption; state the view "
+            "with --view"
         )
     if not (picture.panorama.luminance_cdm2 > 0).any():
         warnings.append(

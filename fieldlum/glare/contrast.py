@@ -51,10 +51,7 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
 
 
 def contrast_levels(image: Float) -> NDArray[np.float64]:
-    """Return the mean local contrast of each pyramid level, full size first, [RAMMG_LEVELS].
-
-    It is shown in the paper's Figure 13.
-    """
+    """Return the mean local contrast of each of five pyramid levels, full size first, [5]."""
     import cv2
 
     level = np.asarray(image, np.float64)
@@ -68,14 +65,14 @@ def contrast_levels(image: Float) -> NDArray[np.float64]:
 
 
 def rammg(luminance_cdm2: Float) -> float:
-    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2, as in the paper; a sun disc dominates it."""
+    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2; a sun disc in the map dominates it."""
     return float(contrast_levels(luminance_cdm2).mean())
 
 
 def rammg_lightness(luminance_cdm2: Float) -> float:
     """Return RAMMG of the CIELAB L* of a map [H, W] in cd/m2.
 
-    White is `WHITE_OVER_MEAN` times the map's mean luminance, which is weighted by solid angle.
+    White is five times the map's mean luminance, which is weighted by solid angle.
     """
     image = np.asarray(luminance_cdm2, np.float64)
     omega = equirect_solid_angles(*image.shape)
@@ -92,8 +89,8 @@ def lightness(relative: Float) -> NDArray[np.float64]:
 def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
     """Return the estimated melanopic equivalent daylight illuminance [lx], in the shape of `ev_lx`.
 
-    It is Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; 1 for D65, more for a
-    blue sky).
+    It is Ev times the melanopic daylight efficacy ratio of D65, which is 1 (CIE S 026). The ratio
+    of a blue sky is higher.
     """
     return np.asarray(ev_lx, float) * MELANOPIC_DER_D65
 
@@ -109,7 +106,7 @@ class ViewRegions:
         azimuths_deg: Float,
         seen: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Compute the weights; a region without seen pixels (seen [H, W]) has NaN figures."""
+        """Compute the weights. seen: mask [H, W] of the pixels that a lens saw; None for all."""
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
         omega = equirect_solid_angles(height, width).ravel()
         task, band, half = [], [], []
@@ -128,10 +125,10 @@ class ViewRegions:
         """Return three figures of n maps [n, H, W] in cd/m2 by name, [n, d] each.
 
         task_cdm2 : mean of a cone of 15 degrees radius, 30 degrees below the line of sight.
-        window_to_task : mean of the pixels in view brighter than `WINDOW_CDM2`, over task_cdm2; NaN
+        window_to_task : mean of the pixels in view brighter than 2000 cd/m2, over task_cdm2; NaN
         without such pixels. uniformity : harmonic over arithmetic mean of the band within 20
-        degrees of the horizon: 1 if it is uniform, less with dark corners. A figure of a region
-        that no lens saw is NaN.
+        degrees of the horizon: 1 if it is uniform, less with dark corners. A figure of a region of
+        which lenses saw less than 98 % is NaN.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)

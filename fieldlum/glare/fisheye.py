@@ -20,7 +20,8 @@ SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))
 def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the unit ray of each pixel of an equidistant 180-degree picture, and its circle.
 
-    Rays are (right, up, forward), [N, N, 3]; the circle is a mask [N, N], with N = size * samples.
+    Rays are (right, up, forward), [N, N, 3]; the circle is a mask [N, N], with N = size * samples
+    and `samples` rays along the edge of a pixel.
     """
     n = size * samples
     axis = ((np.arange(n) + 0.5) / n - 0.5) * np.pi

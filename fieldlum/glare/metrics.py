@@ -2,7 +2,7 @@
 
 Vertical illuminance of all hours and directions is one matrix product with exact solid angles.
 Glare sources are grouped once for each hour (see `sources`) and summed for all directions by small
-products. The sun is never part of a pixel: it is a separate source with a direction, a normal
+products. The sun must not be in the pixels: it is a separate source with a direction, a normal
 illuminance at the lens and a solid angle.
 """
 
@@ -38,8 +38,8 @@ DGP_BASE = 0.159
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
     """Return daylight glare probability, at most 1 (Wienold and Christoffersen 2006).
 
-    There is no low-light correction, as in evalglare by default since 2.14. ev_lx : [...], lx;
-    contrast : [...], the sum of L2 omega / P2 over sources.
+    There is no low-light correction. ev_lx : [...], lx; contrast : [...], the sum of L2 omega / P2
+    over sources.
     """
     ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
     glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)

@@ -29,10 +29,11 @@ TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(TASK_RADIUS_DEG)))  # task
 
 @dataclass(frozen=True, slots=True)
 class GlareSources:
-    """The s glare sources of one view, [s] each, the strongest first.
+    """The s glare sources of one view, [s] each, the largest contrast first.
 
-    right_rad, up_rad : equidistant coordinates of the centre. contrast : L2 omega / P2. label : [H,
-    W] number of each pixel's source, from 1 in this order; 0 elsewhere.
+    right_rad, up_rad : equidistant coordinates of the centre. ev_lx : vertical illuminance from the
+    source. contrast : L2 omega / P2. label : [H, W] number of each pixel's source, from 1 in this
+    order; 0 elsewhere.
     """
 
     mean_cdm2: NDArray[np.float64]
@@ -81,7 +82,7 @@ def glare_of_pixels(
 
 
 def weighted_sum(values: Float, weights: Float) -> float:
-    """Return the sum of values times weights, [H, W] each, in double precision without copies."""
+    """Return the sum of values times weights, [H, W] each, in double precision, block by block."""
     height, width = values.shape
     return float(
         sum(
@@ -125,7 +126,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
 
 
 def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
-    """Group the pixels [H, W] above 2000 cd/m2 to glare sources, as module `sources` does."""
+    """Group the pixels [H, W] above 2000 cd/m2 into glare sources, as module `sources` does."""
     label = np.zeros(luminance_cdm2.shape, np.int32)
     row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
     if len(row) == 0:
@@ -189,7 +190,8 @@ def _numbered(
 def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
     """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`).
 
-    A region that the picture does not cover has NaN. luminance_cdm2 : [H, W], cd/m2.
+    A figure is NaN if the picture covers less than 95 % of its region; window_to_task also without
+    a pixel above 2000 cd/m2. luminance_cdm2 : [H, W], cd/m2.
     """
     totals = np.zeros(7)
     height, width = luminance_cdm2.shape

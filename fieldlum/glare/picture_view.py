@@ -144,7 +144,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     """Parse Radiance's view options; if an option is repeated, the last one counts.
 
     Without -vd the view is horizontal and faces `heading_deg` (Radiance's own default is north).
-    Raises InputError for an impossible type or angle.
+    Raises InputError for an impossible view.
     """
     options = _options(text, source)
     kind = options.get("vt", "")

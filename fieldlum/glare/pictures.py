@@ -37,8 +37,8 @@ class Picture:
     """A picture's luminance on its own pixels, rows from the top.
 
     panorama : the pixels; its heading_deg is the azimuth of the view for a fisheye. view : None for
-    a panorama. directed : whether the file states a view direction; if not, the azimuth is
-    Radiance's default, north. notes : warnings of the reader.
+    a panorama. directed : whether a view direction is stated; if not, the azimuth is the heading of
+    an .exr, or Radiance's default, north. notes : warnings of the reader.
     """
 
     panorama: Panorama
@@ -50,7 +50,7 @@ class Picture:
 def read_picture(path: Path, view_options: str = "") -> Picture:
     """Read a .hdr or .exr picture. If `view_options` are given, they replace the file's view.
 
-    Raises InputError for a missing or contradictory view.
+    Raises InputError for a missing or damaged file, and a missing or contradictory view.
     """
     if not path.is_file():
         raise InputError(

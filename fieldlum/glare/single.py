@@ -153,8 +153,8 @@ def _unseen_text(seen: np.ndarray) -> str:
     return (
         f"no lens saw {100 * (~seen).mean():.0f} % of the panorama: view directions that are "
         "mostly "
-        "unseen have no result; partly seen ones have a lowest DGP (unseen part black) and a "
-        "highest (unseen part as bright as the brightest 1 % of the seen part)"
+        "unseen have no result; partly seen ones have the lowest and the highest DGP for an unseen "
+        "part between black and the brightest 1 % of the seen part"
     )
 
 

@@ -63,7 +63,8 @@ def single_picture_glare(
     share = grid.covered_share
     if share < FULLY_SEEN_SHARE:
         warnings.append(
-            f"the picture covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds"
+            f"the picture covers {100 * share:.0f} % of the view: Ev is a lower bound, and DGP "
+            "counts the part outside the picture as black"
         )
     return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share)
 

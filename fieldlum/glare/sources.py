@@ -55,7 +55,7 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
 def group_pixels(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Return the number of each pixel's source, from 1, [H, W]; 0 outside `mask`.
 
-    Pixels closer than `REACH_RAD` belong to one source.
+    Pixels closer than 0.1 rad belong to one source.
     """
     from scipy.ndimage import label
 

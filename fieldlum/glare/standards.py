@@ -31,7 +31,7 @@ DRAWS = 400  # years drawn for an interval, whose ends are the 10th and the 390t
 def disturbed_share(dgp: Float) -> NDArray[np.float64]:
     """Return, for each hour, the share of its view directions with disturbing glare, 0 to 1, [n].
 
-    Disturbing means a DGP above `DISTURBING_DGP`. dgp : [n, d], NaN for directions that no lens
+    Disturbing means a DGP above 0.40. dgp : [n, d], NaN for directions that no lens
     saw; these do not count. The result is NaN for an hour in which no direction counts.
     """
     known = np.isfinite(dgp)
@@ -47,8 +47,8 @@ class Protection:
     dgp_exceeded [d] : the DGP that is exceeded in 5 % of the occupied hours; hours_over [d, 3] :
     hours above .35, .40, .45; low, high [d] : ends of the 95 % interval of dgp_exceeded, None if
     the model has no uncertainty; classes [d]; certain [d] : whether the interval is within one
-    class; seen [d] : "seen", "partly seen" or "not seen". A direction that was not seen has NaN
-    figures and the class "not seen".
+    class; seen [d] : "seen", "partly seen" or "not seen". A direction that was not seen has NaN in
+    dgp_exceeded, low and high, and the class "not seen".
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -94,11 +94,10 @@ def class_of(dgp_exceeded: float) -> str:
 
 
 def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
-    """Return the DGP that is exceeded in `EXCEEDED_SHARE` of the occupied hours, [..., d].
+    """Return the DGP that is exceeded in 5 % of the occupied hours, [..., d].
 
     dgp : [..., n, d] of the lit hours; the other occupied hours are dark and count too. The result
-    is the (k + 1)th largest value, with k = floor(EXCEEDED_SHARE * hours): exactly k hours may
-    exceed the limit.
+    is the (k + 1)th largest value, with k = floor(0.05 * occupied_hours), or 0 if n <= k.
     """
     lit = dgp.shape[-2]
     rank = int(np.floor(EXCEEDED_SHARE * occupied_hours + 1e-9))
@@ -154,8 +153,8 @@ def protection(
     """Return the EN 17037 glare protection of d directions, with 95 % intervals.
 
     dgp, u_dgp : [n, d] of the lit occupied hours, with the model's own standard uncertainty. The
-    interval comes from `DRAWS` years with normal errors around the model's DGP; `COMMON_ERROR` of
-    their variance is common to all hours. Each drawn year takes the sun's disc from one of the
+    interval comes from 400 drawn years with normal errors around the model's DGP; half of their
+    variance is common to all hours. Each drawn year takes the sun's disc from one of the
     drawn rooms. Unseen parts are dark for the lower end and bright for the upper end.
     """
     azimuths = np.asarray(azimuths_deg, float)

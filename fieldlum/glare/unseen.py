@@ -50,7 +50,7 @@ class ViewCoverage:
 
     @property
     def partly(self) -> NDArray[np.bool_]:
-        """Mask [d] of the partly seen directions, which only have bounds."""
+        """Mask [d] of the partly seen directions, whose DGP has bounds."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 

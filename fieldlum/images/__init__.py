@@ -1,4 +1,4 @@
-"""Luminance pictures on disk: EXR and Radiance .hdr, with the headers other programs need."""
+"""Read and write luminance pictures: EXR and Radiance .hdr, with headers for other programs."""
 
 from fieldlum.images.exr import calibration_mark, read_exr, write_panorama
 from fieldlum.images.panorama import read_panorama

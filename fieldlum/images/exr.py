@@ -35,8 +35,9 @@ NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as c
 def calibration_mark(profile: CameraProfile) -> dict[str, str]:
     """Return the attributes that a merged picture stores about its calibration.
 
-    These are the camera's name, the scale factor k, and a digest of the rest of the profile.
-    `calibrate scale` needs the old k: it multiplies k by the ratio of the meters to the picture.
+    These are the camera's name, the scale factor k, and a digest of the profile's lenses, sensor,
+    shutter times, response, colour, filters and stray light. `calibrate scale` needs the old k: it
+    multiplies k by the ratio of the meters to the picture.
     """
     p = profile
     parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
@@ -69,7 +70,7 @@ def _disk_error(path: Path, error: RuntimeError) -> Exception:
 
 
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
-    """Write a float32 EXR with channels Y, u, flags (and R, G, B).
+    """Write a float32 EXR with the channel Y and, if present, u, flags, R, G and B.
 
     Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view : Radiance's view
     options, for a picture that is not a panorama.
@@ -120,8 +121,9 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
     """Return a luminance picture and its view: ``equirect``, Radiance's view options, or "".
 
     The luminance is channel Y, or R, G and B weighted by the attribute chromaticities (BT.709
-    without it) times whiteLuminance (1 cd/m2 without it; `Panorama.attributes["note"]` states
-    this). Pixels outside of the data window are flagged as outside the lens.
+    without it) times whiteLuminance (1 cd/m2 without it; for files of other programs
+    `Panorama.attributes["note"]` states this). Pixels outside of the data window are flagged as
+    outside the lens.
 
     Raises InputError for a file that is no EXR, is broken, too large, or has neither Y nor R, G, B.
     """

@@ -23,8 +23,8 @@ def same_chromaticities(a: Sequence[float], b: Sequence[float]) -> bool:
 def rgb_to_xyz(chromaticities: Sequence[float]) -> NDArray[np.float64]:
     """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
 
-    chromaticities : x, y of red, green, blue and white, [8]. Raises ValueError for primaries that
-    are not a triangle.
+    chromaticities : x, y of red, green, blue and white, [8]. Raises ValueError for values that are
+    not finite, a y of 0 or less, and primaries on one line.
     """
     xy = np.asarray(chromaticities, float).reshape(4, 2)
     if not np.isfinite(xy).all() or (xy[:, 1] <= 0).any():
@@ -39,7 +39,7 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> NDArray[np.float64]:
 def luminance_weights(chromaticities: Sequence[float]) -> NDArray[np.float64]:
     """Return the shares of R, G and B in luminance, with sum 1, [3].
 
-    Raises ValueError for primaries that are not a triangle, or that give a negative luminance.
+    Raises the errors of `rgb_to_xyz`, and ValueError for a primary with a negative luminance.
     """
     weights = rgb_to_xyz(chromaticities)[1]
     if (weights < 0).any():

@@ -43,9 +43,9 @@ class RadianceImage:
     """A Radiance picture with its colours.
 
     rgb : [H, W, 3] W/sr/m2, upright, with EXPOSURE and COLORCORR undone, in the file's own
-    primaries (for XYZE, in Radiance's). header : its lines. view : the text after VIEW=, or "".
-    heading_deg : stated by a header line of a panorama. cdm2_per_unit : [3] luminance of one unit
-    of R, G and B.
+    primaries (for XYZE, in Radiance's). header : its lines after "#?". view : the text after VIEW=,
+    or "". heading_deg : stated by a header line of a panorama. cdm2_per_unit : [3] luminance of one
+    unit of R, G and B.
     """
 
     rgb: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""A writer of plain DNG files, and the positions of the colours in a Bayer cell."""
+"""Write plain DNG files; state the positions of the colours in a Bayer cell."""
 
 from __future__ import annotations
 

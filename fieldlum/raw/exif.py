@@ -1,4 +1,4 @@
-"""The EXIF of a frame: exposure, time, camera; and the values to write it."""
+"""Read exposure, time and camera from the EXIF of a frame; compute the values to write it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class FrameInfo:
 def tags_of(path: Path) -> dict[str, ExifTag]:
     """Return the tags that exifread finds; no tags if it cannot parse the file.
 
-    Raises InputError for a file that is missing or empty.
+    Raises InputError for a file that is missing, empty or unreadable.
     """
     import exifread
 
@@ -115,7 +115,7 @@ def info_of(
 
     fallback : shutter [s], f-number and ISO of LibRaw, 0 where it has none; used where the tags
     lack a value. lens_f_number : of a lens without electronics, where both lack it. Raises
-    InputError for a value that is missing or impossible.
+    InputError for an exposure time, f-number or ISO that is missing or impossible.
     """
     shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
     f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1] or lens_f_number]

@@ -1,4 +1,4 @@
-"""Whether a frame's pixels can be read."""
+"""Check whether the pixels of a frame can be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""JPEG frames as the camera wrote them."""
+"""Read and write JPEG frames with their EXIF."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ class JpegFrame:
 
 
 def read_jpeg(path: Path) -> JpegFrame:
-    """Read a JPEG frame. Raises InputError for an incomplete JPEG, or without an exposure time."""
+    """Read a JPEG frame.
+
+    Raises InputError for an incomplete JPEG, or EXIF without exposure time, f-number or ISO.
+    """
     import warnings
 
     from PIL import Image

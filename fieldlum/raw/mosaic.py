@@ -1,4 +1,4 @@
-"""The mosaic of a raw frame, read through LibRaw without development."""
+"""Read the mosaic of a raw frame through LibRaw, without development."""
 
 from __future__ import annotations
 
@@ -258,8 +258,9 @@ def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64]
 def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
     """Read the visible mosaic of a raw frame.
 
-    lens_f_number : of a lens that the frame does not state; 0: the frame must. Raises InputError
-    for a file that LibRaw cannot open, without a Bayer mosaic, or without exposure data.
+    lens_f_number : f-number to use if the frame states none; with 0 that is an error. Raises
+    InputError for a file that LibRaw cannot open, without a Bayer mosaic, or without exposure time,
+    f-number or ISO.
     """
     tags = tags_of(path)
     with opened(path) as raw:
@@ -293,9 +294,10 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
 
 
 def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
-    """Read the EXIF of a JPEG or raw frame. Raises InputError if it has no exposure time.
+    """Read the EXIF of a JPEG or raw frame; for a raw frame LibRaw provides missing values.
 
-    lens_f_number : of a lens that the frame does not state; 0: the frame must.
+    lens_f_number : f-number to use if the frame states none; with 0 that is an error. Raises
+    InputError without exposure time, f-number or ISO.
     """
     tags = tags_of(path)
     with suppress(InputError):

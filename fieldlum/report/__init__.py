@@ -1,6 +1,6 @@
-"""One self-contained page of a session: report/index.html, with report.json next to it.
+"""Write one self-contained page of a session: index.html, with report.json next to it.
 
-A stage that has not run yet is left out of the page, which states so.
+Results that do not exist yet are left out.
 """
 
 from __future__ import annotations
@@ -182,9 +182,9 @@ def _spoken(warning: str) -> str:
 
 
 def run(session: Session, out: Path | None = None, *, progress: Progress = quiet) -> Path:
-    """Write index.html and report.json; return the path of the page.
+    """Write index.html and report.json into `out`, by default report/; return the page's path.
 
-    Raises NotEnoughDataError if the session has nothing to report yet.
+    Raises NotEnoughDataError if the session has no pairs.csv yet.
     """
     from fieldlum.report.page import render
 

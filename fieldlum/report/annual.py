@@ -58,7 +58,7 @@ def answer(annual: Annual) -> tuple[str, str]:
     if ends is None:
         return (
             "No view direction can be judged: the camera saw too little of each.",
-            "Turn the camera on its head (headings in SITE.toml), or use a lens that sees more.",
+            "Capture several headings (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
     hours = annual.summary.occupancy.hours
@@ -80,7 +80,7 @@ def _unseen_words(rows: Sequence[DirectionYear]) -> str:
     blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     if not blind:
         return ""
-    return f"No result for views to {', '.join(blind)}: the camera did not see these directions. "
+    return f"No result for views to {', '.join(blind)}: the camera saw too little of them. "
 
 
 def _class_words(row: DirectionYear) -> str:
@@ -277,7 +277,7 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
 
 
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
-    """Return the section with predicted pictures of typical and worst hours."""
+    """Return the section with predicted pictures of typical and worst hours, and of a clear day."""
     single = [k for k, kind in enumerate(pictures.kinds) if kind != "clear day"]
     shown = []
     for k in single:

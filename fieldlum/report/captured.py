@@ -35,7 +35,10 @@ def year_of_sun(site: Site, year: int) -> sun.SunPosition:
 def section(
     session: Session, site: Site, pairs: PairsFile, year_dni: NDArray, year_dhi: NDArray
 ) -> Section:
-    """Return the section on the captures; year_dni, year_dhi: irradiance of a year [W/m2]."""
+    """Return the section on the captures.
+
+    year_dni, year_dhi: irradiance [W/m2] of the hours of a weather year; empty without one.
+    """
     used = pairs.usable
     year = used[0].t_utc.year if used else 2027
     sky = year_of_sun(site, year)
@@ -72,16 +75,16 @@ def _sentence(session: Session, site: Site, pairs: PairsFile) -> str:
     days = sorted({sun.standard_date(row.t_utc, site.timezone).isoformat() for row in used})
     span = f" between {days[0]} and {days[-1]}" if days else ""
     planned = len(session.slots()) if session.plan.is_file() else len(used)
+    text = f"{len(used)} usable brackets of {planned} planned, on {len(days)} days{span}."
+    if not used:
+        return text
     measured = sum(row.source == "measured" for row in used)
     kind = (
         "measured"
         if measured == len(used)
         else f"measured in {measured} brackets and derived in the others"
     )
-    return (
-        f"{len(used)} usable brackets of {planned} planned, on {len(days)} days{span}. "
-        f"Direct and diffuse irradiance were {kind}."
-    )
+    return f"{text} Direct and diffuse irradiance were {kind}."
 
 
 def _tables(session: Session, pairs: PairsFile) -> tuple[Table, ...]:

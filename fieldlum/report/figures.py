@@ -81,9 +81,9 @@ def luminance_scale_svg() -> str:
 
 
 def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
-    """Return a PNG with rows of measured, predicted and their log10 ratio, for maps [n, H, W].
+    """Return a PNG with a row for each of n maps: measured, predicted, and their log10 ratio.
 
-    As the paper's Figures 9 and 23.
+    measured, predicted: [n, H, W] cd/m2 (as Liu, Colburn and Inanici 2020, Figures 9 and 23).
     """
     n = len(measured)
     with styled():
@@ -124,7 +124,7 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
 
 
 def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
-    """Return a PNG of labelled fisheye views in several directions at one hour (paper, Figure 10).
+    """Return a PNG of labelled fisheye views in several directions at one hour.
 
     views: [d, N, N], NaN outside the circle; azimuths_deg, dgp: [d].
     """
@@ -171,10 +171,7 @@ def sun_path_svg(
     captured_azimuth_deg: Float,
     captured_altitude_deg: Float,
 ) -> str:
-    """Plot all hours of the year with the sun up [n], and the captured ones [k].
-
-    As the paper's Figures 3 and 21.
-    """
+    """Plot sun positions: the hours of a year [n], and the captures [k]; return SVG text."""
     return _captured_svg(
         (year_azimuth_deg, year_altitude_deg),
         (captured_azimuth_deg, captured_altitude_deg),
@@ -190,7 +187,7 @@ def sky_domain_svg(
 ) -> str:
     """Plot diffuse against direct irradiance [W/m2]: the weather file's hours and the captures.
 
-    The year's: [n], empty without a weather file; the captured: [k].
+    The year's: [n], empty without a weather file; the captured: [k]. Return SVG text.
     """
     return _captured_svg(
         (year_dni, year_dhi),
@@ -226,7 +223,7 @@ def polar_svg(
     """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
 
     All arrays: [d]. Directions run clockwise from north; low and high bound the 95 % interval. A
-    NaN is a direction that was not seen: the line has a gap there.
+    NaN is a direction that was not seen: the line has a gap there. Return SVG text.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])
@@ -311,7 +308,7 @@ def exceedance_svg(
 def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
     """Plot predicted against measured values of the same shape, with the 1:1 line and r2.
 
-    As the paper's Figures 11, 14 and 22.
+    quantity: its name and unit, for the axes. r2: squared correlation. Return SVG text.
     """
     x, y = np.ravel(measured), np.ravel(predicted)
     r2 = (
@@ -331,7 +328,7 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
 
 
 def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
-    """Plot each hour's error [n] against the sun's altitude and azimuth (the paper's Figure 12)."""
+    """Plot each hour's error [n] of a quantity against the sun's altitude and azimuth, as SVG."""
     with styled():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
@@ -345,7 +342,7 @@ def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quan
 
 
 def contrast_levels_svg(measured: Float, predicted: Float) -> str:
-    """Plot mean local contrast in cd/m2 by pyramid level, [n, levels] (the paper's Figure 13)."""
+    """Plot the mean over n maps of local contrast [n, levels] in cd/m2 by pyramid level, as SVG."""
     levels = np.arange(measured.shape[1])
     with styled():
         figure = Figure(figsize=(3.8, 3.0))

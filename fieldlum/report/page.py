@@ -1,4 +1,4 @@
-"""The report as one self-contained HTML page: sections, tables and heat map fill page.html.j2."""
+"""Render the report as one self-contained HTML page: sections, tables and heat map."""
 
 from __future__ import annotations
 
@@ -137,8 +137,8 @@ def heat_map(
 ) -> HeatMap:
     """Return the heat map's data.
 
-    start: index of the quantity shown first. used: hours of the day, 0 to 24, at which lines are
-    drawn.
+    start: index of the direction shown first. used: hours of the day, 0 to 24, at which lines are
+    drawn; year: for the dates of the days; alt: text instead of the picture.
     """
     names = ("name", "unit", "step", "edges", "colours", "dark", "digits")
     shown = tuple({name: getattr(q, name) for name in names} for q in quantities)
@@ -168,7 +168,7 @@ def day_hour_grid(
 
 
 def render(page: Page) -> str:
-    """Return the page as HTML; all text is escaped."""
+    """Return the page as HTML; all text but SVG and JSON is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
