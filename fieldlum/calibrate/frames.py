@@ -34,12 +34,12 @@ class Patch:
     """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
 
     The mean is trimmed by a tenth at each end. u_rel : relative standard uncertainty of the mean
-    green.
+    green; clipped : share of the disc's pixels that are bad and therefore omitted.
     """
 
     rgb: NDArray[np.float64]
     u_rel: float
-    clipped: float  # share of its pixels that were saturated, or too dark
+    clipped: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,10 +57,13 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A fitted lens, the residuals [n] of its targets in px, its held-out error, and warnings."""
+    """A fitted lens, the residuals [n] of its targets in px, its held-out error, and warnings.
+
+    rms_px, rms_deg : of held-out targets; of chessboard corners after `boards.fit`.
+    """
 
     lens: Lens
-    rms_px: float  # of held-out targets
+    rms_px: float
     rms_deg: float
     residual_px: Array
     # Largest angle of a target from the axis: beyond it the mapping is an extrapolation.

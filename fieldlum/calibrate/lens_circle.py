@@ -1,4 +1,4 @@
-"""Detect the image circle of a fisheye in a frame; shift it or make it smaller."""
+"""Detect the image circle of a fisheye in a frame; measure its shift; make it smaller."""
 
 from __future__ import annotations
 

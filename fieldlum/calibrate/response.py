@@ -252,7 +252,7 @@ def residuals(
     """Return the variance of ln(z / exposure) within each place, [places].
 
     table [256] : z of each code; codes [places, frames]; log_e [frames] : ln of exposure. Codes
-    from `low` to HIGH count; NaN for places with fewer than two.
+    from `low` to 228 count; NaN for places with fewer than two.
     """
     counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)

@@ -1,7 +1,7 @@
 """Decide which events of a running capture are reported by message.
 
 The capture passes on its journal events and, about once a second, its state. Each fault causes one
-message. A fault of the same kind causes another message only after it was over, or after `QUIET`.
+message. A fault of the same kind causes another message only after it was over, or after six hours.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ QUIET = timedelta(hours=6)
 
 @dataclass(slots=True)
 class DayCount:
-    """Counts of the outcomes of slots on one local day, and that day's highest GHI."""
+    """Counts of the outcomes of slots on one local day, and its highest global irradiance."""
 
     done: int = 0
     missed: int = 0

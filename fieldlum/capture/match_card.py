@@ -257,7 +257,7 @@ def match_groups(
             continue
         need = 2 if len(slot.exposures) > 1 else 1
         if fits(group, slot) < min(need, len(slot.exposures)):
-            unmatched.append(Unmatched(group, "its exposures are not in the plan"))
+            unmatched.append(Unmatched(group, "at most one of its exposures is in the plan"))
             continue
         match = Match(slot, group, (t_utc - slot.t_utc).total_seconds())
         best, *worse = sorted((m for m in (matches.get(slot.id), match) if m), key=misfit)

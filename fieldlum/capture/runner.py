@@ -74,9 +74,8 @@ def run(
     `BracketCapture`. `open_cam`, `open_pyr` and `open_met` replace what the URIs open. Raises
     DeviceError if the camera cannot be set to a planned exposure, or the clock is before the last
     journal entry; the error of opening a device at the start, unless it is an instrument that an
-    earlier capture of the session used; InputError if another
-    capture runs in the session; NotEnoughDataError if every slot is past and none was begun, or if
-    no slot has an exposure.
+    earlier capture of the session used; InputError if another capture runs in the session;
+    NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
     with sole_user(session, "capture"):
         looks = check, check_opens, check_shortest

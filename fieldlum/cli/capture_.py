@@ -93,7 +93,8 @@ def command(
 ) -> None:
     """Take the planned brackets and log irradiance.
 
-    You can stop and start it again at any time; at most one frame is then taken twice.
+    You can stop and start it again at any time: at most one frame is then taken again, or the
+    frames of one bracket if its last frame is over a minute old.
 
     \b
     Example:

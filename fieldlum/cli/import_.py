@@ -127,7 +127,8 @@ def _summary(report: Report) -> list[str]:
         lines.append(f"brackets start {median(report.late_s):+.0f} s from their slots (median)")
     if report.moved:
         lines.append(
-            f"removed from {', '.join(report.moved)}, stored in raw/withdrawn: merge and pair again"
+            f"brackets of slots {', '.join(report.moved)} were moved to raw/withdrawn, because "
+            "their frames now have other slots or times: merge and pair again"
         )
     for what, texts in (("note", report.notes), ("not imported", report.left_out)):
         lines += [f"{what}: {text}" for text in texts[:_SHOWN]]

@@ -121,7 +121,7 @@ class _StatusFile:
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
     """Yield a function that shows the state of a capture, and writes it to status_json if stated.
 
-    On a terminal it shows a panel. Otherwise it prints the counts of slots on stderr, about 20
+    On a terminal it shows a panel. Otherwise it prints the counts of slots on stderr, at most 40
     times in a plan.
     """
     status_file = _StatusFile(status_json)

@@ -89,8 +89,8 @@ def command(
     """Predict a year of maps and glare from a weather file.
 
     Writes hourly.csv (vertical illuminance, DGP, UGR and more for every daylight hour and
-    direction),
-    predict.json (classes by EN 17037, with their confidence) and the maps of some typical hours.
+    direction), predict.json (classes by EN 17037, with their confidence) and the maps of some
+    typical hours.
 
     \b
     Example:

@@ -1,7 +1,7 @@
 """Compute contrast, window to task, uniformity and melanopic illuminance of a map.
 
 RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
-Marini 2004). In the paper's form (cd/m2) it follows the authors' code: five levels, halved by
+Marini 2004). In cd/m2 it follows the code of Liu, Colburn and Inanici 2020: five levels, halved by
 OpenCV's bilinear resize; eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2); border
 pixels count as no contrast; no solid angles; no wrap at the seam. The L* form is the same for
 CIELAB lightness, which Rizzi describes.

@@ -38,8 +38,8 @@ DGP_BASE = 0.159
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
     """Return daylight glare probability, at most 1 (Wienold and Christoffersen 2006).
 
-    There is no low-light correction. ev_lx : [...], lx; contrast : [...], the sum of L2 omega / P2
-    over sources.
+    There is no low-light correction. ev_lx : [...], lx; contrast : [...], the sum of L^2 omega /
+    P^2 over sources.
     """
     ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
     glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)
@@ -55,9 +55,9 @@ def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
 
 
 def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return UGR, 8 log10(0.25 / Lb sum L2 omega / P2), [...] (CIE 117:1995).
+    """Return UGR, 8 log10(0.25 / Lb sum L^2 omega / P^2), [...] (CIE 117:1995).
 
-    It is NaN without a source. contrast : sum L2 omega / P2; background_cdm2 : Lb, cd/m2.
+    It is NaN without a source. contrast : sum L^2 omega / P^2; background_cdm2 : Lb, cd/m2.
     """
     total = np.asarray(contrast, float)
     ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
@@ -74,7 +74,7 @@ def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
 
 
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return UGP, 0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014).
+    """Return UGP, 0.26 log10(0.25 / Lb sum L^2 omega / P^2) (Hirning, Isoardi and Cowling 2014).
 
     It is NaN without a source. Arguments and result have one shape [...]; background_cdm2 : cd/m2.
     """
@@ -82,10 +82,10 @@ def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 
 
 def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArray[np.float64]:
-    """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L2 omega / P2) (Einhorn 1979).
+    """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L^2 omega / P^2), [...].
 
-    Ed is the illuminance from the sources. The result is NaN without a source. Arguments and result
-    have one shape [...], illuminances in lx.
+    Source: Einhorn 1979. Ed is the illuminance from the sources. The result is NaN without a
+    source. Arguments and result have one shape [...], illuminances in lx.
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
@@ -117,8 +117,8 @@ def glare_directions(
     disc_lx : [n] normal illuminance at the lens from the visible disc, lx; 0 where it is hidden.
     views : weights from `panorama_views`; pass them if you call this for many blocks of hours.
 
-    Keys: `METRICS`, `MORE_METRICS`, and the parts of DGP: contrast is the sum of L2 omega / P2 over
-    sources; sun_contrast and sun_ev_lx are the disc's parts of contrast and of Ev.
+    Keys: `METRICS`, `MORE_METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2
+    over sources; sun_contrast and sun_ev_lx are the disc's parts of contrast and of Ev.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
     count, height, width = maps.shape
@@ -206,7 +206,7 @@ def sums_of_sources(
 ) -> NDArray[np.float64]:
     """Return four sums over the s glare sources in each of d views, [4, d].
 
-    Rows: L2 omega / P2; illuminance; DGI's terms; E / angle^2 [lx/deg2]. Arguments are [s, d],
+    Rows: L^2 omega / P^2; illuminance; DGI's terms; E / angle^2 [lx/deg2]. Arguments are [s, d],
     except ev, [d], the vertical illuminance of the complete view, lx.
     """
     index = position_index(right_rad, up_rad)

@@ -32,7 +32,7 @@ class GlareSources:
     """The s glare sources of one view, [s] each, the largest contrast first.
 
     right_rad, up_rad : equidistant coordinates of the centre. ev_lx : vertical illuminance from the
-    source. contrast : L2 omega / P2. label : [H, W] number of each pixel's source, from 1 in this
+    source. contrast : L^2 omega / P^2. label : [H, W] number of each pixel's source, from 1 in this
     order; 0 elsewhere.
     """
 

@@ -31,8 +31,8 @@ DRAWS = 400  # years drawn for an interval, whose ends are the 10th and the 390t
 def disturbed_share(dgp: Float) -> NDArray[np.float64]:
     """Return, for each hour, the share of its view directions with disturbing glare, 0 to 1, [n].
 
-    Disturbing means a DGP above 0.40. dgp : [n, d], NaN for directions that no lens
-    saw; these do not count. The result is NaN for an hour in which no direction counts.
+    Disturbing means a DGP above 0.40. dgp : [n, d], NaN for directions that no lens saw; these do
+    not count. The result is NaN for an hour in which no direction counts.
     """
     known = np.isfinite(dgp)
     over = (np.where(known, dgp, 0.0) > DISTURBING_DGP).sum(axis=1)
@@ -126,9 +126,9 @@ def dgp_uncertainty(
 class GlareDoubt:
     """Further uncertainty of the DGP of n hours in d directions, besides the model's own error.
 
-    seen [d] : "seen", "partly seen" or "not seen"; least, most [n, d] : DGP with the least and the
-    most light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as k possible
-    rooms show it, None if the room is certain.
+    seen [d] : "seen", "partly seen" or "not seen"; least, most [n, d] : least and largest DGP over
+    possible light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as k
+    possible rooms show it, None if the room is certain.
     """
 
     seen: tuple[str, ...]
@@ -154,8 +154,8 @@ def protection(
 
     dgp, u_dgp : [n, d] of the lit occupied hours, with the model's own standard uncertainty. The
     interval comes from 400 drawn years with normal errors around the model's DGP; half of their
-    variance is common to all hours. Each drawn year takes the sun's disc from one of the
-    drawn rooms. Unseen parts are dark for the lower end and bright for the upper end.
+    variance is common to all hours. Each drawn year takes the sun's disc from one of the drawn
+    rooms. The lower end uses `doubt.least`, the upper end `doubt.most`.
     """
     azimuths = np.asarray(azimuths_deg, float)
     doubt = doubt or GlareDoubt((SEEN,) * len(azimuths), dgp, dgp)

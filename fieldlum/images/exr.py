@@ -1,4 +1,4 @@
-"""OpenEXR pictures: fieldlum's own panoramas, and RGB or luminance of other programs."""
+"""Write panoramas as OpenEXR; read them, and RGB or luminance of other programs."""
 
 from __future__ import annotations
 

@@ -70,8 +70,7 @@ class RadianceHeader:
     exposure : [3], by which the decoded channels must be divided. chromaticities : x, y of red,
     green, blue and white, [8]. xyze : whether the pixels are XYZ. views : the picture's own VIEW
     lines in order; inherited_views : those of its input pictures. heading_deg : of a panorama, else
-    None. pixel_aspect : height over width of a pixel. start : position of
-    the first byte of pixels.
+    None. pixel_aspect : height over width of a pixel. start : position of the first byte of pixels.
     """
 
     lines: tuple[str, ...]

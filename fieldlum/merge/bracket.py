@@ -1,4 +1,4 @@
-"""One bracket of one or several headings, from its frames to a map."""
+"""Merge one bracket, of one or several headings, from its frames to a map."""
 
 from __future__ import annotations
 

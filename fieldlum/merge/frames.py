@@ -99,7 +99,7 @@ class RawSignal:
 
     @cached_property
     def limit(self) -> NDArray[np.float32]:
-        """Count up to which pixels may predict: 97 % of full, or four sigma of noise below full."""
+        """Count up to which pixels may predict: 97 % of saturation, or 4 sigma below it if less."""
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
         limit = np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma)
         return self._linear(limit.astype(np.float32))

@@ -74,7 +74,8 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
 
     It is clear if all usable frames agree. It is also clear if at least two frames agree that would
     have noticed a difference, and these outnumber the others. A frame would have noticed a
-    difference if its noise is less than the gap, or if it would have saturated.
+    difference if its noise is less than the gap, or if it is saturated, which it would not be at
+    the other values.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
     enough = _SATURATED * ballot.largest_cdm2

@@ -38,8 +38,8 @@ TAPER_RAD = 0.06
 class ProjectedImage:
     """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
 
-    variance: of the random error. coverage: share of the pixel that is seen. edge: 0 at the lens's
-    edge, rising to 1 at `TAPER_RAD` inside it. u_vignetting, u_ratio: relative standard
+    variance: of the random error. coverage: share of the pixel that is seen. edge: 0.01 at the
+    lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting, u_ratio: relative standard
     uncertainties.
     """
 
@@ -252,11 +252,11 @@ def u_of_edges(
 ) -> NDArray[np.float64]:
     """Return the uncertainty of a pixel due to light leaking from its neighbours, [H, W] cd/m2.
 
-    Sensor pixels are not small. An edge on the border of two target pixels leaks at most `_LEAK_PX`
-    over the target pixel's width of the luminance difference; an edge elsewhere leaks less. This is
-    a rectangular distribution (GUM 4.3.7). On a uniform slope gains and losses cancel, so the
-    second difference is used. Next to pixels that no lens sees the leak is unknown and counts as
-    zero.
+    Sensor pixels are not small. An edge on the border of two target pixels leaks at most a share of
+    the luminance difference: 0.35 (raw) or 0.2 (JPEG) sensor pixels over the target pixel's width.
+    An edge elsewhere leaks less. This is a rectangular distribution (GUM 4.3.7). On a uniform slope
+    gains and losses cancel, so the second difference is used. Next to pixels that no lens sees the
+    leak is unknown and counts as zero.
     """
     width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)

@@ -69,7 +69,7 @@ class Moved:
 
 
 def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
-    """Return ln of the frame's means over blocks of cells, with at most LONGEST blocks on a side.
+    """Return ln of the frame's means over blocks of cells, with at most 800 blocks on a side.
 
     A block is seen if all its pixels are seen and its mean is above `least`, which is positive.
     signal: [h, w], linear in light with black at 0, in any unit; cell: pixels per side of a cell (2

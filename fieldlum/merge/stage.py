@@ -46,7 +46,7 @@ class Verdict:
     report: MergeReport | None
 
     def table(self) -> JsonTable:
-        """Return the object that `merge --json` prints."""
+        """Return the object that `merge --json` prints for the slot."""
         quality = self.report.table() if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 
@@ -68,7 +68,7 @@ class _MergeJob:
 
 
 def captured_slots(session: Session) -> list[str]:
-    """Return the names of the folders in raw/, in order of time."""
+    """Return the names of the slots' folders in raw/, in order of time."""
     return [folder.name for folder in session.captured_folders()]
 
 
@@ -314,8 +314,8 @@ def run(
     """Merge every slot that has no panorama from the same frames, profile and options.
 
     force: merge the others too. Then write the summary, if a panorama is new. Return the verdicts
-    by slot. Raises NotEnoughDataError if nothing was captured, InputError if no
-    bracket could be merged.
+    by slot. Raises NotEnoughDataError if nothing was captured, InputError if no bracket could be
+    merged.
     """
     slots = captured_slots(session)
     if not slots:
