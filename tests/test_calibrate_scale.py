@@ -145,3 +145,14 @@ def test_scale_refuses_a_line_without_reading(tmp_path: Path) -> None:
     table.write_text("panorama,azimuth_deg,altitude_deg,luminance_cdm2\np.exr,0,zero,5\n")
     with pytest.raises(InputError, match="altitude_deg is 'zero'"):
         scale.from_table(table, PROFILE)
+
+
+@pytest.mark.contract
+def test_a_stated_uncertainty_is_not_reported_as_uneven_luminance(tmp_path: Path) -> None:
+    write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
+    table = tmp_path / "spots.csv"
+    table.write_text(
+        "panorama,azimuth_deg,altitude_deg,luminance_cdm2,u_rel\np.exr,180,0,100,0.15\n"
+    )
+    readings, _, notes = scale.from_table(table, PROFILE)
+    assert readings[0].u_rel == pytest.approx(0.15) and not any("uneven" in n for n in notes)

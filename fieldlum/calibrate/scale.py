@@ -90,7 +90,7 @@ def from_table(
     files = dict.fromkeys(needed(row, "panorama", path) for row in rows)
     pictures = {file: read_panorama_with_sun(file) for file in files}
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
-    readings = []
+    readings, uneven = [], []
     for row in rows:
         azimuth, altitude = needed(row, "azimuth_deg", path), needed(row, "altitude_deg", path)
         spot, plane = row.get("luminance_cdm2"), row.get("illuminance_lx")
@@ -105,6 +105,7 @@ def from_table(
         picture, label = pictures[file], f"{file.stem} {azimuth:g}/{altitude:g} deg"
         if spot is not None:
             image, u_image = spot_cdm2(picture, azimuth, altitude, file)
+            uneven += [label] if u_image > UNEVEN else []
             readings.append(
                 LuminanceReading(
                     "spot", label, spot, image * to_k[file], float(np.hypot(u, u_image))
@@ -122,7 +123,6 @@ def from_table(
             f"no factor k is stored in {', '.join(unmarked)}: the profile's k is assumed; merge "
             "again to be sure",
         )
-    uneven = [r.label for r in readings if r.u_rel > np.hypot(UNEVEN, READING_U)]
     if uneven:
         notes += (
             f"the luminance is uneven around the readings {', '.join(uneven)}, which therefore "

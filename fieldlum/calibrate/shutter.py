@@ -58,8 +58,9 @@ class ShutterReading:
 class FramePairTable:
     """Summary of one pair of shutter times over all brackets.
 
-    median, spread and error are those of log_ratio; the spread is that beyond the noise; brackets :
-    their number; seconds : median time between the two frames.
+    median : of log_ratio; spread : its standard deviation over brackets beyond the noise; error :
+    standard error of the median; brackets : their number; seconds : median time between the two
+    frames.
     """
 
     pair: Pair

@@ -26,8 +26,8 @@ def command(readings_csv: Path, meter_u: float, refit: Refit) -> None:
     """Fit the absolute factor k from spot and illuminance readings.
 
     READINGS.csv has the columns panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or
-    illuminance_lx. The panoramas must be merged with the profile of --camera (only its k may have
-    changed since).
+    illuminance_lx. The panoramas must be merged with the profile of --camera; its k may have
+    changed since.
 
     \b
     Example:

@@ -139,7 +139,10 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
 
 
 def picture_warnings(picture: Picture) -> list[str]:
-    """Return warnings on a picture as read: the reader's, no view direction, no light, clipping."""
+    """Return the reader's warnings on a picture, and others about its pixels and its view.
+
+    These are about a missing view direction, a picture without light, and clipped pixels.
+    """
     warnings = list(picture.notes)
     if not picture.directed:
         warnings.append(

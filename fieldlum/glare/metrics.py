@@ -117,8 +117,9 @@ def glare_directions(
     disc_lx : [n] normal illuminance at the lens from the visible disc, lx; 0 where it is hidden.
     views : weights from `panorama_views`; pass them if you call this for many blocks of hours.
 
-    Keys: `METRICS`, `MORE_METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2
-    over sources; sun_contrast and sun_ev_lx are the disc's parts of contrast and of Ev.
+    Keys: ev_lx, dgp, dgps, ugr, dgi, ugp, cgi, veiling_cdm2 (for an age of 25 years),
+    veiling_age70_cdm2 (70 years), and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
+    sources; sun_contrast and sun_ev_lx are the disc's parts of contrast and of Ev.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
     count, height, width = maps.shape

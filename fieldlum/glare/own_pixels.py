@@ -126,7 +126,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
 
 
 def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
-    """Group the pixels [H, W] above 2000 cd/m2 into glare sources, as module `sources` does."""
+    """Group the pixels [H, W] above 2000 cd/m2 into glare sources, as `sources_of` does."""
     label = np.zeros(luminance_cdm2.shape, np.int32)
     row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
     if len(row) == 0:

@@ -152,10 +152,10 @@ def protection(
 ) -> Protection:
     """Return the EN 17037 glare protection of d directions, with 95 % intervals.
 
-    dgp, u_dgp : [n, d] of the lit occupied hours, with the model's own standard uncertainty. The
-    interval comes from 400 drawn years with normal errors around the model's DGP; half of their
-    variance is common to all hours. Each drawn year takes the sun's disc from one of the drawn
-    rooms. The lower end uses `doubt.least`, the upper end `doubt.most`.
+    dgp : [n, d] of the lit occupied hours; u_dgp : its standard uncertainty by the model, None for
+    no intervals. The interval comes from 400 drawn years with normal errors around the model's DGP;
+    half of their variance is common to all hours. Each drawn year takes the sun's disc from one of
+    the drawn rooms. The lower end uses `doubt.least`, the upper end `doubt.most`.
     """
     azimuths = np.asarray(azimuths_deg, float)
     doubt = doubt or GlareDoubt((SEEN,) * len(azimuths), dgp, dgp)

@@ -41,7 +41,7 @@ _CONVERT = {
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """The order of scanlines and pixels in a Radiance file: `axes`, and `counts` along each."""
+    """The order of pixels in a Radiance file: two axes, such as "-Y" and "+X", and their counts."""
 
     axes: tuple[str, str]
     counts: tuple[int, int]

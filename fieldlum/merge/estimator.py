@@ -28,12 +28,12 @@ Strip = NDArray[np.float32]
 class Signal(Protocol):
     """One linear, black-subtracted frame [rows, ...], which is read in strips along its first axis.
 
-    Luminances are in cd/m2. "Broadcastable" arrays can be broadcast to the frame's shape.
+    Luminances are in cd/m2.
     """
 
     @property
     def per_cdm2(self) -> NDArray[np.float32]:
-        """Return counts per cd/m2, broadcastable."""
+        """Return counts per cd/m2, in a shape that broadcasts to the frame's."""
         ...
 
     @property
@@ -64,7 +64,10 @@ class Signal(Protocol):
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the largest luminance that this frame can measure [cd/m2], broadcastable."""
+        """Return the largest luminance that this frame can measure [cd/m2].
+
+        Its shape broadcasts to the frame's.
+        """
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:

@@ -66,7 +66,7 @@ class Deviations:
 
     @property
     def text(self) -> str:
-        """Range of the deviations in percent, as text for the verdict."""
+        """Range of the deviations in percent, such as "-1.2 to +0.4"."""
         low, high = 100 * np.expm1(self.log_ratio.min()), 100 * np.expm1(self.log_ratio.max())
         return f"{low:+.1f} to {high:+.1f}"
 

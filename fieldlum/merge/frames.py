@@ -117,7 +117,10 @@ class RawSignal:
         return float(np.min(_FULL * self.saturation + self.black))
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return counts above black of some rows [rows, ...], and a mask as `Signal.strip` does."""
+        """Return counts above black of rows first to last - 1, and a mask of the same shape.
+
+        The mask is True at saturated pixels and next to them; None if nothing is saturated.
+        """
         part = self.counts[first:last]
         above = part.astype(np.float32)
         above -= self.black
@@ -154,7 +157,7 @@ class RawSignal:
         return w
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask of counts [rows, ...] below the limit of prediction."""
+        """Return a mask of counts [rows, ...] below `limit`, which is close to saturation."""
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
@@ -165,7 +168,7 @@ class RawSignal:
         return counts < self.limit, variance.astype(np.float32)
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the luminance of `limit` [cd/m2], broadcastable."""
+        """Return the luminance of `limit` [cd/m2], in a shape that broadcasts to the frame's."""
         return self._limit_cdm2
 
     def small(self) -> Small:
@@ -178,7 +181,10 @@ class RawSignal:
         )
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
-        """Return about rows x columns pixels of the mosaic, as in `Signal.sampled`."""
+        """Return a signal of about rows x columns pixels of the mosaic, evenly spread.
+
+        Also return a mask, True for pixels at or next to saturation.
+        """
         at = evenly_spread(len(self.counts), rows)
         # An odd step samples both columns of the mosaic.
         step = max(1, self.counts.shape[-1] // columns) | 1

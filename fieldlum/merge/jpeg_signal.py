@@ -99,7 +99,10 @@ class JpegSignal:
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return linear light of some rows [rows, W, 3], and a mask as `Signal.strip` does."""
+        """Return linear light of rows first to last - 1 [rows, W, 3], and a mask of that shape.
+
+        The mask is True at saturated pixels and next to them; None if nothing is saturated.
+        """
         import cv2
 
         part = self.codes[first:last]
@@ -140,7 +143,10 @@ class JpegSignal:
         return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
 
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
-        """Return about rows x columns pixels of all colours, as in `Signal.sampled`."""
+        """Return a signal of about rows x columns pixels of all colours, evenly spread.
+
+        Also return a mask, True for pixels at or next to saturation.
+        """
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
         full = np.zeros((len(at), *self.codes.shape[1:]), bool)

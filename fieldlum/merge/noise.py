@@ -35,7 +35,7 @@ _SURE_SIGMA = 3.0
 class SeenNoise:
     """Factors on the profile's variances of shot noise and read noise.
 
-    1 unless the frames show more.
+    Each is 1 unless the frames clearly show more noise.
     """
 
     shot: float = 1.0
@@ -43,7 +43,7 @@ class SeenNoise:
 
     @property
     def larger(self) -> float:
-        """The larger of the two, as a factor on a standard deviation."""
+        """The larger of the two factors, as a factor on the standard deviation of the noise."""
         return float(np.sqrt(max(self.shot, self.read)))
 
 

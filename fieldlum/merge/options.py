@@ -27,7 +27,7 @@ class MergeOptions:
     drop_moved: bool = False
 
     def target(self, profile: CameraProfile) -> Target:
-        """Return the grid of the result."""
+        """Return the pixel grid of the result: of a panorama or of a fisheye."""
         if self.projection == "equirect":
             return Equirect(self.height)
         lens = profile.lens[0]

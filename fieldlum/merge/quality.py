@@ -30,7 +30,7 @@ def report_of(
 ) -> MergeReport:
     """Return the figures of one merged bracket.
 
-    Flags [H, W] are those of the result on `target`.
+    parts: findings of each heading; flags [H, W]: of the result on the grid `target`.
     """
     solid = target.solid_angles()
     seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)

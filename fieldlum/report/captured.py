@@ -23,7 +23,7 @@ def column(rows: Sequence[PairRow], name: str) -> NDArray[np.float64]:
 
 
 def year_of_sun(site: Site, year: int) -> sun.SunPosition:
-    """Return the sun at the hour centres of a year, where its centre is above the horizon."""
+    """Return the sun's positions in the middle of the hours of a UTC year in which it is up."""
     from datetime import UTC, datetime, timedelta
 
     start = datetime(year, 1, 1, 0, 30, tzinfo=UTC)
