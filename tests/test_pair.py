@@ -22,6 +22,7 @@ from fieldlum.models.data import load_pairs
 from fieldlum.pair.interval import outside
 from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import (
+    CLIPPED_SUN,
     CameraSetup,
     Exposure,
     IrradianceSample,
@@ -38,6 +39,7 @@ from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile
+from fieldlum.session.files.suns_csv import SunRow
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.session.simulated_pairs import write_simulated_pairs
 
@@ -303,7 +305,10 @@ def test_a_clipped_sun_without_its_row_is_a_lower_bound(tmp_path: Path) -> None:
     again = replace(SOUTH, normal_illuminance_lx=6000.0)
     write_panorama(path, picture(again, 50.0))
     stale = read_panorama_with_sun(path)
-    assert stale.sun == again and "lower bounds" in stale.attributes["note"]
+    assert stale.sun == again and "run fieldlum pair" in stale.attributes["note"]
+    row = SunRow(f"panoramas/{path.name}", 30.0, 180.0, 6000.0, 1.0, CLIPPED_SUN, 6000.0)
+    paired = read_panorama_with_sun(path, {row.panorama: row})
+    assert "pair found no stronger sun" in paired.attributes["note"]
     notes = load_pairs(session).notes
     assert any("the sun of 1 maps is clipped" in note for note in notes)
 

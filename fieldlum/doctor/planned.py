@@ -107,7 +107,7 @@ def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
         remedy = (
             "the planned brackets have a filter for it"
             if filtered
-            else "no filter is planned, so its illuminance will be computed from DNI"
+            else "in brackets without a filter its illuminance will be computed from DNI"
         )
         findings.append(Finding("sun", "ok" if filtered else "warn", f"{text}: {remedy}"))
     return findings

@@ -29,8 +29,11 @@ def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) ->
     row = (suns_of(path) if suns is None else suns).get(_key(path))
     off_lx = abs(row.bound_lx - sun.normal_illuminance_lx) if row else 0.0
     if row is not None and off_lx <= _SAME_BOUND_REL * max(sun.normal_illuminance_lx, 1.0):
-        panorama = replace(panorama, sun=row.source)
-    return _labelled(panorama)
+        return _labelled(
+            replace(panorama, sun=row.source),
+            "fieldlum pair found no stronger sun: see the column why of pairs.csv",
+        )
+    return _labelled(panorama, "run fieldlum pair, which computes the sun from DNI or a meter")
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
@@ -43,12 +46,13 @@ def _key(panorama: Path) -> str:
     return f"{path.parent.name}/{path.name}"
 
 
-def _labelled(panorama: Panorama) -> Panorama:
+def _labelled(panorama: Panorama, remedy: str) -> Panorama:
+    """Return the panorama, with a note that ends in `remedy` if its sun is clipped."""
     sun = panorama.sun
     if sun is None or sun.origin != CLIPPED_SUN:
         return panorama
     note = (
         f"every frame is clipped at the sun, so the sun's {sun.normal_illuminance_lx:.0f} lx, Ev "
-        "and DGP are lower bounds; run fieldlum pair, which computes the sun from DNI or a meter"
+        f"and DGP are lower bounds; {remedy}"
     )
     return replace(panorama, attributes={**panorama.attributes, "note": note})
