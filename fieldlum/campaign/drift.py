@@ -59,7 +59,7 @@ class DriftSeries:
 
     @property
     def text(self) -> str:
-        """The change with its unit and 95 % interval; without a change, the number of values."""
+        """The change with its unit and 95 % interval; else the number of values ("–" for none)."""
         if not np.isfinite(self.change):
             return f"values: {len(self.values)}" if len(self.values) else "–"
         digits = 2 if LIMITS[self.kind] <= 1.0 else 1
@@ -166,12 +166,12 @@ def _headings(
 
 
 def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
-    """Return how far the window's sky is above its usual luminance at each capture [%].
+    """Return (time, how far the window's sky is above its usual luminance [%]) of each capture.
 
-    The value is the ratio of measured to expected luminance, divided by the median of this ratio,
-    minus one. The expected luminance is that of the Perez sky for the logged irradiance. It can be
-    wrong by tens of percent in one hour and is right on average, so only a change over many hours
-    shows a drift of k.
+    The list is empty without a room or pairs. The value is the ratio of measured to expected
+    luminance, divided by the median of this ratio, minus one. The expected luminance is that of the
+    Perez sky for the logged irradiance. It can be wrong by tens of percent in one hour and is right
+    on average, so only a change over many hours shows a drift of k.
     """
     from fieldlum.scene import window_fraction
 

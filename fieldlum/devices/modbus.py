@@ -62,9 +62,10 @@ class ModbusPyranometer:
 
     @property
     def info(self) -> InstrumentInfo:
-        """Return what the instruments and the profile state; several texts are joined by " + ".
+        """Return what the instruments and the profile state.
 
-        The calibration date is the oldest.
+        Models, serial numbers, firmware and sensitivities of several instruments are joined by
+        " + "; the calibration date is the oldest.
         """
 
         def texts(name: str) -> str:

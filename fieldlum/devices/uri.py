@@ -49,7 +49,7 @@ class DeviceUri:
 
 
 def parse_uri(text: str) -> DeviceUri:
-    """Parse a URI. Raises DeviceError if it has no scheme, or an option without a value."""
+    """Parse a URI. Raises DeviceError without a scheme, for a repeated option or one without =."""
     scheme, colon, rest = text.partition(":")
     if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
         raise DeviceError(

@@ -53,7 +53,7 @@ def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
 
 
 def check(series: Series, altitude: Array, top: Array) -> Series:
-    """Return the series with impossible values marked, and the third component computed.
+    """Return the series with doubtful values marked, and the third component computed.
 
     If two of GHI, DHI and DNI are measured, the third follows by closure. Unusable values become
     NaN. altitude [n, deg], top [n, W/m2]: from `sky_geometry`.

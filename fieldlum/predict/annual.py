@@ -45,7 +45,7 @@ class Annual:
 
     @property
     def about(self) -> JsonTable:
-        """Return the object that `predict --json` prints."""
+        """Return the object of predict.json without its format."""
         return self.summary.table()
 
     @property

@@ -76,7 +76,7 @@ class ModelRoom:
 def wants_patch(config: ModelConfig) -> bool:
     """Return whether the model in a config.json needs sun patches.
 
-    Models state this as `with_patch`; the transport models of 0.1.0 as a patchwork.
+    Models state this as `with_patch`; transport models of 0.1.0 as a patchwork, others as `patch`.
     """
     state = config.state
     if "with_patch" in state:
@@ -89,8 +89,8 @@ def wants_patch(config: ModelConfig) -> bool:
 def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     """Return the room of a model.
 
-    Raises InputError if the config lacks place or size, or if the model needs patches and the site
-    has no room.
+    Raises InputError if the config lacks place, size or heading, or if the model needs patches and
+    the site has no room.
     """
     from fieldlum.site_toml import site_from_table
 

@@ -175,7 +175,7 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
 
 
 def delete_earlier_year(folder: Path) -> None:
-    """Delete predict.json and maps.zarr of an earlier year; an interrupted run then is incomplete.
+    """Delete predict.json and maps.zarr of an earlier year, so that the folder is incomplete.
 
     Otherwise an interruption could leave the hours of one weather file with the classes of another.
     """

@@ -81,8 +81,9 @@ def hour_units(
 ) -> list[WorkUnit]:
     """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
 
-    discs_lx: illuminance of the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun
-    [k, 2]. maps: folder or URL of the maps, "" for none.
+    discs_lx: illuminance of the disc in k drawn rooms [k, n], None without a room; turns_deg: k
+    displacements of the sun, used without a room [k, 2]. maps: folder or URL of the maps, "" for
+    none.
     """
     model = model_folder.resolve()
     local = Path(maps).resolve() if maps and "://" not in maps else None

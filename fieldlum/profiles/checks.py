@@ -15,7 +15,7 @@ def _impossible(where: str, found: str, expected: str) -> InputError:
 
 
 def check_camera(profile: CameraProfile, where: str) -> None:
-    """Raise InputError, naming the key, for values that no camera can have."""
+    """Raise InputError for values that no camera can have; where: the profile, for the error."""
     p = profile
     if not p.lens:
         raise InputError(where, "no [[lens]]", "at least one lens", "add a table [[lens]]")

@@ -66,10 +66,10 @@ def run_units(
 ) -> Generator[UnitOutcome, None, None]:
     """Run every unit and yield its outcome, in the order in which units end.
 
-    A unit whose worker is killed, hangs, has a full disk or an outdated file system is tried again,
-    at most `scheduler.retries` times; then its outcome names the trouble, and other units continue.
-    Raises InputError if no scheduler answers or no worker with this software is left,
-    NotEnoughDataError if there is no usable worker for ten minutes.
+    With other processes, a unit whose worker is killed, hangs, has a full disk or an outdated file
+    system is tried again, at most `scheduler.retries` times; then its outcome names the trouble,
+    and other units continue. Raises InputError if no scheduler answers or no worker with this
+    software is left, NotEnoughDataError if there is no usable worker for ten minutes.
     """
     waiting = deque(_Attempt(unit) for unit in units)
     total = len(waiting)

@@ -53,10 +53,10 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     Smaller faults are repaired and listed in `.repairs`: night offsets, 29 February of a typical
     year, gaps up to three hours. Longer gaps are left out and listed.
 
-    Raises InputError, with the line, for a row that cannot be read, irradiance outside -10 to 1600
-    W/m2, rows that are not an hour apart, a station over 300 km away, light at night (a wrong time
-    zone), and what `check_sense` finds: wrong units, exchanged columns, labels that are not at the
-    middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
+    Raises InputError for a row that cannot be read or irradiance outside -10 to 1600 W/m2, with the
+    line, for rows that are not an hour apart, a station over 300 km away, light at night (a wrong
+    time zone), and what `check_sense` finds: wrong units, exchanged columns, labels that are not at
+    the middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
     """
     path = Path(path)
     if str(path) == SYNTHETIC:

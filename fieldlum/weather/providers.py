@@ -48,7 +48,7 @@ class ProviderYear:
 
 
 def read_provider(path: Path, lines: Sequence[str]) -> ProviderYear | None:
-    """Read a file of one of these providers; return None for a file of another kind.
+    """Read a file of PVGIS, NSRDB, TMY2 or SolarAnywhere; return None for another kind of file.
 
     Raises InputError if pvlib cannot read the file.
     """

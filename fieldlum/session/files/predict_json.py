@@ -90,7 +90,7 @@ class YearWeather:
 
 @dataclass(frozen=True, slots=True)
 class PredictFile:
-    """The content of one predict.json, as `predict --json` prints it; hours: rows of hourly.csv."""
+    """The content of one predict.json; hours: number of rows of hourly.csv."""
 
     software: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, Any] = field(default_factory=dict)
