@@ -10,12 +10,10 @@ from calibration_frames import LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_
 from fieldlum.calibrate import (
     colour,
 )
-from fieldlum.calibrate.frames import linear_frame, transmission
+from fieldlum.calibrate.frames import LinearFrame, linear_frame, transmission
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import vignetting_at
-from fieldlum.profiles import (
-    Colour,
-)
+from fieldlum.profiles import CameraProfile, Colour
 from fieldlum.records import Exposure
 
 
@@ -129,3 +127,23 @@ def test_patches_are_linear_and_clipping_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="inside"):
         frame.patch(1, 1, 30)
     assert transmission(PROFILE, 5.6, *LENS.centre_px) == pytest.approx(1.0)
+
+
+@pytest.mark.contract
+def test_a_frame_with_several_readings_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = np.full((SIZE, SIZE, 3), 300.0)
+    raw_frame(tmp_path / "a.dng", shown, Exposure(1 / 60, 5.6), np.random.default_rng(1))
+    reads: list[Path] = []
+
+    def counted(path: Path, profile: CameraProfile) -> LinearFrame:
+        reads.append(path)
+        return linear_frame(path, profile)
+
+    monkeypatch.setattr(colour, "linear_frame", counted)
+    table = tmp_path / "spots.csv"
+    middle = SIZE / 2
+    rows = [f"a.dng,{middle},{middle + shift},300" for shift in (-20, 0, 20)]
+    table.write_text("\n".join(["file,x_px,y_px,luminance_cdm2", *rows]))
+    assert len(colour.from_table(table, PROFILE).y) == 3 and len(reads) == 1

@@ -78,7 +78,9 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     for row in rows:
         file = needed(row, "file", path)
         x, at = needed(row, "x_px", path), needed(row, "y_px", path)
-        frame = frames.setdefault(file, linear_frame(file, profile))
+        if file not in frames:
+            frames[file] = linear_frame(file, profile)
+        frame = frames[file]
         patch = frame.patch(x, at, row.get("radius_px") or 12.0)
         rgb.append(patch.rgb / transmission(profile, frame.exposure.f_number, x, at))
         y.append(needed(row, "luminance_cdm2", path))

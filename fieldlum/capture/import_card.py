@@ -86,8 +86,8 @@ def run(
     Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
     are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None reads the
     camera's from EXIF or fits it to the plan. columns: the logger's column name for each quantity,
-    if it is unusual. Raises InputError for a folder without frames or an ambiguous clock,
-    NotEnoughDataError if no bracket matched.
+    if it is unusual. Raises InputError for a folder without frames, an ambiguous clock, an
+    invalid logger's file, or while a capture runs; NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
         if logger is not None:

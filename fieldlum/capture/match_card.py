@@ -183,8 +183,8 @@ def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> n
 def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
     """Return the clock offsets [s] with which most brackets are near slots.
 
-    Offsets are multiples of a quarter of an hour. The result is empty if no bracket is near a slot
-    with any offset.
+    Near means within 7.5 minutes. Offsets are multiples of a quarter of an hour, from -12 to 14
+    hours. The result is empty if no bracket is near a slot with any of them.
     """
     if not groups or not slots:
         return []
@@ -200,8 +200,8 @@ def find_offset(
 ) -> Offset | None:
     """Return the camera's clock minus UTC, fitted to the plan.
 
-    expected_s: offsets to prefer if several fit equally well: standard time, daylight saving time,
-    UTC. Return None if no offset fits, or if several fit equally well and none of them is expected.
+    expected_s: likely offsets, most likely first: the first that fits is used if several offsets
+    fit equally well. Return None if no offset fits, or if several fit and none of them is expected.
     """
     among = fitting_offsets(groups, slots)
     if len(among) == 1:

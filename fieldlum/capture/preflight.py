@@ -78,8 +78,8 @@ def wait_for_clock(
 
     A small computer without a clock battery starts with a past time, until a time server answers. A
     bracket taken before that would be filed under a wrong sun position. The session's files cannot
-    be from the future, so an earlier clock has not been set. Return at once if a time server has
-    set the clock.
+    be from the future, so an earlier clock has not been set. Return at once if `trusted()`, which
+    means that a time server has set the clock. say: called with notes for the user.
     """
     latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
     if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():

@@ -65,8 +65,9 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
 def clipped_share(path: Path) -> float:
     """Return the share of a frame's clipped pixels, 0 to 1.
 
-    A JPEG pixel is clipped at code 254. Raw pixels are clipped at the frame's highest count, if
-    this is at least 0.8 of the white level. Raises InputError if the frame cannot be read.
+    A JPEG pixel is clipped if a colour has code 254 or 255. Raw pixels are clipped at the frame's
+    highest count, if this is at least 0.8 of the white level. Raises InputError if the frame cannot
+    be read.
     """
     if is_jpeg(path):
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))

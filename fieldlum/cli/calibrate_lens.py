@@ -100,6 +100,12 @@ def command(
 def _trim(start: Lens, trim_deg: float) -> tuple[Lens, str, JsonTable]:
     from fieldlum.calibrate.lens_circle import trimmed
 
+    half_deg = start.full_angle_deg / 2
+    if trim_deg >= half_deg:
+        raise click.UsageError(
+            f"--trim {trim_deg:g}: the lens has a half angle of {half_deg:g} degrees; state a "
+            "smaller width"
+        )
     new = trimmed(start, trim_deg)
     line = (
         f"lens: image circle of {new.full_angle_deg:g} degrees, radius {new.radius_px:.2f} px "

@@ -31,8 +31,8 @@ def command(
     """Fit the loss of light towards the edge, for one aperture.
 
     READINGS.csv has the columns file, x_px, y_px (optional: radius_px, reference) of one patch seen
-    at many angles, by the lens that shows it; or the columns angle_deg and value, for --lens.
-    FRAMEs are pictures of an evenly lit field.
+    at many angles; the fit is then for the lens that shows the patch. Or it has the columns
+    angle_deg and value. FRAMEs are pictures of an evenly lit field.
 
     \b
     Example:

@@ -84,7 +84,8 @@ def bench_s(
     transport: number of transport models; slow: number of trainings of the dense network; captures,
     pixels: number of pairs, and of pixels of one map; folds: fits of one model for the score table;
     curve_captures: sum of the captures over all fits of a learning curve; budget_min: minutes of
-    one training of the dense network; render_hours: number of hours that Radiance renders.
+    one training of the dense network; render_hours: number of hours that Radiance renders;
+    with_stress: whether the stress tests run.
     """
     quick = transport * _FIT_S_PER_CAPTURE * (folds * captures + curve_captures)
     rendering = render_hours * _RADIANCE_S * pixels

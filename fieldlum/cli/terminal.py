@@ -39,7 +39,7 @@ def emit_json(answer: Any) -> None:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    """Write a csv with `columns` of the rows, as header and cells; None is an empty cell."""
+    """Write `columns` of the rows as a csv with a header; None is an empty cell."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

@@ -238,7 +238,8 @@ def combine(
 ) -> dict[str, NDArray[np.float64]]:
     """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
 
-    sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d].
+    sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d]: illuminance from the map and
+    from the sun [lx], luminance of the disc [cd/m2], and its place right and up [rad].
     """
     ev = map_ev + sun_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)

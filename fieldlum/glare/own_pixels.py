@@ -53,8 +53,8 @@ def glare_of_pixels(
 ) -> tuple[dict[str, float], GlareSources]:
     """Return the figures of `glare_directions` for the picture's own view, and its sources.
 
-    luminance_cdm2 : [H, W] without negative or missing values; sun : a disc that is not in the
-    pixels.
+    luminance_cdm2 : [H, W] without negative or missing values; grid : by `picture_grid`; sun : a
+    disc that is not in the pixels.
     """
     ev = weighted_sum(luminance_cdm2, grid.illuminance)
     sources = glare_sources(luminance_cdm2, grid)

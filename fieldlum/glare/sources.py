@@ -22,7 +22,7 @@ REACH_RAD = 0.1
 
 
 def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
-    """Return a mask [H, W] of the pixels within an angle of any pixel of a panorama's `mask`.
+    """Return a mask [H, W] of the pixels within `radius_rad` of a pixel of a panorama's `mask`.
 
     It continues across the seam of the panorama.
     """

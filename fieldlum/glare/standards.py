@@ -210,9 +210,9 @@ def hours_to_capture(
 ) -> NDArray[np.float64]:
     """Return how much each hour's uncertainty keeps classes of directions undecided, [n].
 
-    dgp, u_dgp : [n, d]; undecided : mask [d]; limits : DGP limit of each direction, [d]. For each
-    undecided direction the value is the variance of "this hour is above the limit", p (1 - p) with
-    normal p. Capture the hours with the largest values.
+    dgp, u_dgp : [n, d]; undecided : mask [d]; limits : DGP limit of each direction, [d]. The value
+    is the sum over the undecided directions of p (1 - p), with p the probability that the hour's
+    DGP is above the limit (normal error). Capture the hours with the largest values.
     """
     from scipy.special import ndtr
 

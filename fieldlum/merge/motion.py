@@ -72,10 +72,10 @@ class Ballot:
 def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     """Return the value that most frames share, and whether the vote is clear.
 
-    It is clear if all usable frames agree. It is also clear if at least two frames agree that would
-    have noticed a difference, and these outnumber the others. A frame would have noticed a
-    difference if its noise is less than the gap, or if it is saturated, which it would not be at
-    the other values.
+    u_ratio: relative disagreement of frames that does not count as motion. The vote is clear if all
+    usable frames agree. It is also clear if at least two frames agree that would have noticed a
+    difference, and these outnumber the others. A frame would have noticed a difference if its noise
+    is less than the gap, or if it is saturated, which it would not be at the other values.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
     enough = _SATURATED * ballot.largest_cdm2

@@ -110,9 +110,9 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
 
 
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
-    """Return how much neighbouring frames still disagree after `correction`.
+    """Return the disagreement [%] that neighbouring frames still have after `correction`.
 
-    correction: factors on the exposures, [frames].
+    pairs: measured exposure ratios; correction: factors on the exposures, [frames].
     """
     delta = np.log(correction)
     return [
@@ -153,8 +153,8 @@ def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
 def beyond(free: RatioFit, explained: float) -> float:
     """Return the relative uncertainty of a value due to exposures that seem wrong.
 
-    This is the deviation of the exposures beyond `explained` (relative) and beyond the pairs'
-    noise.
+    free: a result of `free_fit`. The uncertainty is the standard deviation of its corrections
+    beyond `explained` (relative) and beyond the pairs' noise.
     """
     seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not seen:

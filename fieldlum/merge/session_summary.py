@@ -76,7 +76,7 @@ def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | Non
 
 
 def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> float | None:
-    """Return the change of global irradiance during a bracket [%], by a fitted line.
+    """Return the change of global irradiance from `opened` to `closed` [%], by a fitted line.
 
     Return None for fewer than three samples, or at night.
     """
