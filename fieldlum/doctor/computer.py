@@ -107,7 +107,8 @@ def check_writing(folder: Path) -> list[Finding]:
         renamed = path.replace(path.with_suffix(".renamed"))
         same = renamed.read_bytes() == payload
     except OSError as error:
-        return [Finding("writing", "fail", f"{folder}: {error.strerror}")]
+        text = f"{folder}: {error.strerror}: free space, or use a folder that can be written to"
+        return [Finding("writing", "fail", text)]
     finally:
         path.unlink(missing_ok=True)
         path.with_suffix(".renamed").unlink(missing_ok=True)

@@ -24,10 +24,9 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
 
     option: value of ``--notify``; if it is empty, `variable`, the content of the environment
     variable, is used, which is ``@FILE`` or addresses separated by blanks; without both there is no
-    address. A file has one address
-    per line; empty lines and lines that begin with # are skipped. Raises InputError for an option
-    that is not ``@FILE``, and for a file that cannot be read or is empty; no error contains an
-    address.
+    address. A file has one address per line; empty lines and lines that begin with # are skipped.
+    Raises InputError for an option that is not ``@FILE``, and for a file that cannot be read or is
+    empty; no error contains an address.
     """
     if not option and variable and not variable.startswith("@"):
         return tuple(variable.split()), ""

@@ -35,8 +35,10 @@ def complete_sun(
     """Return the picture's sun with its illuminance at the lens (None: no sun), and a caution.
 
     full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
-    [lx]. A sun that the picture measured is not changed. A clipped sun is completed by the meter,
-    else by DNI and the room. A sun that the picture does not show is never added.
+    [lx]. A sun that the picture measured is not changed. Any other sun of the picture is completed
+    by the meter, else by DNI and the room; it is returned unchanged, with a caution, if the room
+    hides it or if DNI gives less than the clipped picture shows. A sun that the picture does not
+    show is not added.
     """
     found = panorama.sun
     if found is None:

@@ -37,7 +37,10 @@ _WORDS: dict[str, tuple[Level, str]] = {
 
 
 def event_words(event: JournalEvent) -> tuple[Level, str] | None:
-    """Return the level and the sentence of an event; None for an event that needs no attention."""
+    """Return the level and the sentence of an event; None for an event that needs no attention.
+
+    The sentence of an unknown kind of event is the name of the kind.
+    """
     kind, why = event["event"], event.get("why", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
         return None
