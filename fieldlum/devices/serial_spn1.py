@@ -66,9 +66,9 @@ class Spn1:
         )
 
     def read(self) -> IrradianceSample:
-        """Return a reading of total and diffuse on which two answers agree.
+        """Return a reading on which two answers agree, or the middle of three evenly spaced ones.
 
-        Two answers are needed because the line has no checksum. A total over 3 W/m2 below the
+        Several answers are needed because the line has no checksum. A total over 3 W/m2 below the
         diffuse gets a status. `raw` has all answers that differ. Raises DeviceError for silence, or
         if neither two answers agree nor three are evenly spaced.
         """
