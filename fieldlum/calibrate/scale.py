@@ -79,8 +79,8 @@ def from_table(
     The column u_rel is optional. Azimuth is clockwise from north. A spot is the trimmed mean over 1
     degree; an illuminance is that of a plane which faces the direction. Values of the pictures are
     converted to the profile's k from the k that they were merged with. Return readings, pictures
-    and notes. Raises InputError for a line with both or neither reading, a clipped or black place,
-    and pictures of another calibration.
+    and notes. Raises InputError for a line with both or neither reading, a place that is clipped or
+    without light, and pictures of another calibration.
     """
     rows = read_table(
         path,
@@ -208,7 +208,7 @@ def spot_cdm2(
     """Return the trimmed mean luminance [cd/m2] of a spot meter's field, and its relative u.
 
     The field is a disc of 1 degree around the direction, at least a few pixels. file : for errors.
-    Raises InputError for a place that is clipped or black.
+    Raises InputError for a place that is clipped or without light.
     """
     from scipy.stats import trim_mean
 
@@ -227,7 +227,7 @@ def spot_cdm2(
     if not len(values) or values.max() <= 0:
         raise InputError(
             file,
-            f"the picture is black {place}",
+            f"the picture has no light {place}",
             "a direction within the lens's field, with light",
             "check the reading's azimuth (clockwise from north) and altitude (up from the horizon)",
         )

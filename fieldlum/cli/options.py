@@ -84,7 +84,7 @@ _DEVICES = (
 
 
 def device_options(function: Command) -> Command:
-    """Add --camera, --pyranometer and --meter; see `device_uris`."""
+    """Add the options --camera, --pyranometer and --meter to a command."""
     for name, text in reversed(_DEVICES):
         function = click.option(name, metavar="URI", help=f"{text} {_OF_LAST_CAPTURE}")(function)
     return function

@@ -102,7 +102,7 @@ def answer_of(
 
 
 def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
-    """Return the sun with `factor` times its illuminance."""
+    """Return the sun with `factor` times its illuminance; None without a sun."""
     if sun is None:
         return None
     return replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
@@ -152,7 +152,7 @@ def picture_warnings(picture: Picture) -> list[str]:
         )
     if not (picture.panorama.luminance_cdm2 > 0).any():
         warnings.append(
-            "the picture has no light: every pixel is 0, so the glare figures have "
+            "the picture has no light: no pixel is above 0 cd/m2, so the glare figures have "
             "no meaning; check how the picture was written"
         )
     flags = picture.panorama.flags

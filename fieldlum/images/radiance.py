@@ -152,9 +152,10 @@ def _decoded_rows(
             count = min(step, scanlines - first)
             data = process.stdout.read(count * width * 12)
             if len(data) < count * width * 12:
+                end = first + count
                 raise InputError(
                     path,
-                    f"the pixels are damaged or end after {first} of {scanlines} scanlines",
+                    f"the pixels are damaged, or end before scanline {end} of {scanlines}",
                     f"{scanlines} scanlines of Radiance pixels",
                     "copy the file again, because it is cut short",
                 )

@@ -63,8 +63,8 @@ def lens_crop(profile: CameraProfile) -> Crop:
     if bottom - top < 2 or right - left < 2:
         raise InputError(
             body.name,
-            "the profile has a lens circle outside the sensor",
-            "centre_px on the sensor",
+            "no lens circle of the profile is on the sensor",
+            "lens circles on the sensor",
             "correct centre_px and radius_px of [[lens]] in the profile",
         )
     return Crop(top, left, bottom - top, right - left)

@@ -93,7 +93,7 @@ def _class_words(row: DirectionYear) -> str:
 
 
 def polar(annual: Annual) -> Figure:
-    """Return the polar plot of DGP by view direction."""
+    """Return the polar plot of the DGP exceeded in 5 % of the occupied hours, by view direction."""
     rows = annual.summary.protection
     azimuths = np.array([row.azimuth_deg for row in rows])
     exceeded, *bounds = (

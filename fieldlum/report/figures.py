@@ -62,7 +62,7 @@ def picture_png(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def luminance_scale_svg() -> str:
-    """Return the colour bar of all false-colour pictures as SVG text."""
+    """Return the colour bar of the false-colour pictures, 1 to 10 000 cd/m2, as SVG text."""
     with styled():
         figure = Figure(figsize=(5.0, 0.28))
         axes = figure.add_axes((0, 0, 1, 1))
