@@ -40,7 +40,8 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
 
     If it has fewer than three rows, those within one row interval before and after it are included.
     `why` is set if rows are over 15 minutes apart, if any time of the bracket is more than two row
-    intervals from a usable row, if diffuse is above global, or if the light changed by over 50 %.
+    intervals from a usable row, if diffuse is above global, or if global changed by over 50 % (and
+    over 10 W/m2).
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)
