@@ -53,10 +53,13 @@ class Colours:
 
 @dataclass(frozen=True, slots=True)
 class ColourFit:
-    """Fitted coefficients, their relative uncertainty, and relative residuals of the readings."""
+    """Fitted coefficients, their relative uncertainty, and relative residuals of the readings.
+
+    scale : luminance of the readings over that of the new coefficients, a factor on k.
+    """
 
     y_from_rgb: tuple[float, float, float]
-    scale: float  # luminance over a . rgb with the new coefficients: a factor on k
+    scale: float
     u_rel: float  # rms of the held-out errors
     residual: Array
     choice: OrderSelection

@@ -52,9 +52,11 @@ from fieldlum.session.ledger import SlotState, read_ledger
 class Report:
     """Result of an import.
 
-    brackets, frames: number of new ones. left_out: sentences on files and brackets that were not
-    imported. notes: sentences on imported brackets that may be wrong. late_s: start of each bracket
-    minus its slot's time [s]. slots: of the new brackets.
+    brackets, frames: number of new ones; known: number of brackets imported before. left_out:
+    sentences on files and brackets that were not imported. notes: sentences on imported brackets
+    that may be wrong. late_s: start of each bracket minus its slot's time [s]. slots: of the new
+    brackets. moved: slots whose bracket of an earlier import was removed. rows, withdrawn: rows of
+    a logger's file that were added, and removed.
     """
 
     brackets: int = 0

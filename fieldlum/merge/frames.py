@@ -78,7 +78,8 @@ def lens_crop(profile: CameraProfile) -> Crop:
 class RawSignal:
     """A cropped raw frame, shaped [rows / 2, 2, columns] so that each axis-1 row has two colours.
 
-    Values that differ between the four colours are arrays [2, columns]; equal values are scalars.
+    counts: as in the file; black: of it [DN]; saturation: above black [DN]. Values that differ
+    between the four colours are arrays [2, columns]; equal values are scalars.
     """
 
     counts: NDArray[np.uint16]

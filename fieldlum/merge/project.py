@@ -38,9 +38,9 @@ TAPER_RAD = 0.06
 class ProjectedImage:
     """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
 
-    variance: of the random error. coverage: share of the pixel that is seen. edge: 0.01 at the
-    lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting, u_ratio: relative standard
-    uncertainties.
+    luminance [cd/m2]; rgb [n, 3]: camera colours. variance: of the random error. coverage: share of
+    the pixel that is seen. edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it.
+    u_vignetting, u_ratio: relative standard uncertainties.
     """
 
     luminance: NDArray[np.float64]

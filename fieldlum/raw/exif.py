@@ -150,7 +150,7 @@ def info_of(
 
 
 def roll_deg_of(path: Path) -> float | None:
-    """Return the roll that the camera recorded (EXIF Orientation); None without one, or mirrored.
+    """Return the roll that EXIF Orientation states; None if it is missing or mirrored.
 
     Roll is in deg, clockwise as seen from behind the camera. Pixels are never turned by it. Raises
     InputError for a file that is missing or empty.

@@ -53,18 +53,24 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table with an optional title. folded: shown after a click."""
+    """A table with an optional title.
+
+    folded: shown after a click; words: cells are words, aligned left.
+    """
 
     head: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
     title: str = ""
     folded: bool = False
-    words: bool = False  # cells are words, aligned left
+    words: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class HeatMap:
-    """Day x hour grids of several quantities and directions, as JSON for the page's script."""
+    """Day x hour grids of several quantities and directions, as JSON for the page's script.
+
+    start: index of the direction shown first; used: first and last hour of use.
+    """
 
     json: str
     directions: tuple[str, ...]
