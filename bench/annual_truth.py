@@ -5,7 +5,8 @@
 
 FOLDER and OUT as for bench/annual_truth_render.py, which must have run. Each model is fitted to the
 panoramas of the 9-day or the even set and predicts the 2 022 reference hours; the disc is the one
-that Radiance sees from the view point (as `[room] kind = "radiance"` gives it). Errors of Ev and
+that Radiance sees from the view point (as `[room] kind = "radiance"` gives it). Images of the sun
+in a mirror are found in the captures and predicted as by `train` and `predict`. Errors of Ev and
 DGP are over hours with a reference DGP of 0.25 to 0.75, the rule of the set's check.py. "hours in
 class" is the share of all hours in the same class of 0.35, 0.40 and 0.45.
 """
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +26,9 @@ from numpy.typing import NDArray
 
 from fieldlum.glare.geometry import panorama_views
 from fieldlum.glare.metrics import glare_directions
+from fieldlum.models import trusted_hours
 from fieldlum.models.data import Dataset
+from fieldlum.models.mirror_labels import split_images
 from fieldlum.records import CameraSetup, Site, SiteFile
 from fieldlum.sun_disc import add_disc
 from fieldlum.train.trials import fit_timed, passes_over_data
@@ -69,6 +73,14 @@ def errors(reference: Reference, ev: Array, dgp: Array) -> str:
         f"{100.0 * same.mean():.1f} | {exceeded[0]:.1f} ({exceeded[1]:.1f}) | "
         f"{'same' if annual[0] == annual[1] else 'other'}"
     )
+
+
+def of_trusted(reference: Reference, dgp: Array, trusted: NDArray[np.bool_]) -> str:
+    """Cell: MAE of DGP in the trusted of the judged hours, and their share."""
+    inside = (reference.dgp >= 0.25) & (reference.dgp <= 0.75)
+    error = np.abs(dgp - reference.dgp)[inside & trusted]
+    mean = f"{error.mean():.4f}" if error.size else "-"
+    return f"{mean} ({100.0 * trusted[inside].mean():.0f} %)"
 
 
 def glare(
@@ -120,25 +132,34 @@ def score_view(
     seen = np.where(image > 0, image, test.disc_lx)
     ev, dgp = glare(stored["maps"][:n], reference.heading_deg, mirrored, seen)
     name, count = reference.name, f"{len(reference.dgp)}"
-    print(f"| {name} | own rendering | - | {count} | {errors(reference, ev, dgp)} |", flush=True)
+    print(
+        f"| {name} | own rendering | - | {count} | {errors(reference, ev, dgp)} | - |", flush=True
+    )
     for which, chosen in chosen_hours(hours).items():
         if which not in sets:
             continue
         rows = np.flatnonzero(np.isin(stored["rows"], chosen))
+        taught, mirrors = split_images(data.take(rows))
+        images = [mirror.images(test.light, reference.heading_deg) for mirror in mirrors]
+        sources = np.stack([suns, *(i.towards for i in images)])
+        sources_lx = np.stack([test.disc_lx, *(i.shown_lx for i in images)])
+        for mirror in mirrors:
+            print(f"{name}, {which}: {mirror.captures} {mirror.warning}", file=sys.stderr)
         unseen = np.flatnonzero(~np.isin(np.arange(n), chosen))
         for model in models:
-            fitted, _ = fit_timed(
-                model, data.take(rows), patch="absolute", seed=0, budget_s=budget_s
-            )
-            maps = np.concatenate(
-                [
-                    fitted.predict(test.light[part], test.patch_cdm2[part]).luminance_cdm2
-                    for part in np.array_split(np.arange(n), 20)
-                ]
-            )
-            ev, dgp = glare(maps, reference.heading_deg, suns, test.disc_lx)
+            fitted, _ = fit_timed(model, taught, patch="absolute", seed=0, budget_s=budget_s)
+            parts = [
+                fitted.predict(test.light[part], test.patch_cdm2[part])
+                for part in np.array_split(np.arange(n), 20)
+            ]
+            maps = np.concatenate([part.luminance_cdm2 for part in parts])
+            trusted = np.concatenate([trusted_hours(part) for part in parts])
+            for image in images:
+                trusted &= ~image.doubtful
+            ev, dgp = glare(maps, reference.heading_deg, sources, sources_lx)
             asked = replace(reference, ev_lx=reference.ev_lx[unseen], dgp=reference.dgp[unseen])
             cells = errors(asked, ev[unseen], dgp[unseen])
+            cells = f"{cells} | {of_trusted(asked, dgp[unseen], trusted[unseen])}"
             epochs = passes_over_data(fitted)
             label = model if epochs is None else f"{model}, {epochs:.1f} epochs"
             print(f"| {name} | {label} | {which} | {len(rows)} | {cells} |", flush=True)
@@ -158,14 +179,13 @@ def main() -> None:
     options = parser.parse_args()
     print(
         "| view | model | set | hours | Ev MAE, % | DGP MAE | DGP bias | hours in class, % | "
-        "hours over 0.45, % (reference) | annual class |"
+        "hours over 0.45, % (reference) | annual class | DGP MAE of trusted hours |"
     )
-    print(f"|{'---|' * 10}")
+    print(f"|{'---|' * 11}")
     for scene in options.scenes.split(","):
         ev, dgp = OF_RAYTRAVERSE[scene]
-        print(
-            f"| {scene}, all | raytraverse 1.4.4 | 3D model | 2022 | {ev} | {dgp} | - | - | - | - |"
-        )
+        blank = " - |" * 5
+        print(f"| {scene}, all | raytraverse 1.4.4 | 3D model | 2022 | {ev} | {dgp} |{blank}")
         for view in map(int, options.views.split(",")):
             if (options.out / f"{scene}_v{view}.npz").is_file():
                 score_view(

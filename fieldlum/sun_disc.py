@@ -176,15 +176,24 @@ def add_disc(
 
     disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions.
     """
+    place = light.shown_altitude_deg, light.sun_azimuth_deg
+    return add_source(luminance_cdm2, place, disc_lx, heading_deg)
+
+
+def add_source(
+    luminance_cdm2: NDArray[np.float32],
+    place_deg: tuple[NDArray[np.float64], NDArray[np.float64]],
+    normal_lx: NDArray[np.float64],
+    heading_deg: float,
+) -> NDArray[np.float32]:
+    """Return maps [n, H, W] with a small source in each, at altitudes and azimuths [n]."""
     height, width = luminance_cdm2.shape[1:]
-    row, column = equirect_pixel(
-        light.shown_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg
-    )
+    row, column = equirect_pixel(*place_deg, height, width, heading_deg)
     i = np.clip(row.astype(int), 0, height - 1)
     j = column.astype(int) % width
     with_disc = luminance_cdm2.copy()
     with_disc[np.arange(len(with_disc)), i, j] += (
-        disc_lx / equirect_solid_angles(height, width)[i, j]
+        normal_lx / equirect_solid_angles(height, width)[i, j]
     ).astype(np.float32)
     return with_disc
 

@@ -64,6 +64,18 @@ def mirrored(suns: ArrayLike, normal: ArrayLike) -> Array:
     return suns - 2.0 * (suns @ normal)[:, None] * normal
 
 
+def ring_around(towards: Array, angle_rad: float) -> Array:
+    """Return the eight directions at an angle around each of some directions [n, 3], [8, n, 3]."""
+    right = np.cross(
+        towards, np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    )
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    up = np.cross(right, towards)
+    turns = np.arange(8)[:, None, None] * np.pi / 4.0
+    ring = np.cos(turns) * right + np.sin(turns) * up
+    return np.cos(angle_rad) * towards + np.sin(angle_rad) * ring
+
+
 def glass_reflectance(cosine: ArrayLike) -> Array:
     """Return the reflectance of one air-glass surface for unpolarised light (Fresnel), [...].
 

@@ -105,7 +105,8 @@ def fit(
     -------
     Fitted
         `predict(light)` returns maps [n, H, 2H] in cd/m2 with uncertainty; `parameters` is the
-        number of values in the model.
+        number of values in the model. The maps have neither the sun's disc nor its images in
+        mirrors, which only `predict_year` adds.
 
     Raises
     ------

@@ -113,13 +113,14 @@ def glare_directions(
     """Return the glare of n panoramas in d horizontal view directions, [n, d] each.
 
     luminance_cdm2 : [n, H, W] without the sun's disc.
-    sun_direction : [n, 3] unit vectors (x east, y north, z up).
-    disc_lx : [n] normal illuminance at the lens from the visible disc, lx; 0 where it is hidden.
+    sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
+    of it in mirrors.
+    disc_lx : [n] or [m, n] normal illuminance at the lens from each, lx; 0 where it is hidden.
     views : weights from `panorama_views`; pass them if you call this for many blocks of hours.
 
     Keys: ev_lx, dgp, dgps, ugr, dgi, ugp, cgi, veiling_cdm2 (for an age of 25 years),
     veiling_age70_cdm2 (70 years), and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
-    sources; sun_contrast and sun_ev_lx are the disc's parts of contrast and of Ev.
+    sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
     count, height, width = maps.shape
@@ -127,11 +128,11 @@ def glare_directions(
     flat = maps.reshape(count, -1)
     disc = np.zeros(count) if disc_lx is None else np.asarray(disc_lx, float)
     sun = np.zeros((count, 3)) if sun_direction is None else np.asarray(sun_direction, float)
-    right, up, cosine = _sun_angles(sun, views)
+    right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
     map_ev = (flat @ views.illuminance).astype(float)
     sums = np.stack([_source_sums(flat[i], maps[i], views, map_ev[i]) for i in range(count)])
-    sun_cdm2 = disc[:, None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
-    sun_ev = disc[:, None] * np.clip(cosine, 0.0, None)
+    sun_cdm2 = disc[..., None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
+    sun_ev = disc[..., None] * np.clip(cosine, 0.0, None)
     return combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
 
 
@@ -170,9 +171,9 @@ def dgp_with_disc(
 
 
 def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
-    """Return right, up and cosine of n suns in d views, [n, d] each."""
+    """Return right, up and cosine of suns [..., 3] in d views, [..., d] each."""
     angles = [angles_from_view(sun, frame) for frame in views.frames]
-    return tuple(np.stack([part[k] for part in angles], axis=1) for k in range(3))  # type: ignore[return-value]
+    return tuple(np.stack([part[k] for part in angles], axis=-1) for k in range(3))  # type: ignore[return-value]
 
 
 def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
@@ -238,28 +239,34 @@ def combine(
 ) -> dict[str, NDArray[np.float64]]:
     """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
 
-    sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d]: illuminance from the map and
-    from the sun [lx], luminance of the disc [cd/m2], and its place right and up [rad].
+    sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d], of the sun also [m, n, d]:
+    illuminance from the map and from the sun [lx], luminance of the disc [cd/m2], and its place
+    right and up [rad].
     """
-    ev = map_ev + sun_ev
+
+    def total(of_suns: Float) -> NDArray[np.float64]:
+        return np.asarray(of_suns, float).reshape(-1, *map_ev.shape).sum(axis=0)
+
+    all_ev = total(sun_ev)
+    ev = map_ev + all_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)
     sun_index = position_index(sun_right, sun_up)
-    sun_contrast = sun_cdm2**2 * omega / sun_index**2
+    sun_contrast = total(sun_cdm2**2 * omega / sun_index**2)
     contrast = sums[:, 0] + sun_contrast
     # CIE 117: the background is the part of Ev that is not from the sources.
     background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
-    veiling = sums[:, 3] + sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2
+    veiling = sums[:, 3] + total(sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2)
     return {
         "ev_lx": ev,
         "contrast": contrast,
         "sun_contrast": sun_contrast,
-        "sun_ev_lx": np.asarray(sun_ev, float),
+        "sun_ev_lx": np.asarray(all_ev, float),
         "dgp": dgp(ev, contrast),
         "dgps": dgps(ev),
         "ugr": ugr(contrast, background),
-        "dgi": dgi(sums[:, 2] + _dgi_terms(sun_cdm2, omega, sun_index, background)),
+        "dgi": dgi(sums[:, 2] + total(_dgi_terms(sun_cdm2, omega, sun_index, background))),
         "ugp": ugp(contrast, background),
-        "cgi": cgi(contrast, ev, sums[:, 1] + sun_ev),
+        "cgi": cgi(contrast, ev, sums[:, 1] + all_ev),
         "veiling_cdm2": veiling_cdm2(veiling, YOUNG_AGE),
         "veiling_age70_cdm2": veiling_cdm2(veiling, OLD_AGE),
     }

@@ -111,7 +111,7 @@ def read_pictures(folder: Path) -> Pictures:
     """Read pictures.npz. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
     try:
-        with np.load(path, allow_pickle=False) as found:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
             return Pictures(
                 tuple(str(kind) for kind in found["kinds"]),
                 found["rows"],

@@ -68,8 +68,8 @@ def view_figures(
         maps,
         room.heading_deg,
         views.azimuths_deg,
-        block.light.shown_sun_direction,
-        block.disc_lx,
+        np.stack([block.light.shown_sun_direction, *(image.towards for image in block.images)]),
+        np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
         views=views,
     )
     found["u_dgp"] = dgp_uncertainty(

@@ -16,6 +16,7 @@ from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.records import Progress, SiteFile, quiet
 from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.sun_disc import add_source
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
@@ -38,12 +39,19 @@ class HourBlock:
     disc_lx: NDArray[np.float64]
     images: tuple[MirroredSun, ...] = ()
 
+    def pictures_cdm2(self, heading_deg: float) -> NDArray[np.float32]:
+        """Return the maps with the images of the sun, each in one pixel [k, H, W]."""
+        maps = self.prediction.luminance_cdm2
+        for image in self.images:
+            maps = add_source(maps, image.place_deg, image.shown_lx, heading_deg)
+        return maps
+
     @property
     def trusted(self) -> NDArray[np.bool_]:
-        """Mask [k] of the trusted hours; an image that may be in view makes an hour untrusted."""
+        """Mask [k] of the trusted hours; a doubtful image makes an hour untrusted."""
         trusted = trusted_hours(self.prediction)
         for image in self.images:
-            trusted &= ~image.possible
+            trusted &= ~image.doubtful
         return trusted
 
 

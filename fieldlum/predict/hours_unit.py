@@ -121,7 +121,8 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)
     drawn = dgp_with_disc(found, per_lx, discs, drawn_images(block, ready.views, len(discs)))
     if job.maps:
-        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, maps)
+        pictures = block.pictures_cdm2(room.heading_deg)
+        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, pictures)
     rows = (job.start, job.start + len(job.light))
     return HourFigures(rows, hour_figures(block), found, least, most, drawn.astype(np.float32))
 

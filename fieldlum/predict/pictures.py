@@ -57,7 +57,7 @@ def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annu
     chosen = list(telling_hours(annual, room.setup.site.timezone))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)
     parts = list(blocks(fitted, room, light[rows]))
-    maps = np.concatenate([block.prediction.luminance_cdm2 for block in parts])
+    maps = np.concatenate([block.pictures_cdm2(room.heading_deg) for block in parts])
     disc = np.concatenate([block.disc_lx for block in parts])
     at = [int(np.searchsorted(rows, row)) for _, row in chosen]
     return Pictures(

@@ -19,7 +19,8 @@ from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
-from fieldlum.models.mirrors import Mirror, mirror_warnings, split_images
+from fieldlum.models.mirror_labels import split_images
+from fieldlum.models.mirrors import Mirror
 from fieldlum.models.scores import summary
 from fieldlum.records import Progress, quiet
 from fieldlum.session import sha256
@@ -180,7 +181,7 @@ def fit_and_score(
     )
     fitted, doubted = findings(fitted, data, patch, setting)
     skies = seen_skies(fitted, data)
-    mirror = mirror_warnings(mirrors, captures)
+    mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes = (*_notes(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
     year = year_of(fitted, data, patch, seed, progress)
     return Result(
