@@ -80,7 +80,7 @@ class Mirror:
     @property
     def predicted(self) -> bool:
         """Whether images are predicted: their energy is known, and held-out days want them."""
-        return self.measured and self.wrong < self.captures
+        return self.measured and self.wrong <= self.captures
 
     def images(self, light: Light, heading_deg: float) -> MirroredSun:
         """Return the images of the sun in the hours of `light`."""
