@@ -34,6 +34,9 @@ _FEWEST_CAPTURES = 3  # two spots agree in some normal by chance; chosen
 _LEAST_SHARE = 0.05
 # The mirror must explain the places of the spots this much better than one fixed place. Chosen.
 _BETTER_THAN_FIXED = 0.5
+# Panes of one facade are not exactly parallel: images up to this multiple of the tolerance away
+# belong to a mirror, and spots up to the second multiple to no other mirror. Chosen.
+_DISTORTED, _NEXT_MIRROR = 2.0, 3.0
 _LAMP_SUN_MOVED = 3.0  # multiple of the tolerance: a spot that stays while the sun moves; chosen
 
 
@@ -137,7 +140,7 @@ def without_lamps(
     """
     if not spots:
         return []
-    places, rows = np.stack([spot.towards for spot in spots]), np.array([s.row for s in spots])
+    places, rows = _places_of(spots)
     near = np.cos(tolerance_rad(height))
     moved = np.cos(_LAMP_SUN_MOVED * tolerance_rad(height))
     lamp = np.array([spot.spot.normal_lx for spot in spots]) > np.asarray(direct_lx)[rows]
@@ -160,8 +163,10 @@ def find_mirrors(
     mirrors = []
     while (mirror := _best_mirror(rest, suns, height)) is not None:
         mirrors.append(mirror)
-        used = {id(image) for image in mirror.images}
-        rest = [spot for spot in rest if id(spot) not in used]
+        places, rows = _places_of(rest)
+        off = _angles(mirrored(suns[rows], mirror.normal), places)
+        same = off <= _NEXT_MIRROR * tolerance_rad(height)
+        rest = [spot for spot, one in zip(rest, same, strict=True) if not one]
     return mirrors
 
 
@@ -169,7 +174,7 @@ def _best_mirror(rest: Sequence[SunImage], suns: Array, height: int) -> MirrorPl
     """Return the mirror with the most images among some spots; None if no normal is certain."""
     if len(rest) < _FEWEST_CAPTURES:
         return None
-    places, rows = np.stack([spot.towards for spot in rest]), np.array([spot.row for spot in rest])
+    places, rows = _places_of(rest)
     across = places - suns[rows]  # [spots, 3], along the normal
     reach = tolerance_rad(height)
     tried = [
@@ -192,7 +197,13 @@ def _best_mirror(rest: Sequence[SunImage], suns: Array, height: int) -> MirrorPl
     _, first = np.unique(np.round(places[chosen] / (np.pi / height)), axis=0, return_index=True)
     u_rad = sigma / np.sqrt((across[chosen][first] ** 2).sum())  # places in one pixel err alike
     towards_sun = normal * np.sign((suns[rows[chosen]] @ normal).sum())
-    return MirrorPlane(towards_sun, float(np.degrees(u_rad)), tuple(rest[k] for k in chosen))
+    images = _agreeing(normal, places, rows, suns, _DISTORTED * reach)
+    return MirrorPlane(towards_sun, float(np.degrees(u_rad)), tuple(rest[k] for k in images))
+
+
+def _places_of(spots: Sequence[SunImage]) -> tuple[Array, NDArray[np.intp]]:
+    """Return the directions [k, 3] and the captures [k] of spots."""
+    return np.stack([spot.towards for spot in spots]), np.array([spot.row for spot in spots])
 
 
 def _angles(a: Array, b: Array) -> Array:

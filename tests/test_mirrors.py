@@ -29,8 +29,9 @@ from fieldlum.predict.blocks import blocks, room_of
 from fieldlum.predict.year import light_of
 from fieldlum.projection import direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.sun_disc import add_source
+from fieldlum.sun_disc import SunDisc, add_source
 from fieldlum.sun_images import (
+    SunImage,
     bright_spots,
     find_mirrors,
     glass_reflectance,
@@ -131,6 +132,20 @@ def test_any_mirror_is_found_among_lamps_within_its_uncertainty(
         assert error < tolerance_rad(height)
         # a lamp of 900 lx, too dim for a spot of its own, may be in the image's pixel
         assert 0.9 * 4000.0 < image.spot.normal_lx < 1.02 * 4900.0
+
+
+@pytest.mark.property
+def test_panes_that_are_not_parallel_are_one_mirror() -> None:
+    height, count, rng = 180, 24, np.random.default_rng(4)
+    suns = direction(rng.uniform(15.0, 60.0, count), rng.uniform(120.0, 270.0, count))
+    panes = FACADE + np.radians(0.4) * rng.normal(size=(count, 3))
+    panes /= np.linalg.norm(panes, axis=1, keepdims=True)
+    towards = np.stack([mirrored(suns[k : k + 1], panes[k])[0] for k in range(count)])
+    disc = SunDisc(0.0, 0.0, 0.1, 4000.0, 100.0, np.zeros((0, 0), bool))
+    spots = [SunImage(k, towards[k], disc) for k in range(count)]
+    (mirror,) = find_mirrors(spots, suns, np.full(count, 65_000.0), height)
+    assert np.degrees(np.arccos(mirror.normal @ FACADE)) < 0.4  # sd of a single pane
+    assert len(mirror.images) > 0.8 * count
 
 
 @pytest.mark.property

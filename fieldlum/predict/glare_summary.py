@@ -207,9 +207,10 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
             "sky at the sun's position"
         )
     if untrusted > NOISY_TRUST:
+        mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         notes.append(
             f"{100 * untrusted:.0f} % of the predictions for occupied hours with daylight are not "
-            f"trusted: no similar light was captured, or the model expects a large error"
+            f"trusted: no similar light was captured, {mirror}or the model expects a large error"
         )
     return notes
 
