@@ -57,15 +57,15 @@ PRESETS = {
 
 # Words of the notes of `train` that name a trouble. No note names the other troubles.
 NAMED_BY = {
-    "clouds": "windows showed skies",
+    "clouds": "the skies in the windows differ",
     "north": "north is wrong",
     "clock_drift": "clock of the pictures differs",
     "knock": "camera was turned",
-    "lamps": "a lamp was on",
-    "blind": "A moved blind",
-    "people": "such as a person",
-    "chair": "furniture",
-    "clipped": "clipped pixels",
+    "lamps": "a lamp was on, but not marked",
+    "blind": "a moved blind",
+    "people": "a person, an object",
+    "chair": "furniture was probably moved",
+    "clipped": "clipped highlights",
 }
 TEST_HOURS = 60  # of the year, with which a model of troubled captures is compared; chosen
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from fieldlum.demo import NAMED_BY
+
 pytestmark = pytest.mark.contract
 
 ROOT = Path(__file__).parents[1]
@@ -121,3 +123,15 @@ PAGE_PARTS = sorted(
 def test_no_line_of_a_page_is_wider_than_100_columns(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").splitlines()
     assert [number for number, line in enumerate(lines, 1) if len(line) > 100] == []
+
+
+def test_the_notes_that_name_a_trouble_exist() -> None:
+    """`demo --preset hard` recognises a trouble by words of a note."""
+    written: list[str] = []
+    for package in ("train", "models"):
+        for path in (ROOT / "fieldlum" / package).rglob("*.py"):
+            nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            texts = (node.value for node in nodes if isinstance(node, ast.Constant))
+            written += [text for text in texts if isinstance(text, str)]
+    absent = {k: v for k, v in NAMED_BY.items() if not any(v in text for text in written)}
+    assert not absent

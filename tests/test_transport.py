@@ -123,12 +123,13 @@ def test_closed_form_days_under_another_sky_equal_refits() -> None:
     columns = Columns(rng.random((2, n, count)), np.array([1.0, 1.0]), np.array([0.01, 0.5]))
     target, weights = rng.random((n, count)) + 1.0, rng.random((n, count)) + 0.5
     days = np.repeat([0, 1, 2, 3], [1, 5, 4, 4])
-    closed = held_out_days(features, columns, target, weights, 0.1, days, assumed)
+    other = Columns(rng.random((2, n, count)), columns.mean, columns.variance)
+    closed = held_out_days(features, columns, target, weights, 0.1, days, assumed, other)
     for day in range(4):
         out, kept = days == day, days != day
         some = Columns(columns.values[:, kept], columns.mean, columns.variance)
         b, gains = solve(features[kept], some, target[kept], weights[kept], 0.1)
-        refit = assumed[out] @ b.T + np.einsum("knp,pk->np", columns.values[:, out], gains)
+        refit = assumed[out] @ b.T + np.einsum("knp,pk->np", other.values[:, out], gains)
         assert np.allclose(closed[out], refit, atol=1e-10)
 
 

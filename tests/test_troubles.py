@@ -15,6 +15,7 @@ from fieldlum.errors import InputError
 from fieldlum.light import light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
+from fieldlum.models.transport import Transport
 from fieldlum.profiles import shipped
 from fieldlum.records import slot_id
 from fieldlum.session import Session, create_session
@@ -176,6 +177,9 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     data = _cloudy(truth_of, TIMES, sd, 3)
     asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, WEATHER, 80, 4, TIMES)]
     fitted = models.fit("transport", data, patch="absolute", seed=0)
+    assert isinstance(fitted, Transport)
+    # light computed for the room does not hide what the windows showed (decision 27)
+    assert fitted.sky_field is not None and fitted.response.pixels.computed.any()
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
     text = " ".join((*doubts(fitted, data), *settle(fitted, data, "absolute")[1]))

@@ -201,14 +201,21 @@ class ComputedLight:
     """Light that was computed for the stated room.
 
     luminance: of surfaces, without direct sun on them [n, P] cd/m2; gain: each pixel's captured
-    over its computed light, 0 at windows [P].
+    over its computed light, 0 at windows [P]; perez: `luminance` under Perez's skies [n, P], set if
+    `luminance` is under the skies that the windows showed.
     """
 
     luminance: NDArray[np.float32]
     gain: Array
+    perez: NDArray[np.float32] | None = None
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> ComputedLight:
-        return ComputedLight(self.luminance[:, pixels], self.gain[pixels])
+        perez = None if self.perez is None else self.perez[:, pixels]
+        return ComputedLight(self.luminance[:, pixels], self.gain[pixels], perez)
+
+    def under_perez(self) -> ComputedLight:
+        """Return the light under Perez's skies, with the same gains."""
+        return self if self.perez is None else ComputedLight(self.perez, self.gain)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from fieldlum.models.transport.pixel_fit import (
     SECOND_NOISE,
     Basis,
     Recipe,
+    columns_of,
     compose,
     fit_chunk,
     least_surface,
@@ -83,6 +84,10 @@ def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> Firs
     scale = pixel_scale(taught)
     fit = fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
     least = least_surface(taught, fit, basis, scale)
+    columns = fit.columns
+    if basis.assumed is not None and taught.computed is not None:
+        perez = replace(taught, computed=taught.computed.under_perez())
+        columns = columns_of(perez, arrays.light.total_lx[:, None] * scale, recipe)
     whole = held_out_days(
         basis.values,
         fit.columns,
@@ -91,9 +96,10 @@ def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> Firs
         recipe.noise,
         arrays.days,
         basis.assumed,
+        columns,
     )
-    direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
-    found = compose(whole - direct, least, fit.gains, fit.columns)
+    direct = np.einsum("knp,pk->np", columns.values, fit.gains)
+    found = compose(whole - direct, least, fit.gains, columns)
     found = with_patches(found, arrays, arrays.light.total_lx[:, None] * scale, recipe)
     return FirstStage(found, fit.target, scale)
 

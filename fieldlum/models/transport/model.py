@@ -241,18 +241,24 @@ def fit(
     physics = physics_of(data.setup, data.light, data.heading_deg)
     progress(10, 100, "choosing by held-out days")
     drawn = _draw(arrays, seed)
-    bounced = None
+    bounced = under_sky = None
+    sky = seen_sky(arrays)
     if physics is not None:
-        sunlight = physics.sunlight(data.light)
+        sunlight, window = physics.sunlight(data.light), arrays.open_sky.index
         bounced = physics.features(sunlight)
-        light = physics.luminance(data.light, sunlight, data.seen)
-        arrays = replace(arrays, computed=computed_light(arrays, arrays.open_sky.index, light))
-    chosen = choose_model(arrays[drawn], kernel, bounced, seen_sky(arrays))
+        perez = physics.luminance(data.light, sunlight, data.seen)
+        arrays = replace(arrays, computed=computed_light(arrays, window, perez))
+        if sky is not None:
+            light = physics.luminance(data.light, sunlight, data.seen, sky.luminance_cdm2)
+            under_sky = replace(computed_light(arrays, window, light), perez=perez)
+    some = None if under_sky is None else under_sky[drawn]
+    chosen = choose_model(arrays[drawn], kernel, bounced, sky, some)
+    light = arrays.computed if chosen.sky_field is None else under_sky
     arrays = replace(
         arrays,
         features=chosen.features,
         states=chosen.states,
-        computed=arrays.computed if chosen.computed else None,
+        computed=light if chosen.computed else None,
     )
     pixels = fit_pixels(
         arrays,

@@ -105,14 +105,20 @@ class Physics:
         return out
 
     def luminance(
-        self, light: Light, sunlight: NDArray[np.float32], seen: NDArray[np.bool_]
+        self,
+        light: Light,
+        sunlight: NDArray[np.float32],
+        seen: NDArray[np.bool_],
+        sky_cdm2: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Return the computed light of surfaces, without direct sun on them, [n, P] cd/m2.
 
-        sunlight: result of `sunlight` for `light` [n, k]; seen [H, W]: mask of the P pixels.
+        sunlight: result of `sunlight` for `light` [n, k]; seen [H, W]: mask of the P pixels;
+        sky_cdm2: of the Reinhart patches [n, 2305], None for the Perez skies of `light`.
         """
         unit = (light.total_lx * self.norm).astype(np.float32)[:, None]
-        sky = _outdoors(light) @ self.sky_modes.T  # [n, s]
+        sky_cdm2 = light.sky_cdm2 if sky_cdm2 is None else sky_cdm2
+        sky = _outdoors(light, sky_cdm2) @ self.sky_modes.T  # [n, s]
         maps = (sunlight * unit) @ self.sun_light + sky @ self.sky_light  # [n, 2 h^2]
         return _at_pixels(np.maximum(maps, np.float32(0.0)), seen)
 
@@ -155,10 +161,10 @@ def physics_of(setup: SiteFile, light: Light, heading_deg: float) -> Physics | N
     return replace(rough, norm=float(np.percentile(share, 75)))
 
 
-def _outdoors(light: Light) -> NDArray[np.float32]:
-    """Return the luminance of sky and ground, [n, 2306] cd/m2."""
+def _outdoors(light: Light, sky_cdm2: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the luminance of the sky patches [n, 2305] and the ground, [n, 2306] cd/m2."""
     ground = light.sky.ground_cdm2.astype(np.float32)[:, None]
-    return np.concatenate((light.sky_cdm2, ground), axis=1)
+    return np.concatenate((sky_cdm2, ground), axis=1)
 
 
 def _sky_modes(site: Site) -> NDArray[np.float32]:
@@ -172,7 +178,7 @@ def _sky_modes(site: Site) -> NDArray[np.float32]:
     for dni_wm2, dhi_wm2 in ((0.0, 150.0), (300.0, 250.0), (800.0, 100.0)):
         light = light_at(times, site, np.array(dni_wm2), np.array(dhi_wm2))
         light = light[light.sun_altitude_deg > 0.0]
-        skies.append(_outdoors(light) / light.diffuse_lx[:, None])
+        skies.append(_outdoors(light, light.sky_cdm2) / light.diffuse_lx[:, None])
     return np.linalg.svd(np.concatenate(skies), full_matrices=False)[2][:SKY_MODES].astype(
         np.float32
     )

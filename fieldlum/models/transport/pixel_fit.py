@@ -61,12 +61,12 @@ class Basis:
     """Eigenfeatures of the kernel on the n training hours.
 
     values: [n, r]; the features of a new hour are k(hour, train) @ projector; assumed: features of
-    the training hours if they are predicted as new hours, under Perez's skies [n, r].
+    the training hours under Perez's skies, if held-out hours are predicted under them [n, r].
     """
 
     values: Array
     projector: Array  # [n, r]
-    assumed: Array
+    assumed: Array | None = None
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
@@ -80,12 +80,13 @@ def basis_of(covariance: Array, rank: int) -> Basis:
     keep = keep[value[keep] > 1e-6 * value[keep[0]]]
     root = np.sqrt(value[keep])
     values, projector = vector[:, keep] * root, vector[:, keep] / root
-    return Basis(values, projector, values)
+    return Basis(values, projector)
 
 
 def leading(basis: Basis, rank: int) -> Basis:
     """Return a basis with the first `rank` features only."""
-    return Basis(basis.values[:, :rank], basis.projector[:, :rank], basis.assumed[:, :rank])
+    assumed = None if basis.assumed is None else basis.assumed[:, :rank]
+    return Basis(basis.values[:, :rank], basis.projector[:, :rank], assumed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +117,7 @@ def with_patches(surface: Array, arrays: TrainingArrays, unit: Array, recipe: Re
     return surface + arrays.patch / unit if recipe.below and arrays.patch is not None else surface
 
 
-def _columns(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
+def columns_of(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
     """Return computed light and patch (where there are any) and window sky.
 
     They are in units of total light and pixel scale.
@@ -156,7 +157,7 @@ def fit_chunk(
     """
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, LEAST_CDM2) / unit
-    columns = _columns(arrays, unit, recipe)
+    columns = columns_of(arrays, unit, recipe)
     trust = arrays.trust
     usual = np.exp(np.mean(np.log(target), axis=0))
     weights = trust / np.maximum(target, DARK_SHARE * usual) ** 2

@@ -127,10 +127,12 @@ def held_out_days(
     noise: float,
     days: NDArray,
     assumed: Array | None = None,
+    assumed_columns: Columns | None = None,
 ) -> Array:
     """Return each hour as predicted by a fit without its day, [n, P].
 
-    assumed [n, r]: the features with which hours are predicted; None: `features`.
+    assumed [n, r], assumed_columns: features and covariates with which hours are predicted; None:
+    `features`, `columns`.
 
     The fit is not repeated. With hat matrix H = X A^-1 X' W of the full fit, residuals e and a
     day's rows D, the residuals without the day are d = (1 - H_DD)^-1 e_D (block form of the
@@ -140,11 +142,11 @@ def held_out_days(
     out = np.empty(target.shape)
     products = pair_products(features)
     asked = features if assumed is None else assumed
+    covariates = columns if assumed_columns is None else assumed_columns
 
     def one(part: slice) -> None:
-        out[:, part] = _held_out(
-            features, columns[part], target[:, part], weights[:, part], noise, days, products, asked
-        )
+        own = columns[part], target[:, part], weights[:, part]
+        out[:, part] = _held_out(features, *own, noise, days, products, asked, covariates[part])
 
     for _ in each_chunk(one, target.shape[1], HELD_OUT_CHUNK):
         pass
@@ -160,8 +162,9 @@ def _held_out(
     days: NDArray,
     products: tuple,
     assumed: Array,
+    assumed_columns: Columns,
 ) -> Array:
-    count, r = target.shape[1], features.shape[1]
+    count = target.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     shared = np.broadcast_to(features, (count, *features.shape))
     design = np.concatenate((shared, columns.values.transpose(2, 1, 0)), axis=2)  # [P, n, r + k]
@@ -171,16 +174,20 @@ def _held_out(
     offset = np.einsum("knp,k->pn", columns.values, columns.mean)
     residual = target.T - offset - np.einsum("pna,pa->pn", design, solved[:, :, 0])
     w = weights.T / noise
-    other = assumed - features  # [n, r]
+    shared = np.broadcast_to(assumed - features, (count, *features.shape))
+    own = (assumed_columns.values - columns.values).transpose(2, 1, 0)  # [P, n, k]
+    other = np.concatenate((shared, own), axis=2)  # [P, n, r + k]
+    mean = np.concatenate((np.zeros(features.shape[1]), columns.mean))
     out = np.empty((count, len(days)))
     for day in np.unique(days):
         rows = np.flatnonzero(days == day)
         hat = design[:, rows] @ solved[:, :, 1 + rows] * w[:, None, rows]
         left = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])  # [P, d, 1]
         out[:, rows] = target.T[:, rows] - left[:, :, 0]
-        if other[rows].any():
-            change = (solved[:, :r, 1 + rows] @ (w[:, rows, None] * left))[:, :, 0]  # [P, r]
-            out[:, rows] += (solved[:, :r, 0] - change) @ other[rows].T
+        if other[:, rows].any():
+            change = (solved[:, :, 1 + rows] @ (w[:, rows, None] * left))[:, :, 0]  # [P, r + k]
+            found = solved[:, :, 0] - change + mean
+            out[:, rows] += np.einsum("pda,pa->pd", other[:, rows], found)
     return out.T
 
 

@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Features, Kernel
-from fieldlum.models.transport.features import USUAL, StateColumns, TrainingArrays
+from fieldlum.models.transport.features import (
+    USUAL,
+    ComputedLight,
+    StateColumns,
+    TrainingArrays,
+)
 from fieldlum.models.transport.held_out import FirstStage, HeldOutFit, hold_out, hold_out_first
 from fieldlum.models.transport.pixel_fit import RANK, Basis, Recipe, basis_of, leading
 from fieldlum.models.transport.seasons import one_season
@@ -127,17 +132,22 @@ def choose_model(
     kernel: Kernel,
     bounced: NDArray[np.float32] | None,
     sky: SeenSky | None = None,
+    under_sky: ComputedLight | None = None,
 ) -> SelectedRecipe:
     """Return the best choice on held-out days, at the pixels `drawn`.
 
     bounced: the sun's light in a coarse model of the room [n, k]; sky: the skies that windows
-    showed. The choices include the use of these skies, of the computed light of `drawn`, and of a
-    lamp that is on in all captures.
+    showed; under_sky: the computed light of `drawn` under these skies. The choices include the use
+    of these skies, then of the computed light, and of a lamp that is on in all captures.
     """
+    seen, field = _with_seen_sky(drawn, kernel, sky, under_sky)
     drawn, first = _with_better_mean(drawn, kernel, bounced)
-    drawn, field = _with_seen_sky(drawn, kernel, sky)
+    if field is not None:
+        seen, other = _with_better_mean(seen, kernel, bounced)
+        field = field if _is_better_for_a_year(seen, other, first) else None
+        drawn, first = (seen, other) if field is not None else (drawn, first)
+    first = first if drawn.patch is not None and not drawn.fitted_patches else None
     used = drawn.computed is not None
-    first = first if field is None else None
     chosen = _choose_recipe(drawn, kernel, bounced, first)
     chosen = replace(chosen, sky_field=field, computed=used)
     always = replace(drawn.states, always=True)
@@ -154,8 +164,9 @@ def _with_better_mean(
 ) -> tuple[TrainingArrays, SelectedRecipe | None]:
     """Return the arrays with computed light as the prior mean, if it lowers held-out errors.
 
-    The second value is the choice among the recipes of the fit, if these were compared: computed
-    light wants a larger noise than captures alone. Robust recipes alone would take too long.
+    The second value is the choice for them, None if there is no computed light to compare with.
+    Patches used in full are compared by all recipes of the fit, because computed light wants a
+    larger noise than captures alone. Robust recipes alone would take too long.
     """
     if drawn.computed is None:
         return drawn, None
@@ -166,12 +177,25 @@ def _with_better_mean(
         (arrays, _choose_kernel(arrays, kernel, recipes, bounced))
         for arrays in (replace(drawn, computed=None), drawn)
     ]
-    best, chosen = min(tried, key=lambda pair: float(pair[1].held.judged.mean()))
-    return best, chosen if in_full else None
+    return min(tried, key=lambda pair: float(pair[1].held.judged.mean()))
+
+
+def _is_better_for_a_year(
+    drawn: TrainingArrays, seen: SelectedRecipe | None, perez: SelectedRecipe | None
+) -> bool:
+    """Return whether held-out hours under Perez's skies, as in a year, are better by `seen`.
+
+    drawn, seen: arrays with the skies that windows showed, and the choice for them; perez: the
+    choice with Perez's skies. True without a room, for which `_with_seen_sky` decides alone.
+    """
+    if seen is None or perez is None:
+        return True
+    as_predicted = _under_perez(drawn, seen).held.judged.mean()
+    return bool(as_predicted < perez.held.judged.mean())
 
 
 def _with_seen_sky(
-    drawn: TrainingArrays, kernel: Kernel, sky: SeenSky | None
+    drawn: TrainingArrays, kernel: Kernel, sky: SeenSky | None, under_sky: ComputedLight | None
 ) -> tuple[TrainingArrays, SkyField | None]:
     """Return the arrays with the skies that windows showed, if these teach more than Perez's skies.
 
@@ -182,9 +206,10 @@ def _with_seen_sky(
     """
     if sky is None or len(np.unique(drawn.days)) < SKY_DAYS:
         return drawn, None
-    trial = replace(drawn, features=sky.features(drawn), perez_sky=drawn.features.sky)
+    plain = replace(drawn, computed=None)  # whose Perez skies would hide what the windows show
+    trial = replace(plain, features=sky.features(drawn), perez_sky=drawn.features.sky)
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
-    without = _choose_kernel(drawn, kernel, recipes, None)
+    without = _choose_kernel(plain, kernel, recipes, None)
     found = _choose_kernel(trial, kernel, recipes, None)
     before, after = without.held.judged, found.held.judged
     better = after.mean() < (1.0 - SKY_GAIN) * before.mean()
@@ -192,7 +217,7 @@ def _with_seen_sky(
         return drawn, None
     as_predicted = _under_perez(trial, found).held.judged
     no_worse = is_no_worse(as_predicted, before, drawn.days)
-    return (trial, sky.field) if no_worse else (drawn, None)
+    return (replace(trial, computed=under_sky), sky.field) if no_worse else (drawn, None)
 
 
 def plain_held_out(drawn: TrainingArrays, kernel: Kernel) -> HeldOutFit:
