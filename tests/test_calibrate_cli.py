@@ -105,6 +105,15 @@ def test_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> None:
     assert final.scale.k == pytest.approx(TRUTH.scale.k * 1.1, rel=0.01)
 
 
+def test_the_illuminance_on_a_desk_is_not_called_vertical(tmp_path: Path, mine: Path) -> None:
+    write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
+    rows = [f"p.exr,180,{altitude},{100.0 * np.pi:.1f}" for altitude in (90, 80, 70)]
+    table = tmp_path / "r.csv"
+    table.write_text("\n".join(["panorama,azimuth_deg,altitude_deg,illuminance_lx", *rows]))
+    why = _call("scale", table, "--camera", mine, "--out", mine)["why"][0]
+    assert "; illuminance: " in why and "vertical" not in why
+
+
 @pytest.mark.slow
 def test_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
     rng = np.random.default_rng(1)

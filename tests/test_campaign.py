@@ -48,9 +48,17 @@ def test_values_come_from_the_room_then_from_common(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+def test_a_stated_zero_is_not_replaced_by_common(tmp_path: Path) -> None:
+    text = '[common]\nseed = 5\nset = ""\n[[room]]\nsession = "a"\nseed = 0\n'
+    room = read_campaign(campaign_file(tmp_path, text)).rooms[0]
+    assert (room.seed, room.set) == (0, "9-day")
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "found"),
     [
+        ('[[room]]\nsession = "a"\nbudget_min = 0\n', "budget_min = 0; expected a number above 0"),
         ("rooms = 3\n", "unknown key 'rooms'"),
         ('name = "x"\n', r"no \[\[room\]\]"),
         ("[[room]]\nviews = 4\n", "has no session"),

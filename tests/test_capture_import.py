@@ -19,9 +19,11 @@ from fieldlum.capture import import_card
 from fieldlum.capture.logger_rows import add_samples, adopt_rows
 from fieldlum.capture.match_card import (
     CardFrame,
+    Group,
     Offset,
     campaigns,
     find_offset,
+    fits,
     group_frames,
     match_groups,
     refine_offset,
@@ -146,6 +148,15 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
         (plan[0], 180.0),
         (plan[5], 180.0),
     ]
+
+
+@pytest.mark.contract
+def test_one_frame_is_not_two_exposures_with_and_without_a_filter() -> None:
+    plan = [Slot(DAWN, 10.0, 120.0, (*LADDER, Exposure(1 / 125, 5.6, nd="nd3")))]
+    for number, matched in ((1, 0), (2, 1)):
+        group = Group(tuple(frames_at(DAWN, (LADDER[-1],) * number)))
+        assert fits(group, plan[0]) == number
+        assert len(match_groups([group], plan, Offset(0.0, "stated"))[0]) == matched
 
 
 @pytest.mark.contract

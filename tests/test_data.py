@@ -67,10 +67,14 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
         (
             "dhi_wm2",
             lambda _: "1200",
-            "more diffuse light than any sky gives; expected possible irradiance in W/m2; "
-            "check whether the column contains global",
+            "DHI 1200 W/m2 with the sun at 30 deg; expected possible irradiance in W/m2; check "
+            "whether the column contains global",
         ),
-        ("dni_wm2", lambda _: "1500", "more direct light than above the atmosphere"),
+        (
+            "dni_wm2",
+            lambda _: "1500",
+            "line 3 has more direct light than above the atmosphere: DNI",
+        ),
     ],
 )
 def test_rows_that_contradict_each_other_are_named(

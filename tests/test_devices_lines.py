@@ -184,13 +184,11 @@ def test_crc_of_a_line() -> None:
     profile = load_ascii_profile("arduino-crc")
     line = f"$G=812.4 D=104.9 T=24.1*{crc16(b'G=812.4 D=104.9 T=24.1'):04x}\r\n".encode()
     assert parse_line(profile, line) == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1}
-    for harmed in (
-        line.replace(b"812", b"821"),
-        line.replace(b"*", b""),
-        line.replace(b"104.9", b"04.9"),
-    ):
-        with pytest.raises(DeviceError, match="has a wrong checksum"):
-            parse_line(profile, harmed)
+    own, due = line.decode().rstrip()[-4:], f"{crc16(b'G=821.4 D=104.9 T=24.1'):04X}"
+    with pytest.raises(DeviceError, match=rf"the checksum \*{own}; expected \*{due}; check the"):
+        parse_line(profile, line.replace(b"812", b"821"))
+    with pytest.raises(DeviceError, match=r"has no checksum; expected \* and 4 hex"):
+        parse_line(profile, line.replace(b"*", b""))
 
 
 # ------------------------------------------------------------------------------------------ the

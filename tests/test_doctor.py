@@ -140,8 +140,9 @@ def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
         [f"camera shutter: {i} s is not offered" for i in range(5)], 10
     )
     assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith(
-        "the camera cannot set all of the 10 planned exposures"
+        "the camera cannot set some of the 10 planned exposures"
     )
+    assert "plan a new session (fieldlum plan SITE.toml --out NEW)" in found[0].text
     assert "camera shutter: 2 s is not offered; 2 more" in found[
         0
     ].text and not instruments.judge_exposures([], 10)

@@ -20,7 +20,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
 from fieldlum.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
-from fieldlum.session import DayFiles, Session, create_session, open_session
+from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.session.files import clean_csv
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
@@ -417,6 +417,15 @@ def test_broken_lines_are_counted(session: Session) -> None:
     path.write_bytes(b"".join(lines))
     told = irradiance.run(session)
     assert (told.rows, told.broken_lines) == (99, 1) and "damaged lines" in told.warnings[0]
+
+
+@pytest.mark.contract
+def test_a_log_of_damaged_lines_is_not_called_missing(session: Session) -> None:
+    for path in day_files(session):
+        head, *lines = path.read_bytes().splitlines(keepends=True)
+        path.write_bytes(head + b"".join(b"\xff" + line for line in lines))
+    with pytest.raises(NotEnoughDataError, match="all 100 logged lines are damaged; run fieldlum"):
+        irradiance.run(session)
 
 
 @pytest.mark.contract

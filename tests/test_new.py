@@ -11,12 +11,13 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.capture.status import next_step
-from fieldlum.cli import main
+from fieldlum.cli import main, new_
 from fieldlum.cli.site_text import site_text
 from fieldlum.records import CameraSetup, Room, SiteFile, Window
 from fieldlum.scene.drawing import room_svg, wind
@@ -118,6 +119,16 @@ def test_the_text_reads_back_as_the_same_site(tmp_path: Path) -> None:
         path = tmp_path / "s.toml"
         path.write_text(site_text(setup), encoding="utf-8")
         assert load_site(path) == setup
+
+
+@pytest.mark.contract
+def test_every_edge_of_a_window_leaves_a_possible_size() -> None:
+    """An edge at the end of the wall and a sill at the ceiling are asked again at once."""
+    answers = ("south", "4", "3.9", "0.05", "3", "2.9", "0.05", "0.8", "1")
+    asked = click.Command("window", callback=lambda: click.echo(new_._window(1, 4.0, 5.0, 3.0)))
+    shown = CliRunner().invoke(asked, input="\n".join(answers) + "\n")
+    assert shown.exit_code == 0 and "4: expected 0 to 3.9" in shown.output
+    assert "left_m=3.9, width_m=0.05, sill_m=2.9, height_m=0.05" in shown.output
 
 
 @pytest.mark.contract

@@ -392,7 +392,8 @@ def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
     assert (
         first["why"]
         == f"the same frames as slot {slot_id(NOON + timedelta(hours=2))}: a card was imported "
-        "with two clock offsets; import it again with the right offset"
+        "with two clock offsets; import it again with the right --utc-offset, which removes the "
+        "wrong one, then merge and pair again"
     )
     assert third["ok"] == "0" and slot_id(NOON) in third["why"] and second["ok"] == "1"
 

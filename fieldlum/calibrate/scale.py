@@ -246,9 +246,8 @@ def fit(
     """
     if not readings:
         raise NotEnoughDataError(
-            "no readings in the csv; expected at least one spot luminance or one vertical "
-            "illuminance; "
-            "add a line to the csv"
+            f"{source}: no readings; expected at least one luminance_cdm2 or illuminance_lx; add a "
+            "line to the csv"
         )
     meter = np.array([r.meter for r in readings], float)
     image = np.array([r.image for r in readings], float)

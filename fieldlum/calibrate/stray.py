@@ -108,7 +108,7 @@ def _check_calibration(file: Path, picture: Panorama, profile: CameraProfile) ->
             file,
             "the panorama was merged with another calibration, or with a stray-light correction",
             f"a panorama merged with {profile.camera.name} without the table [stray]",
-            "remove [stray] from the profile and merge the panorama again",
+            "merge it again with this profile, after removing [stray] from it if it has one",
         )
 
 

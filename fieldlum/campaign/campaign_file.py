@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from fieldlum.errors import InputError
 from fieldlum.strict_toml import build, read_toml
@@ -15,9 +16,10 @@ _EXPECTED = "a table [[room]] with session = FOLDER for each room"
 class CampaignRoom:
     """One room of a campaign. Paths are relative to CAMPAIGN.toml.
 
-    An empty value is replaced by that of [common], else by a default. session: its folder. site and
-    set: from which `plan` creates a missing session. model, seed, budget_min: for `train`. weather
-    and views: for `predict`. size: for `merge`.
+    A value that is absent or "" is replaced by that of [common], else by that of DEFAULTS, where
+    only session and site are "". session: its folder. site and set: from which `plan` creates a
+    missing session. model, seed, budget_min: for `train`. weather and views: for `predict`. size:
+    for `merge`.
     """
 
     session: str = ""
@@ -38,7 +40,7 @@ DEFAULTS = CampaignRoom(
 
 @dataclass(frozen=True, slots=True)
 class CampaignFile:
-    """The content of a CAMPAIGN.toml: its name and rooms, whose empty values are filled in."""
+    """The content of a CAMPAIGN.toml: its name, and its rooms with the values of [common]."""
 
     path: Path
     name: str
@@ -57,7 +59,7 @@ def read_campaign(path: Path) -> CampaignFile:
     """Read a CAMPAIGN.toml.
 
     Raises InputError for a file that is no TOML, for unknown keys, without a room, for a room
-    without a session, and for a session named twice.
+    without a session, for a session named twice, and unless budget_min and views are above 0.
     """
     table = read_toml(path)
     unknown = table.keys() - {"name", "common", "room"}
@@ -68,13 +70,12 @@ def read_campaign(path: Path) -> CampaignFile:
             "name, [common] and [[room]]",
             "correct or remove the key",
         )
-    common = _filled(build(CampaignRoom, table.get("common", {}), f"{path} [common]"), DEFAULTS)
+    common = _filled(table.get("common", {}), f"{path} [common]", DEFAULTS)
     tables = table.get("room")
     if not isinstance(tables, list) or not tables:
         raise InputError(path, "no [[room]]", _EXPECTED, "add a table [[room]] for each room")
     rooms = tuple(
-        _filled(build(CampaignRoom, entry, f"{path} [[room]] {k}"), common)
-        for k, entry in enumerate(tables, start=1)
+        _filled(entry, f"{path} [[room]] {k}", common) for k, entry in enumerate(tables, start=1)
     )
     names = [room.session for room in rooms]
     for number, name in enumerate(names, start=1):
@@ -92,7 +93,13 @@ def read_campaign(path: Path) -> CampaignFile:
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 
 
-def _filled(room: CampaignRoom, common: CampaignRoom) -> CampaignRoom:
-    """Return `room` with missing values replaced by those of `common`."""
-    own = {f.name: getattr(room, f.name) or getattr(common, f.name) for f in fields(room)}
-    return replace(room, **own)
+def _filled(table: dict[str, Any], where: str, common: CampaignRoom) -> CampaignRoom:
+    """Return the room of a table, with absent and "" values replaced by those of `common`."""
+    stated = build(CampaignRoom, table, where)
+    room = replace(common, **{key: getattr(stated, key) for key in table if table[key] != ""})
+    for key in ("budget_min", "views"):
+        if getattr(room, key) <= 0:
+            raise InputError(
+                where, f"{key} = {getattr(room, key):g}", "a number above 0", "correct it"
+            )
+    return room

@@ -46,12 +46,13 @@ def no_look(path: Path) -> str:
 
 @dataclass(slots=True)
 class BracketCapture:
-    """Takes the frames of one slot.
+    """Takes the frames of slots, one slot after the other (`take`).
 
+    A doubtful frame is taken once more while the slot's window is open.
     check: checks a frame's EXIF; check_opens: reads its pixels; check_shortest: checks the darkest
     frame for clipping. Each returns what is wrong, or "". between: called with each frame, and with
-    None while waiting, to log irradiance and to refresh the display. meter: read before the first
-    frame and after the last one.
+    None while waiting, to log irradiance and to refresh the display. meter: illuminance meter, read
+    before the first frame and after the last one.
     """
 
     session: Session

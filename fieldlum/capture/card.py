@@ -34,9 +34,10 @@ _OTHER_PICTURES = (
 
 
 def card_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the frames in a folder and its subfolders, and a note on each kind of other picture.
+    """Return the raw and JPEG files in a folder and its subfolders, and notes on other pictures.
 
-    Raises InputError if the folder is missing or has no frame.
+    There is one note for each kind of picture that cannot be merged, such as .heic; other files are
+    ignored. Raises InputError if the folder is missing, or has no raw or JPEG file.
     """
     if folder.is_file():
         raise InputError(

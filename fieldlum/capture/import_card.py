@@ -28,6 +28,7 @@ from fieldlum.capture.match_card import (
     group_frames,
     match_groups,
     misfit,
+    missing_exposures,
     true_time,
 )
 from fieldlum.capture.reassign_slots import withdraw
@@ -217,16 +218,8 @@ def _one_a_slot(
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
     """Return the planned exposures, counted once for each heading, that a card's bracket lacks."""
-    left, missing = [frame.exposure for frame in group.frames], []
-    for shot in shots(slot.exposures, setup):
-        found = next(
-            (i for i, exposure in enumerate(left) if same_exposure(exposure, shot.exposure)), None
-        )
-        if found is None:
-            missing.append(shot.exposure)
-        else:
-            del left[found]
-    return missing
+    planned = [shot.exposure for shot in shots(slot.exposures, setup)]
+    return missing_exposures(group, planned)
 
 
 def _lacking_text(match: Match, setup: CameraSetup) -> str:

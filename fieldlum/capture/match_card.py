@@ -166,8 +166,23 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float) -> list[list[Group]]:
 
 
 def fits(group: Group, slot: Slot) -> int:
-    """Return how many of the slot's exposures are in the group."""
-    return sum(any(same_exposure(f.exposure, e) for f in group.frames) for e in slot.exposures)
+    """Return for how many of the slot's exposures the group has a frame.
+
+    Filters are not compared, and each frame counts for one exposure.
+    """
+    return len(slot.exposures) - len(missing_exposures(group, slot.exposures))
+
+
+def missing_exposures(group: Group, planned: Sequence[Exposure]) -> list[Exposure]:
+    """Return the planned exposures without a frame; each frame counts for one exposure."""
+    unused, missing = [frame.exposure for frame in group.frames], []
+    for wanted in planned:
+        match = next((k for k, own in enumerate(unused) if same_exposure(own, wanted)), None)
+        if match is None:
+            missing.append(wanted)
+        else:
+            del unused[match]
+    return missing
 
 
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
@@ -255,8 +270,7 @@ def match_groups(
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > WITHIN_S:
             unmatched.append(Unmatched(group, f"no slot within {WITHIN_S / 60:.0f} min"))
             continue
-        need = 2 if len(slot.exposures) > 1 else 1
-        if fits(group, slot) < min(need, len(slot.exposures)):
+        if fits(group, slot) < min(2, len(slot.exposures)):
             unmatched.append(Unmatched(group, "at most one of its exposures is in the plan"))
             continue
         match = Match(slot, group, (t_utc - slot.t_utc).total_seconds())

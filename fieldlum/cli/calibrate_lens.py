@@ -122,7 +122,9 @@ def _edge(
     from fieldlum.calibrate import lens_circle, pictures
 
     if len(sources) != 1:
-        raise click.UsageError(f"--circle and --against take one FRAME, not {len(sources)} files")
+        raise click.UsageError(
+            f"--circle and --against work on one FRAME; {len(sources)} files were named"
+        )
     grey = lens_circle.grey_picture(sources[0])
     if against is not None:
         right, down = lens_circle.shift_px(lens_circle.grey_picture(against), grey)

@@ -75,7 +75,7 @@ def command(readings_csv: Path, meter_u: float, refit: Refit) -> None:
     if refit.as_json:
         figures["points"] = points
     line = f"{found.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
-    line += "".join(f"; vertical illuminance: {gate}" for gate in gates)
+    line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {doubt}" if doubt else ""
     new = replace(profile.scale, k=k, u_rel=u)
     refit.write(profile, [readings_csv, *frames], [line], figures, scale=new)

@@ -1,4 +1,7 @@
-"""Define the options of all `fieldlum calibrate` commands, and print their results."""
+"""Define the options that all `fieldlum calibrate` commands share.
+
+Also write the fitted profile and print the results.
+"""
 
 from __future__ import annotations
 

@@ -172,8 +172,8 @@ def command(
     if len(aborted) > outcomes.count("done"):
         raise DeviceError(
             f"{len(aborted)} brackets were aborted, but only {outcomes.count('done')} completed: "
-            "run "
-            "fieldlum doctor, then fieldlum plan SESSION --replan"
+            f"run fieldlum doctor {session.root}, then fieldlum plan {session.root} --replan for "
+            "make-up slots"
         )
 
 

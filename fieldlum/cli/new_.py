@@ -14,6 +14,9 @@ from fieldlum.errors import InputError
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
 
 T = TypeVar("T")
+# Smallest width and height of a window; chosen. The left edge and the sill stay twice this length
+# from the end of the wall and the ceiling, so that a width and a height remain possible.
+_MIN_WINDOW_M = 0.05
 _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 
 
@@ -158,10 +161,13 @@ def _window(number: int, width: float, depth: float, height: float) -> Window:
 
     name = _ask(f"Window {number}: wall (south, west, north, east)", wall, default="south")
     length = width if name in ("south", "north") else depth
-    left = _ask("  left edge from the wall's left end, seen from inside", _number(0.0, length))
-    wide = _ask("  width", _number(0.05, length - left))
-    sill = _ask("  sill above the floor", _number(0.0, height), default="0.9")
-    high = _ask("  height", _number(0.05, height - sill))
+    left = _ask(
+        "  left edge from the wall's left end, seen from inside",
+        _number(0.0, length - 2 * _MIN_WINDOW_M),
+    )
+    wide = _ask("  width", _number(_MIN_WINDOW_M, length - left))
+    sill = _ask("  sill above the floor", _number(0.0, height - 2 * _MIN_WINDOW_M), default="0.9")
+    high = _ask("  height", _number(_MIN_WINDOW_M, height - sill))
     glass = _ask("  transmittance of the glass", _number(0.01, 0.92), default="0.8")
     panes = int(_ask("  panes side by side", _number(1, 50), default="1"))
     return Window(name, left, wide, sill, high, glass, panes)

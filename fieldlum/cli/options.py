@@ -119,7 +119,8 @@ scene_option = click.option(
     "--scene",
     metavar="DIR|none",
     default="",
-    help="Folder of a fitted scene, or none. [default: scene/ next to the pairs, if it exists]",
+    help="Folder of a fitted scene, or the word none. [default: scene/ next to the pairs, if it "
+    "exists]",
 )
 
 

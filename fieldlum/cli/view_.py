@@ -26,7 +26,7 @@ from fieldlum.cli.terminal import say, write_csv
     multiple=True,
     metavar="REGION",
     help="Statistics of rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,... (pixels from the top "
-    "left) or cone:AZ,ALT,DEG (a radius); can be repeated.",
+    "left) or cone:AZ,ALT,RADIUS (degrees; azimuth from north); can be repeated.",
 )
 @click.option(
     "--csv",

@@ -157,7 +157,7 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
     """Return the text of a complete line without its line feed and its checksum.
 
     Raises DeviceError for a line without a line feed, of over 1000 bytes, with other bytes than
-    ASCII text, or with a wrong checksum.
+    ASCII text, or with a missing or wrong checksum.
     """
     text = _complete_text(line)
     return text if profile.checksum == "none" else _without_checksum(text, profile.checksum)
@@ -181,9 +181,14 @@ def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
     body, star, digits = text.rpartition("*")
     data = body.removeprefix("$").encode("ascii")
     due = f"{reduce(xor, data, 0):02X}" if kind == "xor" else f"{crc16(data):04X}"
-    if not star or digits.upper() != due:
+    if not star:
         raise DeviceError(
-            f"line {text[:60]!r} has a wrong checksum; expected *{due}; check the cable"
+            f"line {text[:60]!r} has no checksum; expected * and {len(due)} hexadecimal digits at "
+            "its end; use a profile without a checksum, or let the instrument's program print it"
+        )
+    if digits.upper() != due:
+        raise DeviceError(
+            f"line {text[:60]!r} has the checksum *{digits[:8]}; expected *{due}; check the cable"
         )
     return body
 

@@ -142,8 +142,8 @@ def load_register_profile(kind: str) -> RegisterProfile:
         raise InputError(
             path,
             "no entry 'irradiance_wm2'",
-            "one such entry",
-            "add an [[entry]] named irradiance_wm2",
+            'an [[entry]] with name = "irradiance_wm2"',
+            "add it, with register and type; its registers must be in a [[poll]] block",
         )
     return profile
 

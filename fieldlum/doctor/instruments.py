@@ -61,8 +61,8 @@ def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
         return []
     shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
     text = (
-        f"the camera cannot set all of the {planned} planned exposures: {shown}; edit "
-        f"[bracket] in the profile and run fieldlum plan again"
+        f"the camera cannot set some of the {planned} planned exposures: {shown}; edit [bracket] "
+        "in the profile and plan a new session (fieldlum plan SITE.toml --out NEW)"
     )
     return [Finding("camera", "fail", text)]
 

@@ -233,7 +233,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
 
     With the same site and day files of the same sizes, the existing results are used, unless
-    `force`. Raises NotEnoughDataError if no irradiance was logged.
+    `force`. Raises NotEnoughDataError without a readable line.
     """
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
@@ -245,9 +245,10 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         return from_json(Health, table)
     raw, broken = _read(files, progress)
     if len(raw) == 0:
+        found = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
         raise NotEnoughDataError(
-            f"{session.irradiance}: no irradiance was logged; run fieldlum log, or fieldlum "
-            "import with a logger's file"
+            f"{session.irradiance}: {found}; run fieldlum log {session.root}, or fieldlum import "
+            f"{session.root} --irradiance FILE"
         )
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)

@@ -66,9 +66,9 @@ _LEAST_SCATTER = 0.001
 
 
 def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the mean of the finite values in a window around each row, and their number, [n] each.
+    """Return the mean of the finite values within window_s / 2 of each row, and their number, [n].
 
-    The mean is NaN without a finite value.
+    t_unix_s must ascend. The mean is NaN without a finite value.
     """
     good = np.isfinite(value)
     total = np.r_[0.0, np.cumsum(np.where(good, value, 0.0))]

@@ -21,9 +21,9 @@ _FONT_SCALE = 0.36
 
 
 def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
-    """Write panoramas as thumbnails to contact-1.png and so on, by log luminance 1 to 10 000 cd/m2.
+    """Write thumbnails of the panoramas to panoramas/contact-1.png and so on.
 
-    Flagged pixels are grey.
+    False colour by log luminance from 1 to 10 000 cd/m2. Flagged pixels are grey.
     """
     import cv2
 

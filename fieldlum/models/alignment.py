@@ -137,8 +137,7 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
         ]
         notes.append(
             f"the camera was turned in {_captures(rows, days)} by {', '.join(parts)} degrees; "
-            "these "
-            f"captures were aligned to the others (angles: {table})"
+            f"these captures were aligned to the others (angles of each capture: {table})"
         )
     if not turns.aligned.all():
         notes.append(

@@ -113,8 +113,8 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
             k = int(np.argmax(wrong & up))
             raise InputError(
                 path,
-                f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} W/m2 with "
-                f"the sun at {altitude_deg[k]:.0f} deg is {finding}",
+                f"line {rows.lines[k]} has {finding}: DNI {rows.dni_wm2[k]:g}, "
+                f"DHI {rows.dhi_wm2[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg",
                 "possible irradiance in W/m2",
                 remedy,
             )

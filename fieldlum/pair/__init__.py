@@ -135,7 +135,8 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
     if taken.double_of:
         why = (
             f"the same frames as slot {taken.double_of}: a card was imported with two clock "
-            "offsets; import it again with the right offset"
+            "offsets; import it again with the right --utc-offset, which removes the wrong one, "
+            "then merge and pair again"
         )
     elif not why and altitude_deg < 0.0:
         why = "the sun is below the horizon"

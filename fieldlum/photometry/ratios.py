@@ -71,11 +71,12 @@ def pair_ratio(
     long: int = 0,
     short: int = 1,
 ) -> PairRatio | None:
-    """Return the exposure ratio of two frames from sampled pixels.
+    """Return by what factor the exposure ratio of two frames differs from the assumed one.
 
-    Return None with under 50 usable pixels or a ratio that is not positive. Arrays are [n];
-    assumed_ratio is that of the short to the long frame. short_variance must be the variance of the
-    signal predicted from the long frame (long_signal * assumed_ratio), not of the noisy value.
+    The result has the factor's logarithm, from sampled pixels; it is None with under 50 usable
+    pixels, or if the factor is not positive. Arrays are [n]; assumed_ratio: short over long
+    exposure, a number or [n]. short_variance must be the variance of the signal predicted from the
+    long frame (long_signal * assumed_ratio), not of the noisy value.
     Huber weights at 2.5 sigma reduce the weight of motion and hot pixels. long, short: numbers of
     the frames, for the result.
     """

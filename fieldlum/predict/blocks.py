@@ -29,8 +29,9 @@ BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 class HourBlock:
     """Some hours: the model's prediction with its uncertainty, and the sun's disc at the lens.
 
-    prediction: maps without the disc [k, H, W] cd/m2; disc_lx: [k] lx; images: of the sun, one for
-    each mirror.
+    prediction: its maps have no disc [k, H, W] cd/m2; disc_lx: illuminance of the visible disc on a
+    plane normal to the sun [k] lx; images: of the sun in each mirror, with direction and
+    illuminance.
     """
 
     rows: slice

@@ -161,8 +161,8 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     if not ((eye > 0) & (eye < size)).all():
         raise InputError(
             where,
-            f"camera at {tuple(eye.tolist())} m",
-            f"a camera inside 0 to {tuple(size.tolist())} m",
+            f"the camera at {tuple(eye.tolist())} m is outside the room",
+            f"x, y, z between 0 and {tuple(size.tolist())} m, the room's size",
             "correct camera_x_m, camera_y_m or camera_z_m",
         )
     _check_values(room, where)

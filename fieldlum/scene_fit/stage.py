@@ -153,6 +153,6 @@ def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     mean = misfits.mean()
     shares = ", ".join(f"{name} {100 * mean[name]:.1f} %" for name in order)
     return chosen, (
-        f"{chosen}: chosen by the share of wrong pixels near sun patches in {len(misfits.none)} "
-        f"held-out hours: {shares}"
+        f"{chosen}: chosen by the share of wrong pixels near sun patches (lower is better) in "
+        f"{len(misfits.none)} held-out hours: {shares}"
     )

@@ -115,7 +115,7 @@ class Session:
 
     @property
     def grace(self) -> timedelta:
-        """How late a bracket may start: the value of the last capture, else 300 s."""
+        """How late a bracket may start: the --grace of the last capture, else 300 s."""
         seconds = self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S)
         return timedelta(seconds=float(seconds))
 

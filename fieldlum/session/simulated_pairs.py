@@ -1,4 +1,7 @@
-"""Pairs of a simulated session: truth/pairs.csv, and pairs.csv until `pair` writes it."""
+"""Write the pairs of a simulated session: truth/pairs.csv of the rendered panoramas, and a copy.
+
+The copy is pairs.csv, until `pair` replaces it.
+"""
 
 from __future__ import annotations
 

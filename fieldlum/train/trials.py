@@ -1,4 +1,4 @@
-"""Test one model on held-out days: fits with their times, and a trial over folds."""
+"""Test one model on held-out days: measure the time of a fit; fit and score it over folds."""
 
 from __future__ import annotations
 

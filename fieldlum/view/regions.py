@@ -12,7 +12,7 @@ from fieldlum.projection import direction
 from fieldlum.view.measured_picture import MeasuredPicture
 
 _COUNTS = {"rect": 4, "circle": 3, "cone": 3}
-FORMS = "rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,x3,y3... or cone:AZ,ALT,DEG"
+FORMS = "rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,x3,y3... or cone:AZ,ALT,RADIUS"
 COLUMNS = (
     "file",
     "region",

@@ -6,7 +6,10 @@ import numpy as np
 
 
 def qr_lines(text: str) -> list[str]:
-    """Return lines of half blocks: dark modules on a light ground, with the required margin."""
+    """Return a QR code as lines of half blocks, with the required margin.
+
+    Light modules are drawn, for a terminal with a dark background.
+    """
     import cv2
 
     code = np.asarray(cv2.QRCodeEncoder.create().encode(text)) > 127  # light modules are true

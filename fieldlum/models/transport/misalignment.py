@@ -108,7 +108,7 @@ class Evidence:
         return patch[:, at_left] * (1.0 - share) + patch[:, at_right] * share
 
     def light(self, patch: Array, gain: float) -> Array:
-        """Return ln of the light without patches plus `gain` times patches [n, m], [n, m]."""
+        """Return ln(background + gain * patch), [n, m]; patch: sun patches [n, m] cd/m2."""
         return np.log(self.background + gain * patch)
 
     def misfit(self, patch: Array, gain: float) -> Array:

@@ -43,7 +43,8 @@ def _check_members(file: IO[bytes]) -> None:
             compressed = member.compress_type != zipfile.ZIP_STORED
             if compressed and member.file_size > MAX_COMPRESSED_BYTES:
                 raise ValueError(
-                    f"{member.filename} is compressed and has {member.file_size} bytes"
+                    f"{member.filename} is compressed and would fill {member.file_size} bytes; "
+                    f"expected at most {MAX_COMPRESSED_BYTES}, or no compression"
                 )
             with archive.open(member) as data:
                 version = np.lib.format.read_magic(data)

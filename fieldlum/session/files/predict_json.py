@@ -23,11 +23,12 @@ NAME = "predict.json"
 
 @dataclass(frozen=True, slots=True)
 class DirectionYear:
-    """Glare of one view direction over the occupied hours; `glare_class` is the key `class`.
+    """Glare of one view direction over the occupied hours.
 
-    certain: whether the class is decided. seen: how much of the view the lenses saw. dgp_exceeded:
-    DGP that is exceeded in `share` of the hours, with its 95 % interval low to high; None: unknown.
-    hours_over: number of hours above each limit of DGP.
+    glare_class: called `class` in predict.json. certain: whether it is decided. seen: "seen",
+    "partly seen" or "not seen", by the lenses. dgp_exceeded: DGP that is exceeded in the share
+    `share` of the hours, with its 95 % interval low to high; None: unknown. hours_over: number of
+    hours above each limit of DGP ("0.35", "0.40", "0.45"); None: unknown.
     """
 
     azimuth_deg: float
