@@ -274,6 +274,15 @@ def test_impossible_rooms_are_named(change: dict, expected: str) -> None:
         )
 
 
+@pytest.mark.property
+def test_windows_that_fill_a_wall_exactly_are_possible() -> None:
+    """1.1 + 2.2 is more than 3.3 in binary numbers."""
+    halves = (Window("south", 0.0, 1.1, 0.1, 2.6), Window("south", 1.1, 2.2, 0.1, 2.6))
+    room = replace(BARE, width_m=3.3, height_m=2.7, camera_x_m=1.0, camera_z_m=1.2, window=halves)
+    ends = [opening.u_m for opening in geometry.build(room).openings]
+    assert min(end[0] for end in ends) == 0.0 and max(end[1] for end in ends) <= 3.3
+
+
 @pytest.mark.contract
 def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "bad.rad"

@@ -165,9 +165,9 @@ def _window(number: int, width: float, depth: float, height: float) -> Window:
         "  left edge from the wall's left end, seen from inside",
         _number(0.0, length - 2 * _MIN_WINDOW_M),
     )
-    wide = _ask("  width", _number(_MIN_WINDOW_M, length - left))
+    wide = _ask("  width", _number(_MIN_WINDOW_M, round(length - left, 6)))
     sill = _ask("  sill above the floor", _number(0.0, height - 2 * _MIN_WINDOW_M), default="0.9")
-    high = _ask("  height", _number(_MIN_WINDOW_M, height - sill))
+    high = _ask("  height", _number(_MIN_WINDOW_M, round(height - sill, 6)))
     glass = _ask("  transmittance of the glass", _number(0.01, 0.92), default="0.8")
     panes = int(_ask("  panes side by side", _number(1, 50), default="1"))
     return Window(name, left, wide, sill, high, glass, panes)

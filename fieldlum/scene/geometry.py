@@ -23,6 +23,7 @@ SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, 
 ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
 # the ground is modelled this far around the room, with an open plain beyond; chosen
 GROUND_REACH_M = 60.0
+_ROUNDING_M = 1e-9  # 1.1 + 2.2 is 3.3 m, although their binary sum is larger
 INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
 
 # name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)
@@ -241,8 +242,8 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     top = window.sill_m + window.height_m
     fits = (
         window.left_m >= 0
-        and window.left_m + window.width_m <= length
-        and 0 <= window.sill_m <= top <= room.height_m
+        and window.left_m + window.width_m <= length + _ROUNDING_M
+        and 0 <= window.sill_m <= top <= room.height_m + _ROUNDING_M
     )
     if not fits or window.width_m <= 0 or window.height_m <= 0:
         raise InputError(
@@ -263,8 +264,9 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     inner = 0.0 if side == 0 else (room.width_m if axis == 0 else room.depth_m)
     outward = 1 if side else -1
     outer = inner + outward * room.wall_thickness_m
-    span = (start, start + window.width_m)
-    return Opening(axis, outward, inner, outer, span, (window.sill_m, top), window.transmittance)
+    span = (max(start, 0.0), min(start + window.width_m, length))
+    heights = (window.sill_m, min(top, room.height_m))
+    return Opening(axis, outward, inner, outer, span, heights, window.transmittance)
 
 
 def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
@@ -272,7 +274,8 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
         for b in openings[:k]:
             same = (a.axis, a.outward) == (b.axis, b.outward)
             if same and all(
-                p[0] < q[1] and q[0] < p[1] for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
+                p[0] < q[1] - _ROUNDING_M and q[0] < p[1] - _ROUNDING_M
+                for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
             ):
                 raise InputError(
                     where,
