@@ -398,6 +398,7 @@ def test_toa5_damage() -> None:
     assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "line feed" in table.broken[2]
     for text, said in (
         ("TIMESTAMP,GHI\n", "no complete TOA5 header in 2 lines"),
+        (TOA5.replace('"","","Avg","Avg","Smp"\n', ""), "no complete TOA5 header"),
         (TOA5.replace("GHI_Avg", "Volt").replace("DHI_Avg", "Amp"), "a column of irradiance"),
         (TOA5.replace("W/m^2", "mV"), "GHI_Avg is in 'mV'"),
         (TOA5.replace("DHI_Avg", "GHI_2_Avg"), "several columns for ghi_wm2: GHI_Avg, GHI_2_Avg"),
@@ -406,6 +407,7 @@ def test_toa5_damage() -> None:
             parse_toa5(text, timedelta())
     named = parse_toa5(TOA5, timedelta(), {"dni_wm2": "GHI_Avg"})
     assert named.samples[0].dni_wm2 == 512.3 and named.samples[0].ghi_wm2 is None
+    assert named.samples[0].dhi_wm2 == 88.1  # the columns that are not named are found as usual
     with pytest.raises(InputError, match="no column Nope"):
         parse_toa5(TOA5, timedelta(), {"ghi_wm2": "Nope"})
 

@@ -69,7 +69,8 @@ def _columns(
     metavar="QUANTITY=NAME",
     multiple=True,
     callback=_columns,
-    help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its name is unusual.",
+    help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its name is unusual; "
+    "the other columns are found by their names.",
 )
 def command(
     session_folder: Path,

@@ -36,10 +36,10 @@ def read_logger_file(
 ) -> LoggerFile:
     """Read the irradiance in a data logger's file.
 
-    utc_offset : the logger's clock minus UTC, needed if the times have no zone; columns : name of
-    the column of each quantity (ghi_wm2 ...), if it is not one of the usual names. Raises
-    InputError for another kind of file, for times without a zone and without utc_offset, and for a
-    file without a readable row.
+    utc_offset : the logger's clock minus UTC, needed if the times have no zone; columns : names of
+    the columns of some quantities (ghi_wm2 ...); the others are found by their usual names. Raises
+    InputError for another kind of file, for a column that does not exist, for times without a zone
+    and without utc_offset, and for a file without a readable row.
     """
     try:
         data = path.read_bytes()
@@ -109,7 +109,15 @@ def _read_csv(
         )
     lower = [name.lower() for name in names]
     when = next((lower.index(name) for name in _TIMES if name in lower), None)
-    wanted = columns or {name: name for name in QUANTITIES}
+    if lost := [name for name in (columns or {}).values() if name.lower() not in lower]:
+        raise InputError(
+            path,
+            f"no column {', '.join(lost)}",
+            f"one of {', '.join(names)[:120]}",
+            "correct the name after --column",
+        )
+    named = dict(columns or {})
+    wanted = {name: name for name in QUANTITIES if name not in named.values()} | named
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
         shown = ", ".join(names)[:120]

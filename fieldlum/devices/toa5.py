@@ -64,8 +64,8 @@ def parse_toa5(
 ) -> Toa5:
     """Read a TOA5 table.
 
-    columns : name of the column of each quantity (ghi_wm2 ...), if it is not one of the usual
-    names; utc_offset : the logger's clock minus UTC.
+    columns : names of the columns of some quantities (ghi_wm2 ...); the others are found by their
+    usual names; utc_offset : the logger's clock minus UTC.
 
     A row is omitted and listed if it is incomplete, if its time or a number cannot be read, if its
     time does not fit its record number, or if its decimals differ from the rest of the column.
@@ -73,7 +73,7 @@ def parse_toa5(
     columns for a quantity, or with an irradiance in another unit than W/m2.
     """
     lines = text.split("\n")
-    if not is_toa5(text) or len(lines) < 4:
+    if not is_toa5(text) or len(lines) < 4 or _TIME.fullmatch(lines[3].split(",")[0].strip('"')):
         raise InputError(
             source,
             f"no complete TOA5 header in {len(lines)} lines",
@@ -197,12 +197,15 @@ def _columns(
     Raises InputError for missing or ambiguous columns.
     """
     found: dict[str, int] = {}
+    asked = asked or {}
     for quantity, usual in _USUAL.items():
-        if asked is not None:
-            matches = [i for i, name in enumerate(names) if name == asked.get(quantity)]
+        if quantity in asked:
+            matches = [i for i, name in enumerate(names) if name == asked[quantity]]
         else:
             matches = [
-                i for i, name in enumerate(names) if re.sub(r"[^a-z]", "", name.lower()) in usual
+                i
+                for i, name in enumerate(names)
+                if name not in asked.values() and re.sub(r"[^a-z]", "", name.lower()) in usual
             ]
         if len(matches) > 1:
             several = ", ".join(names[i] for i in matches)
@@ -214,7 +217,7 @@ def _columns(
             )
         if matches:
             found[quantity] = matches[0]
-    if asked is not None and (lost := [name for q, name in asked.items() if q not in found]):
+    if lost := [name for q, name in asked.items() if q not in found]:
         raise InputError(
             source,
             f"no column {', '.join(lost)}",
