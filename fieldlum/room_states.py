@@ -41,7 +41,7 @@ def state_text(parts: Iterable[str]) -> str:
 
 
 def merged_state(text: str, change: str) -> str:
-    """Return the state `text` after the words in `change` took their new values.
+    """Return the state `text`, such as ``lamp=on;blind=half``, with the values in `change`.
 
     A word with its usual value is not in the result. Raises ValueError as `parse_state`.
     """

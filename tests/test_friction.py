@@ -95,7 +95,9 @@ def test_a_second_capture_is_told_the_process_of_the_first(tmp_path: Path) -> No
     session = make_session(tmp_path / "s")
     with (
         sole_user(session, "capture"),
-        pytest.raises(InputError, match=rf"capture \(process {os.getpid()}\)"),
+        pytest.raises(
+            InputError, match=rf"fieldlum \(process {os.getpid()}\) holds the capture lock"
+        ),
         sole_user(session, "capture"),
     ):
         pass

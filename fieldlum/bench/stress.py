@@ -1,11 +1,13 @@
 """Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
-"Reported" means one of three: the training warned (`train.consistency_warnings`); the model
-expected more than a third of the error; or it did not trust most of the hours, or most of those
-with a large error. A
-gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04); no gross
-error may be both trusted and expected to be good.
+"Reported" means one of three: the training warned (`train.consistency_warnings.doubts`,
+`train.setting.settle`); the model expected, on average, more than a third of the error; or it did
+not trust most of the hours, or most of those with a large error.
+
+A gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04). It counts
+as unflagged if the training did not warn, the hour is trusted, and less than a third of the error
+was expected.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def _decide(
         raise NotEnoughDataError(
             f"bad pixels: {100 * len(rows) / pixels:.2g} % of the pixels were found to be bad; "
             f"expected at most {100 * MOST:g} %; check gain and read noise under [sensor] in the "
-            "profile, and that the camera was turned between views"
+            "profile, and, unless the frames are dark, that the camera was turned between views"
         )
     line = (
         f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; "

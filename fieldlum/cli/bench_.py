@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 @click.command()
 @pairs_argument
 @click.option("--test", type=PATH, help="Pairs to test on. [default: held-out days]")
-@click.option("--pool", type=PATH, help="Pairs of other seasons, to test on with --stress.")
+@click.option(
+    "--pool",
+    type=PATH,
+    help="Pairs of other seasons, of which --stress takes captures to train on.",
+)
 @site_option
 @click.option(
     "--models",

@@ -157,7 +157,11 @@ def check_meter(uri: str) -> list[Finding]:
 
 
 def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
-    """Return findings on an instrument's reading, faults, checksum and age of calibration."""
+    """Return findings on an instrument: its reading, faults, and age of calibration.
+
+    A reading that is impossible for the sun's altitude fails. Readings of global irradiance only,
+    and lines without a checksum, are warnings.
+    """
     who = " ".join(part for part in (info.model or info.kind, info.serial) if part)
     reading = ", ".join(
         f"{name} {value:.0f}"

@@ -49,7 +49,10 @@ class HourBlock:
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
-        """Mask [k] of the trusted hours; a doubtful image makes an hour untrusted."""
+        """Mask [k] of the trusted hours.
+
+        An hour is not trusted if the captures do not decide whether a mirror shows the sun.
+        """
         trusted = trusted_hours(self.prediction)
         for image in self.images:
             trusted &= ~image.doubtful

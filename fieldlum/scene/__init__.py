@@ -1,4 +1,4 @@
-"""Compute, from room geometry, sun patches and each pixel's share of sky.
+"""Compute, from room geometry, sun patches and how much of each pixel shows sky through a window.
 
 Export rooms to Radiance.
 """

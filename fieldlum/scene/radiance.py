@@ -116,8 +116,8 @@ def _polygon(name: str, material: str, corners: Array) -> str:
 def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
     """Return the room as Radiance text in room axes.
 
-    visible : the faces to write, by default all `faces`. Face k has the material ``f<k>``, pane k
-    the material ``g<k>``.
+    visible : the faces to write, by default all `faces`. The k-th of the written faces has the
+    material ``f<k>``, pane k of the scene ``g<k>``; all panes are written.
     """
     parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
     for k, face in enumerate(visible if visible is not None else faces(scene)):

@@ -65,7 +65,10 @@ class SolidCost:
 
     @property
     def without(self) -> float:
-        """Return the misfit (patches and windows' picture, no prior) without the solid."""
+        """Return the misfit (patches and windows' picture, no prior) of the scene without the solid.
+
+        Nothing is fitted again.
+        """
         patches = self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
         return patches + self._view_misfit
 

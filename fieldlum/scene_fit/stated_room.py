@@ -38,7 +38,11 @@ class StatedRoom:
         return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess at another clock, with the north or pose that compensates for it."""
+        """Return the guess with its clock `clock_min` late, and a pose that compensates for it.
+
+        With discs of the sun the pose is the most likely one for this clock; without, the north is
+        turned as far as the sun moves in the changed minutes.
+        """
         if self.pose is not None:
             return self.pose.at_clock(guess, clock_min)
         moved = clock_min - guess.clock_min

@@ -213,7 +213,7 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
                 ) from None
             raise InputError(
                 session.root,
-                f"another fieldlum {purpose}{_process_of(path)} runs in this session",
+                f"another fieldlum{_process_of(path)} holds the {purpose} lock of this session",
                 "one process at a time",
                 "stop the other process first",
             ) from None

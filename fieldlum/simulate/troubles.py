@@ -148,7 +148,10 @@ def load_troubles(path: Path) -> Troubles:
         least = -most if name in _SIGNED else 0.0
         if not least <= size <= most:
             raise InputError(
-                path, f"[{name}] size = {size:g}", f"{least:g} to {most:g}", "correct the size"
+                path,
+                f"the trouble [{name}] with size = {size:g}",
+                f"{least:g} to {most:g}",
+                "correct the size",
             )
     return troubles
 

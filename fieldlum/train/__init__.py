@@ -232,7 +232,11 @@ def usable_captures(
 def findings(
     fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None
 ) -> tuple[Fitted, list[str]]:
-    """Return the model, with doubt where the captures contradict its sun patches, and warnings."""
+    """Return the model with a larger uncertainty near sun patches, and warnings.
+
+    The uncertainty grows only if the captures contradict the computed patches. Warnings are about
+    patches, days and captures. setting: what `scan` returned; None: it is called again.
+    """
     fitted, warned = settle(fitted, data, patch, setting)
     return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
 

@@ -71,10 +71,12 @@ class LeftOut:
 class Process:
     """Captures as a Gaussian process over the light outside.
 
-    y, valid [n, P]: light of a pixel over its usual response to the light outside, and whether it
-    shows a surface without direct sun; covariance [n, n]; spread [n]: relative variance of an hour,
-    in units of the noise; days [n]; judged [n]: whether the picture has enough light; total_lx [n];
-    beam [n]: the sun's share of it; measured, direct [n, P]: the picture including values that
+    y [n, P]: a pixel's luminance over `total_lx` and over its geometric mean of luminance per lx;
+    valid [n, P]: whether it shows a surface without direct sun; covariance [n, n]; spread [n]:
+    relative variance of an hour, in units of the noise; days [n]: dates; judged [n]: whether the
+    picture has enough light and, without computed sun patches, hardly any sun; total_lx [n]:
+    horizontal illuminance of the sky plus normal illuminance of the sun; beam [n]: the sun's share
+    of it; measured, direct [n, P]: the picture including values that
     `valid` excludes (infinite where none was measured), and the computed sun patch, in units of y.
     """
 

@@ -82,7 +82,7 @@ class CaptureFile:
 
     @property
     def t_mid_utc(self) -> datetime:
-        """Middle of the bracket [UTC], which is the time of its panorama."""
+        """Middle between `t_open_utc` and `t_close_utc`, which is the time of the panorama."""
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
     @classmethod
