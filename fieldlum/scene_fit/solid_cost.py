@@ -65,9 +65,9 @@ class SolidCost:
 
     @property
     def without(self) -> float:
-        """Return the misfit (patches and windows' picture, no prior) of the scene without the solid.
+        """Return the misfit of the scene without the solid; nothing is fitted again.
 
-        Nothing is fitted again.
+        It is that of patches and the windows' picture, without the prior.
         """
         patches = self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
         return patches + self._view_misfit
