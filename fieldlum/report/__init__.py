@@ -160,7 +160,7 @@ def _facts(
         facts += [
             ("hours predicted", f"{summary.hours}"),
             ("weather", summary.weather.name),
-            ("hours like captured ones", f"{trusted:.0f} %"),
+            ("hours trusted", f"{trusted:.0f} %"),
         ]
     return tuple(facts)
 

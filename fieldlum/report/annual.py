@@ -151,7 +151,8 @@ def directions_section(annual: Annual) -> Section:
         tables.append(
             Table(head, rows, "Hours like these, when captured, would decide the open classes")
         )
-    text = f"Occupied hours: {annual.summary.occupancy.text}. {' '.join(annual.summary.notes[1:])}"
+    notes = (f"{note[0].upper()}{note[1:].rstrip('.')}." for note in annual.summary.notes[1:])
+    text = f"Occupied hours: {annual.summary.occupancy.text}. {' '.join(notes)}"
     return Section("directions", "Where to sit", text, _exceedance(annual), tuple(tables))
 
 
