@@ -173,7 +173,8 @@ def dgp_with_disc(
 def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
     """Return right, up and cosine of suns [..., 3] in d views, [..., d] each."""
     angles = [angles_from_view(sun, frame) for frame in views.frames]
-    return tuple(np.stack([part[k] for part in angles], axis=-1) for k in range(3))  # type: ignore[return-value]
+    right, up, cosine = (np.stack([part[k] for part in angles], axis=-1) for k in range(3))
+    return right, up, cosine
 
 
 def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
