@@ -28,7 +28,11 @@ _SAME_HEADING_DEG = 0.05
 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
-    """Return a fit as a `Scene`, its room relative to true north; verdict: reason for `chosen`."""
+    """Return a fit as a `Scene` with the chosen geometry; verdict: the reason for that choice.
+
+    chosen: "none", "stated" or "fitted". The azimuth of the scene's room is relative to true north:
+    the fitted azimuth plus the correction of north.
+    """
     azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
     room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
     return Scene(
@@ -53,9 +57,10 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
     """Return the captures with the corrections of a scene.
 
     With chosen "fitted", heading and room are relative to true north, the sun is at the true times,
-    and sun patches are computed from the fitted room. With "stated", patches are from the stated
-    room. With "none", there are no patches. Raises InputError for captures that state another
-    heading or room than those to which the scene was fitted.
+    and sun patches are computed from the fitted room. With "stated", only the patches change: they
+    are computed from the stated room. With "none", the patches are removed. Raises InputError if
+    heading (by over 0.05 degrees) or room of the captures differ from those that the fit started
+    at, and for an impossible room.
     """
     _check_stated(data, scene)
     about: UsedScene = {
@@ -104,7 +109,11 @@ def _check_stated(data: Dataset, scene: Scene) -> None:
 
 
 def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
-    """Return the captures with sun patches computed from their setup's room."""
+    """Return the captures with sun patches computed from the room of `data.setup`, not None.
+
+    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises InputError for
+    an impossible room.
+    """
     from fieldlum.scene import sun_patches
 
     assert data.setup.room is not None
@@ -121,10 +130,11 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
 
 
 def earlier(light: Light, minutes: float, data: Dataset) -> Light:
-    """Return the light with times and sun `minutes` earlier; irradiance and sky do not change.
+    """Return the light with times and sun `minutes` earlier (negative: later).
 
-    Recorded sun angles are not computed again, but shifted by the sun's motion in that time: a
-    rendering keeps its own formula of the sun. data: the captures, for their site.
+    Irradiance does not change. Recorded sun angles are not computed again, but shifted by the sun's
+    motion in that time, because a rendering has its own formula of the sun. data: the captures,
+    only for their site.
     """
     if minutes == 0.0:
         return light
@@ -145,10 +155,11 @@ def in_scene(
     """Return the captures as the option ``--scene`` demands, and the patch mode for training.
 
     option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
-    to the csv `pairs`, if it exists. patch: the requested mode; it becomes "none" if the scene
-    chose no patches. Without a scene, patches are computed for captures that have none, if the site
-    has a `[room]` with windows and `patch` is not "none". Raises InputError for a folder without a
-    scene, and for captures that the scene was not fitted to.
+    to the csv `pairs`, if it has a scene.toml. A scene is applied by `with_scene`. patch: the
+    requested mode; it is returned unchanged, except "none" if the scene chose no patches. Without a
+    scene, patches are computed for captures that have none, if the site has a `[room]` with windows
+    and `patch` is not "none". Raises InputError for a scene.toml that is missing or invalid, for
+    captures whose heading or room differ from those of the fit, and for an impossible room.
     """
     beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"
     folder = Path(option) if option else beside

@@ -33,10 +33,10 @@ _LIT_SHARE = 0.8
 
 @dataclass(frozen=True)
 class WindowPicture:
-    """A picture of a window in its middle plane: the share of light that each cell lets through.
+    """The light that cells of a window's middle plane let through, as shares of clear glass.
 
-    value: 1 for clear glass, 0 for a bar [z, u]; weight: statistical weight, 0 without data [z, u];
-    u_m, z_m: edges of the cells along the wall and in height [m].
+    value: about 1 for clear glass, 0 for a bar [z, u]; weight: statistical weight, 0 without data
+    [z, u]; u_m, z_m: edges of the 2 cm cells along the wall [u + 1] and in height [z + 1], in m.
     """
 
     value: Array
@@ -45,9 +45,9 @@ class WindowPicture:
     z_m: Array
 
     def profile(self, axis: int) -> Array:
-        """Return the weighted mean over z (axis 0) as [u], or over u (axis 1) as [z].
+        """Return the weighted mean of `value` over z (axis 0) as [u], or over u (axis 1) as [z].
 
-        NaN where no cell has data.
+        It is NaN where no cell has data.
         """
         weight = self.weight.sum(axis=axis)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -59,8 +59,9 @@ def window_picture(
 ) -> WindowPicture:
     """Return the share of the sun that each cell of a window lets through, from sunlit pixels.
 
-    Lines from sunlit pixels towards the sun are followed to the window; the guess's bars are
-    ignored. number: index of the window from 0; albedo: of each surface [6 + solids].
+    Lines from pixels that are lit in the guess towards the sun are followed to the window, as if it
+    had no bars. number: index of the window from 0; albedo: of west, east, south and north wall,
+    floor, ceiling and solids [6 + solids].
     """
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
@@ -102,7 +103,10 @@ def window_picture(
 
 
 def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
-    """Return window `number` (from 0) as the camera sees it: luminance over that of its panes."""
+    """Return window `number` (from 0) as the camera sees it: luminance over that of its panes.
+
+    It is made of the rays that end in the window; the guess's bars are ignored.
+    """
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
     along = 1 - axis
@@ -129,7 +133,9 @@ def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
 def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:
     """Return vertical and horizontal bars of window `number` (from 0) at dips of its picture.
 
-    A dip is below the picture's median over a metre.
+    A dip is over 20 % below the running median over 1 m and 1.5 to 20 cm wide, in the picture's
+    mean over height (vertical bars) or along the wall (horizontal bars). The list is empty without
+    dips.
     """
     middle = guess.thickness_m / 2.0
     half = min(START_DEPTH_M, 0.8 * middle)

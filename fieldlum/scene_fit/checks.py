@@ -54,10 +54,12 @@ _REMEDY = (
 
 
 def check_captures(data: Dataset, room: Room) -> None:
-    """Raise InputError for captures or rooms that cannot be fitted.
+    """Raise InputError for a room or captures that cannot be fitted.
 
-    These are a room that is not a box or has no window, captures of two views, and captures that
-    fit the room only after a turn by 30 degrees or more.
+    These are a room that is not a box, has no window or is impossible; captures of two views
+    (judged from 12 captures without a marked room state, such as lamp=on); and captures whose
+    bright windows, or whose light that follows the sun (from 12 captures), fit the room only after
+    a turn of 30 degrees or more.
     """
     require_box(room)
     where = data.source or "the captures"

@@ -41,13 +41,14 @@ _VALLEY_CORRELATION = 0.98
 
 @dataclass(frozen=True, slots=True)
 class PoseFit:
-    """What the discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
+    """What measured sun discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
 
     heading_deg: correction to add to the stated heading. tilt_deg: how far the view axis points up;
     roll_deg: how far the picture's right-hand side is low. clock_min: how late the recorded times
-    are. lens_scale: true angle from the axis over the stated one, minus 1. rms_deg: residual of the
-    discs. dropped: indices of gross errors. open: parameters that the discs do not determine, and
-    pairs of parameters that cannot be separated.
+    are. lens_scale: true over stated angle from the lens's axis, minus 1. rms_deg: distance of
+    measured from computed discs without gross errors. dropped: indices from 0 of the discs that are
+    gross errors. open: names of parameters with over half of their uncertainty before the fit, and
+    "A and B" for pairs correlated by over 0.98.
     """
 
     values: Array
@@ -58,7 +59,7 @@ class PoseFit:
 
     @property
     def u(self) -> dict[str, float]:
-        """Return standard uncertainties by the names of `NAMES`, in deg, min and 1."""
+        """Return standard uncertainties by the names of `NAMES`; lens_scale has no unit."""
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:
@@ -74,13 +75,13 @@ def fit_pose(
     axis_deg: float,
     prior_sd: Sequence[float] = PRIOR_SD,
 ) -> PoseFit:
-    """Fit north, level, clock and lens scale to n measured centres of the disc.
+    """Fit north, level, clock and lens scale to n measured centres of the sun's disc.
 
-    altitude_deg (apparent), azimuth_deg : [n], by the stated heading, level and lens; sigma_deg :
-    [n], their standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's
-    axis. prior_sd: standard uncertainties before the fit, in the order of `NAMES`. The sun's
-    position is by NREL SPA. Gross errors are omitted, as long as four discs remain. Raises
-    NotEnoughDataError for fewer than three discs.
+    altitude_deg (apparent), azimuth_deg: [n], by the stated heading, level and lens; sigma_deg:
+    [n], their standard uncertainty along each axis. t_utc: recorded times [n]. axis_deg: the stated
+    azimuth of the lens's axis. prior_sd: standard uncertainties [5] before the fit, in the order of
+    `NAMES`; each prior's mean is 0. The sun's position is by NREL SPA. Gross errors (5 sigma) are
+    omitted, as long as four discs remain. Raises NotEnoughDataError for fewer than three discs.
     """
     altitude, azimuth, sigma = (
         np.atleast_1d(np.asarray(v, float)) for v in (altitude_deg, azimuth_deg, sigma_deg)

@@ -49,12 +49,13 @@ _WINDOW_MARGIN_DEG = 4.0
 class SceneEvidence:
     """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
 
-    log_seen: ln of the captured luminance, and below: the light without direct sun, cd/m2 [n, m];
-    direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1 [m];
-    rays: directions in stated world axes [r, 3]; pixel: of each ray [r]; days [n]; clock: altitude
-    and azimuth of the sun if the stated time were -20 ... 20 min late [c, n, 2]; rows: indices of
-    the hours in the captures [n]; pixels: flat indices in the panorama of `shape` [m]. view: what
-    the camera sees of the windows, the same at all hours.
+    log_seen: ln of the captured luminance in cd/m2, and below: estimated luminance without direct
+    sun, cd/m2, both [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the
+    pixels, with sum 1 [m]; rays: 2 x 2 directions in each pixel, x east, y north, z up by the
+    stated heading [r, 3]; pixel: index below m of each ray [r]; days: local dates [n]; clock:
+    altitude and azimuth of the sun, deg, if the stated time were -20, -19 ... 20 min late [41, n,
+    2]; rows: indices of the hours in the captures [n]; pixels: flat indices in the panorama of
+    `shape` (height, width) [m]. view: the median picture of the windows.
     """
 
     log_seen: Array
@@ -91,16 +92,19 @@ class SceneEvidence:
         )
 
     def thinned(self, every: int) -> SceneEvidence:
-        """Return the evidence of every n-th pixel, n = `every`, also in the windows' picture."""
+        """Return the evidence of pixels 0, `every`, 2 `every` ..., also in the windows' picture."""
         thin = self.at_pixels(np.arange(0, len(self.pixels), every))
         return replace(thin, view=self.view.thinned(every))
 
     def coarse(self) -> SceneEvidence:
-        """Return the evidence thinned to about 1 000 pixels (`COARSE_PIXELS`)."""
+        """Return the evidence thinned to about 1 000 pixels; with under 1 500 it is unchanged."""
         return self.thinned(max(1, round(len(self.pixels) / COARSE_PIXELS)))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1."""
+        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1.
+
+        `view` does not change.
+        """
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -116,7 +120,10 @@ class SceneEvidence:
         )
 
     def suns_room(self, guess: Guess) -> NDArray[np.float32]:
-        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
+        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3].
+
+        Room axes: x along the "south" wall, y away from it, z up.
+        """
         at = guess.clock_min + _CLOCK_REACH_MIN
         low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
         share = at - low
@@ -125,13 +132,20 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return pixels' direct irradiance per lx of the sun [n, m], and where their rays end."""
+        """Return irradiance of pixels per lx of the sun [n, m], and where their rays end.
+
+        The irradiance is direct sun only, the mean over a pixel's rays; per lx on a plane normal to
+        the sun.
+        """
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
 
     def patches(self, guess: Guess, albedo: Array) -> Array:
-        """Return the luminance of sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
+        """Return the luminance of the guess's sun patches, cd/m2 [n, m].
+
+        albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
+        """
         ends = surfaces(guess, self.rays, self.spread)
         tone = albedo[ends.surface]
         suns, count = self.suns_room(guess), len(self.pixels)
@@ -141,7 +155,7 @@ class SceneEvidence:
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
         """Return the mean of `misfit` over the hours for the guess's patches.
 
-        albedo: of each surface [6 + solids].
+        albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
         """
         ends = self._ends(guess)
         lit = lit_entries(guess, ends, self.suns_room(guess))
@@ -166,7 +180,8 @@ class SceneEvidence:
     ) -> float:
         """Return the mean of `misfit` over the hours, if the sun reaches k pairs of hour and ray.
 
-        hour, ray: indices [k]; shine: irradiance per lx of the sun, times albedo [k].
+        hour, ray: indices from 0 [k]; shine: the ray's irradiance per lx of the sun, times albedo
+        [k]. Other pairs get no direct sun.
         """
         count = len(self.pixels)
         total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)
@@ -178,28 +193,36 @@ class SceneEvidence:
 
     @cached_property
     def dark_misfit(self) -> float:
-        """Return the misfit without any sun patch, averaged over the hours."""
+        """The mean of `misfit` over the hours if there were no sun patch, 0 to 1."""
         return float((self.dark_loss @ self.weights).mean())
 
     @cached_property
     def dark_loss(self) -> Array:
-        """Return the saturated squared log error of each entry without a patch, [n, m]."""
+        """The loss of each hour and pixel without a patch, 0 to 1, [n, m]; see `loss`."""
         return _saturated(np.log(self.below) - self.log_seen)
 
     def loss(self, entry: NDArray[np.intp], patch: Array) -> Array:
-        """Return the saturated squared log error of flat entries [k] with patches [k] cd/m2."""
+        """Return e^2 / (e^2 + 0.4^2), e the error of ln luminance, of k entries with patches, [k].
+
+        entry: flat indices, hour times m plus pixel [k]; patch: luminance of direct sun, cd/m2 [k].
+        The computed luminance is `below` plus patch.
+        """
         return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
 
     def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
-        """Return the mean albedo of what each pixel's rays end on, [m]; albedo: of surfaces [s]."""
+        """Return the mean albedo of the surfaces on which each pixel's rays end, [m].
+
+        Rays through a window do not count; a pixel with no other has 0. albedo: of each surface [6
+        + solids].
+        """
         value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
         hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
     def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
-        """Return the evidence with the light below patches estimated again from the captures.
+        """Return the evidence with `below`, the light without direct sun, estimated again.
 
-        data: the captures; patch: sun patches to subtract [n, m] cd/m2.
+        data: all captures; patch: sun patches to subtract, cd/m2 [n, m].
         """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, LEAST_CDM2)
@@ -211,24 +234,26 @@ class SceneEvidence:
 
     @property
     def directions(self) -> Array:
-        """Return the middle direction of each pixel, [m, 3]."""
+        """The mean direction of each pixel's rays, unit vectors [m, 3]: x east, y north, z up."""
         total = np.stack(
             [np.bincount(self.pixel, self.rays[:, k], len(self.pixels)) for k in range(3)], axis=1
         )
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def misfit(self, patch: Array) -> Array:
-        """Return the share of the pixels that patches [n, m] cd/m2 leave wrong in each hour, [n].
+        """Return the share of the pixels that patches (cd/m2 [n, m]) leave wrong in each hour, [n].
 
-        It is the weighted mean of squared log errors that saturate at 1.
+        It is the weighted mean of e^2 / (e^2 + 0.4^2), e being the error of ln luminance: 0 to 1.
         """
         return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
-        """Return the albedo of each surface that explains its sun patches, 0 to 1, [6 + solids].
+        """Return the albedo of each surface that explains its sun patches, [6 + solids].
 
-        It is the median over hours and pixels that a patch dominates; for fewer than 30 of these,
-        the value of `start` [6 or more] or the solid's own.
+        Surfaces are west, east, south and north wall, floor, ceiling and the guess's solids. Each
+        value is the median over hours and pixels where a patch is bright, clipped to 0.02 ... 0.95.
+        With fewer than 30 of these it is that of `start` [6 or more], or the solid's own where
+        `start` is shorter.
         """
         unit, ends = self.unit(guess)
         first = np.full(len(self.pixels), -1)
@@ -272,9 +297,10 @@ def gather(
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
-    room: the stated box; pixels: number of pixels to draw. Raises InputError for a room that is not
-    a box or has no window, NotEnoughDataError for fewer than `min_hours` captures with direct sun
-    on a window.
+    Hours have over a tenth of the strongest direct sun on a window; at most the 60 strongest are
+    used. room: the stated box; pixels: number of pixels to draw, by solid angle, outside the
+    windows. Raises InputError for a room that is not a box, has no window or is impossible,
+    NotEnoughDataError for fewer than `min_hours` hours.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)

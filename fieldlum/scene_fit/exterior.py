@@ -39,7 +39,10 @@ Side = Literal["all", "low", "high"]
 
 
 def propose_exterior(guess: Guess) -> list[Solid]:
-    """Return boxes as facades and canopies in front of each window, on a coarse grid of sizes."""
+    """Return boxes as facades and canopies in front of each window, on a coarse grid.
+
+    Facades vary in distance, height and side (all, left or right half), canopies in gap and depth.
+    """
     proposals: list[Solid] = []
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
@@ -85,7 +88,7 @@ def _outside(
 
 
 def is_outside(guess: Guess, solid: Solid) -> bool:
-    """Return whether a solid is outside the walls."""
+    """Return whether a solid is beyond the inner face of a wall with its full extent."""
     return any(
         solid.high_m[axis] <= 0.0 or solid.low_m[axis] >= guess.size_m[axis] for axis in (0, 1)
     )
@@ -94,8 +97,9 @@ def is_outside(guess: Guess, solid: Solid) -> bool:
 def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]:
     """Return the six faces and three shifts of a solid outside as parameters without a prior.
 
-    number: index of the solid from 0; first_step [m]. Its albedo is not a parameter, because no sun
-    patch inside depends on it.
+    number: index of the solid from 0; first_step: of the search [m]. A change that would make the
+    solid thinner than 8 cm or move it inside does nothing. Its albedo is not a parameter, because
+    no sun patch inside depends on it.
     """
 
     def parameter(name: str, move: Callable[[Solid, float], Solid]) -> Parameter:
@@ -132,7 +136,10 @@ def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]
 
 
 def propose_shapes(guess: Guess) -> list[Guess]:
-    """Return guesses in which one window has an arched or slanted upper edge, on a coarse grid."""
+    """Return guesses in which one window has an arched or slanted upper edge, on a coarse grid.
+
+    Each window gets three arches and four slants.
+    """
     proposals: list[Guess] = []
     for number, rect in enumerate(guess.windows):
         half, height = (0.5 * (rect.u_m[1] - rect.u_m[0]), rect.z_m[1] - rect.z_m[0])
@@ -146,7 +153,10 @@ def propose_shapes(guess: Guess) -> list[Guess]:
 
 
 def propose_covers(guess: Guess) -> list[Bar]:
-    """Return blinds and curtains: bars that cover part of a window's opening from one end."""
+    """Return blinds and curtains: bars that cover 15 to 75 % of one window's opening from one end.
+
+    Blinds hang from the top; curtains start at the left or the right end.
+    """
     proposals: list[Bar] = []
     depth = (0.0, min(0.05, 0.5 * guess.thickness_m))
     for number, rect in enumerate(guess.windows):

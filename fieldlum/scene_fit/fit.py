@@ -43,10 +43,12 @@ class SceneFit:
     """A fitted scene.
 
     stated, heading_deg: the room and the captures' heading that the fit started at. room: the
-    fitted box in the stated world axes; `guess.north_deg` and `guess.clock_min` are the corrections
-    of north and clock. before, after: values before and after the fit, and u: standard
-    uncertainties, by parameter name. albedo: of each surface [6 + solids]. hours: number of sunny
-    hours. room_draws: see `posterior.Posterior`.
+    fitted box, with the stated wall azimuth; `guess` has the fitted azimuth and the corrections
+    `north_deg` and `clock_min`. albedo: of west, east, south and north wall, floor, ceiling and
+    solids [6 + solids]. before, after: values before and after the fit, and u: standard
+    uncertainties, by parameter name. misfits: shares of wrong pixels in held-out hours. hours:
+    number of sunny hours, with the held-out ones. notes: sentences for the user. room_draws: see
+    `posterior.Posterior`.
     """
 
     stated: Room
@@ -75,9 +77,10 @@ def fit_scene(
 ) -> SceneFit:
     """Find the scene that explains the sun patches of the captures, starting from the stated box.
 
-    pose: result of the sun's discs, if any. clock_sd_min: standard uncertainty of the stated times;
-    `pose` already includes it. Raises InputError for a room that is not a box or has no window,
-    NotEnoughDataError for too few sunny captures.
+    pose: camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of
+    the stated times; it is ignored with `pose`, which includes it. pixels: number to sample. Raises
+    InputError for a room that is not a box, has no window or is impossible, NotEnoughDataError for
+    fewer than six captures with direct sun on a window.
     """
     progress(0, 100, "light below the patches")
     evidence = gather(data, room, pixels=pixels, seed=seed)

@@ -52,7 +52,8 @@ class PixelDepths:
     """The surface, nearer than the guess's, that explains the light of each of m pixels best.
 
     position_m: in room axes [m, 3]; face: index in `FACES` (axis and sign of the normal) [m];
-    albedo [m]; gain: decrease of the pixel's misfit, 0 if no nearer surface is better [m].
+    albedo [m]; gain: decrease of the pixel's mean loss (0 to 1) over the hours [m]. Where no nearer
+    surface is better, the gain is 0 and the position is that of the guess.
     """
 
     position_m: Array
@@ -64,8 +65,9 @@ class PixelDepths:
 def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
     """Find for each pixel the nearer surface that explains its sunlit and dark hours best.
 
-    Depths along the ray, faces and albedos are tried for each pixel separately. If one is better
-    than the guess, an object is missing in the guess. albedo: of each surface [6 + solids].
+    40 depths along the ray, 5 faces and 5 albedos are tried for each pixel separately. If one is
+    better than the guess, an object is missing in the guess. albedo: of west, east, south and north
+    wall, floor, ceiling and solids [6 + solids].
     """
     order = np.argsort(evidence.pixel, kind="stable")
     first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
@@ -121,9 +123,10 @@ def _loss(evidence: SceneEvidence, patch: Array) -> Array:
 
 
 def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
-    """Return at most 12 boxes on the floor or table tops, those with the largest gain first.
+    """Return at most 12 boxes on the floor or table tops, roughly in order of decreasing gain.
 
-    A box is proposed where pixels that fit a nearer depth better are close together in plan.
+    A box is proposed where pixels that a nearer surface explains better (`found`) are close
+    together in plan. The list is empty if there are none.
     """
     use = found.gain > MIN_PIXEL_GAIN
     inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)
@@ -186,9 +189,10 @@ def propose_columns(
 ) -> list[tuple[Parameter, Guess]]:
     """Return guesses in which a column explains why a window ends inside its stated end.
 
-    Windows count whose fitted end is 10 cm or more inside the stated one. In each guess the end is
-    back at the stated place, and a column at some distance from the window hides the difference
-    from the camera. With each guess, return the parameter of that end.
+    These are windows whose fitted left or right end is 10 cm or more inside the stated one. In each
+    guess that end is back at the stated place, and a column at one of three distances from the
+    window hides the difference from the camera. Each guess comes with the parameter of its window's
+    end. parameters: must include those of all windows.
     """
     by_name = {p.name: p for p in parameters}
     proposals: list[tuple[Parameter, Guess]] = []
@@ -237,8 +241,8 @@ def solid_parameters(number: int) -> list[Parameter]:
     """Return place, faces, top and albedo of a solid inside as parameters without a prior.
 
     number: index of the solid from 0. A solid is on the floor, or is a table's top of constant
-    thickness. The distance of a box at any height would be undetermined, because a near high box
-    hides the same pixels as a far low box.
+    thickness. Its bottom is no parameter, because a near high box hides the same pixels as a far
+    low box.
     """
 
     def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:

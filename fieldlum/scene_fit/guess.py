@@ -25,10 +25,12 @@ ARCH_STEPS = 12  # chosen: stairs of 1 to 13 cm in a half circle 2 m wide
 
 @dataclass(frozen=True, slots=True)
 class WindowRect:
-    """A window's opening: along the wall `u_m` (x or y, whichever is free), in height `z_m`.
+    """A window's opening: its extent along the wall (u_m) and in height (z_m), in room axes.
 
-    arch_m: how far the ends of the upper edge are below its middle, along half an ellipse.
-    slant_m: how far its end at `u_m[1]` is below that at `u_m[0]`, along a straight line.
+    u is x in the "south" and "north" walls and y in the others. arch_m: how far the ends of the
+    upper edge are below its middle, along half an ellipse. slant_m: how far the upper edge's end at
+    `u_m[1]` is below that at `u_m[0]`, along a straight line; negative: above. `z_m[1]` is its
+    highest point.
     """
 
     wall: Literal["south", "west", "north", "east"]
@@ -40,11 +42,14 @@ class WindowRect:
 
     @property
     def is_rectangle(self) -> bool:
-        """Whether the upper edge is level."""
+        """Whether the upper edge is level, without arch and slant."""
         return self.arch_m == 0.0 and self.slant_m == 0.0
 
     def top_m(self, u: Array) -> Array:
-        """Return the height of the upper edge at places along the wall, [k]."""
+        """Return the height of the upper edge [k], in m, at places `u` [k], in m along the wall.
+
+        Beyond the window's ends it is the height at the nearer end.
+        """
         x = np.clip((2.0 * u - sum(self.u_m)) / (self.u_m[1] - self.u_m[0]), -1.0, 1.0)
         arch = self.arch_m * (1.0 - np.sqrt(1.0 - x**2))
         return self.z_m[1] - arch - abs(self.slant_m) * (1.0 + np.sign(self.slant_m) * x) / 2.0
@@ -54,8 +59,8 @@ class WindowRect:
 class Bar:
     """A bar in a window, vertical if `upright`, else horizontal.
 
-    window: index of its window from 0. span_m: extent across the bar's length, along the wall or in
-    height. depth_m: extent outwards from the wall's inner face.
+    window: index of its window from 0. span_m: from and to, across the bar's length: along the wall
+    if upright, else in height. depth_m: from and to, outwards from the wall's inner face.
     """
 
     window: int
@@ -66,7 +71,10 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """An opaque box from corner `low_m` to corner `high_m`: furniture, a column, a building."""
+    """An opaque box in room axes, from corner `low_m` to corner `high_m`, each (x, y, z).
+
+    It is furniture, a column or a building outside. albedo: 0 to 1.
+    """
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
@@ -75,12 +83,14 @@ class Solid:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """One possible scene.
+    """One possible scene: a box room with windows, bars and solids, the camera, and the clock.
 
-    north_deg: room and camera are turned further clockwise than stated by this angle. clock_min:
-    the stated times are later than the true ones by this time. tilt_deg: how far the picture's
-    centre, at the stated azimuth axis_deg, points up. roll_deg: how far the picture's right-hand
-    side is low.
+    size_m: x, y, z; camera_m: its place in room axes, x along the "south" wall, y away from it, z
+    up. wall_azimuth_deg: of the south wall's outward normal, by the stated north. thickness_m: of
+    the walls. north_deg: room and camera are turned further clockwise than stated by this angle.
+    clock_min: how much later the stated times are than the true ones. tilt_deg: how far the
+    picture's centre, at the stated azimuth axis_deg, points up. roll_deg: how far the picture's
+    right-hand side is low.
     """
 
     size_m: tuple[float, float, float]
@@ -98,12 +108,19 @@ class Guess:
 
     @property
     def turn(self) -> Array:
-        """Return the rotation from stated world axes to room axes: room = turn @ world, [3, 3]."""
+        """The rotation from stated world axes (x east, y north, z up) to room axes, [3, 3].
+
+        room = turn @ world. `north_deg` is not included.
+        """
         return _turn(self.wall_azimuth_deg)
 
     @property
     def camera_turn(self) -> Array:
-        """Return the rotation from the picture's stated world axes to room axes, [3, 3]."""
+        """The rotation from the picture's world axes to room axes, [3, 3].
+
+        room = camera_turn @ picture. The picture's axes are x east, y north, z up for a level
+        camera with the stated heading.
+        """
         return _camera_turn(self.wall_azimuth_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
 
 
@@ -123,8 +140,8 @@ def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg:
 def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
     """Return a stated box room as a guess.
 
-    Frames and bars of the room become bars. axis_deg: the stated azimuth of the picture's centre.
-    Raises InputError for an impossible room.
+    Window frames, glazing bars and transoms become bars, obstructions become solids. axis_deg: the
+    stated azimuth of the picture's centre. Raises InputError for an impossible room.
     """
     scene = build(room)
     windows = []
@@ -177,10 +194,10 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 
 
 def room_of(guess: Guess, stated: Room) -> Room:
-    """Return the guess as a `Room`: bars and solids become obstructions.
+    """Return the guess as a `Room`: bars, solids and arched or slanted tops become obstructions.
 
-    stated: the room from which other fields are taken, also the walls' azimuth; north_deg is not
-    applied, see `Guess.north_deg`.
+    stated: the room from which other fields are taken, also the walls' azimuth; neither
+    `guess.wall_azimuth_deg` nor `guess.north_deg` is applied.
     """
     windows = tuple(_window(guess, rect) for rect in guess.windows)
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)

@@ -29,11 +29,13 @@ _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light
 
 
 def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
-    """Return the light that pixels [n, m] would show without direct sun on them [cd/m2].
+    """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
 
-    patch [n, m]: a known patch, which is subtracted; values that it dominates count less. The light
-    is a ridge regression of few smooth features of sky and sun. Its rounds reduce the weight of
-    pixels that are brighter than the fit, because a sun patch only adds light.
+    seen: captured luminance, cd/m2 [n, m]; patch: luminance of known sun patches, cd/m2 [n, m],
+    which is subtracted; values that it dominates count less. data: the n captures, for their light
+    and room. The result is a ridge regression on 15 smooth features of sky and sun. Its rounds
+    reduce the weight of pixels that are brighter than the fit, because a sun patch only adds light.
+    It is at least 0.1.
     """
     features = light_features(data.light)
     kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
@@ -72,10 +74,11 @@ def _trust(patch: Array, seen: Array) -> Array:
 def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights: Array) -> Array:
     """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
-    below, seen, patch [n, m] cd/m2; directions [m, 3] unit vectors; weights [m]. The few features
-    of sky and sun do not determine how bright the room is under a sun that no other hour has.
-    Therefore each hour corrects the logarithm by nine smooth functions of the direction, in rounds
-    that reduce the weight of pixels brighter than the fit.
+    below: luminance estimated without direct sun; seen: captured; patch: of known sun patches; each
+    [n, m] cd/m2; directions [m, 3] unit vectors; weights [m]. The features behind `below` do not
+    determine how bright the room is under a sun that no other hour has. Therefore each hour
+    corrects the logarithm by nine smooth functions of the direction, in rounds that reduce the
+    weight of pixels brighter than the fit.
     """
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)

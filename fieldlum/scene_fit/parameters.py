@@ -27,10 +27,12 @@ SUN_DEG_PER_MIN = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A number of the scene that a search changes, in m, degrees or minutes.
+    """A number of the scene that a search changes, in m, degrees, minutes or, for an albedo, 1.
 
-    read(guess) returns its value; change(guess, by) returns a guess in which it is larger by `by`.
-    first_step, last_step: of the search; sd: standard deviation of its prior, inf without one.
+    read(guess) returns its value; change(guess, by) returns a guess in which it is changed by `by`,
+    as far as its limits allow; for u0 and u1 of a window in the south or east wall `read` counts
+    from the opposite end and falls. first_step, last_step: step at the start and the end of the
+    search; sd: standard deviation of its prior, inf without one.
     """
 
     name: str
@@ -50,9 +52,10 @@ def room_parameters(
 ) -> list[Parameter]:
     """Return a guess's parameters: pose, clock, sizes, camera, wall thickness and window edges.
 
-    Pose is north, tilt and roll; sizes are width and depth. with_wall: include the walls' azimuth;
-    clock_sd_min: standard deviation of the clock's prior. The camera's height is not a parameter:
-    it is the known length that sets the scale.
+    Pose is north, tilt and roll; sizes are width and depth; camera is its x and y. with_wall:
+    include the walls' azimuth; clock_sd_min: standard deviation of the clock's prior. Priors are
+    relative to the stated values. The camera's height is not a parameter: it sets the scale of all
+    lengths. Nor is the room's height.
     """
     size, camera = guess.size_m, guess.camera_m
 
@@ -150,9 +153,9 @@ def _window_parameters(number: int) -> list[Parameter]:
 
 
 def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
-    """Return arch and slant of the upper edge of window `number` (from 0) as parameters.
+    """Return arch and slant of the upper edge of window `number` (from 0) as parameters, in m.
 
-    The list is empty if the edge is level.
+    They have no prior. The list is empty if the edge has neither arch nor slant.
     """
 
     def changed(name: str) -> Change:
@@ -177,7 +180,10 @@ def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
 
 
 def bar_parameters(guess: Guess) -> list[Parameter]:
-    """Return place, width and depth of each of the guess's bars as parameters without a prior."""
+    """Return place, width and depth of each of the guess's bars as parameters without a prior.
+
+    They are in m; depth is the place of the outer face, outwards from the wall's inner face.
+    """
     parameters: list[Parameter] = []
     for number in range(len(guess.bars)):
 

@@ -25,7 +25,12 @@ FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
 def draw(
     folder: Path, data: Dataset, fit: SceneFit, evidence: SceneEvidence, guess: Guess
 ) -> list[Path]:
-    """Write overlay.png, windows.png and plan.png into a folder and return their paths."""
+    """Write overlay.png, windows.png and plan.png into a folder and return their paths.
+
+    overlay.png: edges of fitted and stated patches over up to four captures; windows.png: the share
+    of sun that cells of each window of `guess` let through, with its bars; plan.png: the room from
+    above. The folder is created; existing files are replaced.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")

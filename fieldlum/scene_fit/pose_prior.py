@@ -31,7 +31,11 @@ _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 
 @dataclass(frozen=True, slots=True)
 class MeasuredDiscs:
-    """Centres of n sun discs in panoramas, by the stated heading, and their uncertainty [n] deg."""
+    """Centres of n sun discs in panoramas, by the stated heading, with their recorded times.
+
+    altitude_deg: apparent [n]; azimuth_deg: clockwise from north [n]; sigma_deg: standard
+    uncertainty along each axis [n].
+    """
 
     altitude_deg: Array
     azimuth_deg: Array
@@ -44,28 +48,28 @@ class MeasuredDiscs:
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """A normal distribution of the pose: north, tilt and roll [deg], and clock [min].
+    """A normal distribution of north, tilt, roll [deg] and clock [min], in this order.
 
-    values: the mean [4]; covariance [4, 4].
+    values: the mean [4]; covariance [4, 4]. Signs are those of `Guess`.
     """
 
     values: Array
     covariance: Array
 
     def cost(self, guess: Guess) -> float:
-        """Return the squared distance of the guess's pose from the mean, in standard deviations."""
+        """Return the squared Mahalanobis distance of the guess's pose and clock from the mean."""
         off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
         return float(off @ np.linalg.solve(self.covariance, off))
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess with the most likely pose for a given clock."""
+        """Return the guess with clock_min set, and the most likely north, tilt and roll for it."""
         slopes = self.covariance[:3, 3] / self.covariance[3, 3]
         pose = self.values[:3] + slopes * (clock_min - self.values[3])
         fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
         return replace(guess, **fields)
 
     def drawn(self, rng: np.random.Generator) -> PosePrior:
-        """Return the same prior around a mean that is drawn at random from it."""
+        """Return a prior with the same covariance around a mean drawn at random from this one."""
         values = rng.multivariate_normal(self.values, self.covariance, method="cholesky")
         return replace(self, values=values)
 
@@ -76,7 +80,11 @@ class PosePrior:
 
 
 def read_discs(session: Session) -> MeasuredDiscs:
-    """Return the sun discs in the sidecars of a session's panoramas; empty without sidecars."""
+    """Return the sun discs in the sidecars (json files) of a session's panoramas, or an empty set.
+
+    Sidecars without a measured disc or without a time are skipped. sigma_deg is at least 0.02.
+    Raises InputError for a damaged sidecar.
+    """
     rows: list[tuple[float, float, float, datetime]] = []
     for path in session.sidecar_files():
         row = _measured(path)
@@ -100,10 +108,11 @@ def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
 def pose_of(
     discs: MeasuredDiscs, site: Site, heading_deg: float, clock_sd_min: float
 ) -> PoseFit | None:
-    """Return the pose that three or more discs determine; None for fewer.
+    """Return the pose and clock that three or more discs determine; None for fewer.
 
-    The priors are those of the search, so that discs and patches together determine what discs
-    alone do not.
+    heading_deg: stated heading of the lens's axis; clock_sd_min: standard uncertainty of the times.
+    The other standard uncertainties before the fit are 2 degrees for north, 0.3 for tilt and roll,
+    and 1 % for the lens scale.
     """
     if len(discs) < LEAST_DISCS:
         return None
@@ -120,14 +129,22 @@ def pose_of(
 
 
 def prior_of(pose: PoseFit) -> PosePrior:
-    """Return the fitted pose as a prior of the search: north, tilt, roll and clock."""
+    """Return the fitted north, tilt, roll and clock as a prior of the search.
+
+    0.02 degrees of lens and mount are added (in quadrature) to the uncertainties of the three
+    angles.
+    """
     rows = [NAMES.index(name) for name in _FITTED]
     covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([LEAST_U_DEG**2] * 3 + [0.0])
     return PosePrior(pose.values[rows], covariance)
 
 
 def pose_note(pose: PoseFit, discs: int) -> str:
-    """Return a sentence about what the discs determine."""
+    """Return a sentence on the fitted pose and clock, from `discs` discs.
+
+    It has values with uncertainties, the residual, the number of gross errors, and what the discs
+    did not determine.
+    """
     found = ", ".join(
         f"{kind} {pose[name]:+.2f} +- {pose.u[name]:.2f} {unit}"
         for name in _FITTED

@@ -22,8 +22,9 @@ _THIN = 2  # use every second pixel; measured: a sixth of the fit's time for eac
 class Posterior:
     """Result of the repeated searches.
 
-    u: standard uncertainty of each parameter. room_draws: the numbers of
-    `fieldlum.scene.drawn_rooms.room_parameters` in each search, relative to true north.
+    u: standard uncertainty of each parameter, by name, in its unit. room_draws: by name of
+    `fieldlum.scene.drawn_rooms.room_parameters`, the value that each search found [6]; the walls'
+    azimuth is relative to true north.
     """
 
     u: dict[str, float]
@@ -33,9 +34,10 @@ class Posterior:
 def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Posterior:
     """Return the uncertainty of a fitted guess by six searches with other days and stated values.
 
-    objective: of all hours. Days (with under three days: hours) are resampled. Stated values are
+    objective: cost of all hours; stated: the room for fields that are not fitted. Days (with under
+    three days: hours) are resampled, as are weights of the windows' picture. Stated values are
     drawn from their priors, so that a parameter which the captures do not determine has the prior's
-    uncertainty. No u is smaller than the last step of the search.
+    uncertainty. Every u includes the last step of the search.
     """
     rng = np.random.default_rng(seed)
     parameters = objective.parameters
@@ -65,6 +67,10 @@ def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Po
 
 
 def true_room(guess: Guess, stated: Room) -> Room:
-    """Return the guess as a `[room]` relative to true north."""
+    """Return the guess as a `Room` whose wall azimuth is relative to true north.
+
+    The azimuth is the guess's plus its correction of north; stated: the room for fields that are
+    not fitted.
+    """
     azimuth_deg = (guess.wall_azimuth_deg + guess.north_deg) % 360.0
     return replace(room_of(guess, stated), wall_azimuth_deg=azimuth_deg)

@@ -32,11 +32,12 @@ _SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Where r camera rays end.
+    """Where r camera rays end, in room axes.
 
-    position_m [r, 3]; axis and sign [r] of the normal of the surface that is hit; surface [r]:
-    `WEST` to `CEILING`, `SHELL` + k for solid k, or `OUTSIDE` for a ray through a window;
-    spread_m [r]: distance between the ends of neighbouring rays.
+    position_m [r, 3]; axis (0 x, 1 y, 2 z) and sign (1.0 or -1.0) of the normal of the surface that
+    is hit, towards the camera [r]; surface [r]: 0 to 5 for west, east, south and north wall, floor
+    and ceiling, 6 + k for solid k, -1 for a ray through a window; spread_m [r]: distance between
+    the ends of neighbouring rays.
     """
 
     position_m: Float32
@@ -50,8 +51,8 @@ class Surfaces:
 class RoomRays:
     """Rays from the camera in room axes.
 
-    eye_m: the camera [3]; direction, and inverse: one over each component [3, r]; spread: angle
-    between neighbouring rays [rad].
+    eye_m: the camera's place [3]; direction: unit vectors [3, r]; inverse: one over each component
+    of `direction` [3, r]; spread: angle between neighbouring rays [rad].
     """
 
     eye_m: Float32
@@ -61,7 +62,11 @@ class RoomRays:
 
 
 def camera_rays(guess: Guess, rays_world: Float32, spread: float = 0.0) -> RoomRays:
-    """Return the picture's rays [r, 3], in stated world axes, as rays of the guess's camera."""
+    """Return the picture's rays [r, 3], in stated world axes, as rays of the guess's camera.
+
+    World axes: x east, y north, z up by the stated heading. spread: angle between neighbouring rays
+    [rad].
+    """
     rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).T  # [3, r]
     rays = np.where(np.abs(rays) < _SMALLEST, np.float32(_SMALLEST), rays).astype(np.float32)
     return RoomRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays, spread)
@@ -70,13 +75,17 @@ def camera_rays(guess: Guess, rays_world: Float32, spread: float = 0.0) -> RoomR
 def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces:
     """Return where rays [r, 3] of the picture, in stated world axes, end in the guess.
 
-    spread: angle between neighbouring rays [rad]; 0 gives patches with hard edges.
+    World axes: x east, y north, z up by the stated heading. spread: angle between neighbouring rays
+    [rad]; 0 gives patches with hard edges.
     """
     return ends_of(guess, camera_rays(guess, rays_world, spread))[0]
 
 
 def ends_of(guess: Guess, rays: RoomRays) -> tuple[Surfaces, Float32]:
-    """Return where camera rays end, and at which distance [r]."""
+    """Return where r camera rays end in the guess, and their length to there in m [r].
+
+    A ray through a window ends at the wall's inner face.
+    """
     count = rays.direction.shape[1]
     nearest = np.full(count, np.inf, np.float32)
     axis = np.zeros(count, np.int8)
@@ -113,7 +122,11 @@ def _ends(
 def ends_on_solid(
     solid: Solid, number: int, rays: RoomRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Surfaces]:
-    """Return indices of the rays that end on solid `number` before `nearest` [r] m, and where."""
+    """Return the indices [k] of rays that end on a solid, and where.
+
+    nearest: length of each ray to what it meets without the solid, m [r]; only shorter ways to the
+    solid count. number: index of the solid from 0, which only names the surface.
+    """
     rows, enters, axis = entries(solid, rays, nearest)
     surface = np.full(len(rows), SHELL + number, np.int16)
     return rows, _ends(rays, rows, enters, axis, surface)
@@ -122,7 +135,11 @@ def ends_on_solid(
 def entries(
     solid: Solid, rays: RoomRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Float32, NDArray[np.int8]]:
-    """Return rays that enter a solid before `nearest` [r] m: index, distance and face axis, [k]."""
+    """Return rays that enter a solid before they are `nearest` [r] m long.
+
+    These are k ray indices, distances to the entry in m, and axes of the face that is entered (0 x,
+    1 y, 2 z). A ray that starts within the solid does not count.
+    """
     near = np.zeros_like(nearest)
     far = nearest
     axis = np.full(len(nearest), -1, np.int8)
@@ -162,8 +179,8 @@ def _below_top(rect: WindowRect, u: Array, z: Array) -> NDArray[np.bool_]:
 def seen_in_opening(guess: Guess, position: Array, direction: Array) -> NDArray[np.int8]:
     """Return what rays that enter an opening see: `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR`, [r].
 
-    position, direction [r, 3]: on the wall's inner face and outwards, in room axes. A ray that is
-    in no opening gives `BAR`.
+    position: where each ray crosses the wall's inner face [r, 3]; direction: outwards [r, 3]; both
+    in room axes. A ray that is in no opening gives `BAR`.
     """
     shown = np.full(len(position), BAR, np.int8)
     for number, rect in enumerate(guess.windows):
@@ -199,8 +216,8 @@ def _within(value: Array, span: tuple[float, float]) -> NDArray[np.bool_]:
 class LitEntries:
     """Pairs of hour and ray that the sun reaches.
 
-    hour, ray: [k]; strength: cosine of incidence times transmittance of the glass, times the share
-    of the ray's spread that the edges of window and bars leave [k].
+    hour, ray: indices from 0 [k]; strength: cosine of incidence times transmittance of the glass,
+    times the share of the ray's spread that the edges of windows and bars do not shade [k].
     """
 
     hour: NDArray[np.intp]
@@ -209,7 +226,11 @@ class LitEntries:
 
 
 def lit_entries(guess: Guess, ends: Surfaces, suns_room: Float32) -> LitEntries:
-    """Return which of the rays' `ends` the suns [n, 3] (room axes) reach through a window."""
+    """Return the pairs of hour and ray end that the sun reaches through a window.
+
+    ends: of r rays; suns_room: unit vectors to the sun in room axes, one for each hour [n, 3]. Bars
+    and solids shade; surfaces that face down and rays through a window are never lit.
+    """
     parts = [
         _through(guess, number, rect, ends, suns_room) for number, rect in enumerate(guess.windows)
     ]
@@ -303,9 +324,10 @@ def _gaps(bar: Bar, at_inner: Array, slope: Array) -> tuple[Array, Array]:
 def shades(
     solid: Solid, position: Float32, suns: Float32, hour: NDArray[np.intp], ray: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Return whether a solid is between position and sun, for pairs of hour and ray [k].
+    """Return whether a solid is between position and sun, for k pairs of hour and ray, [k].
 
-    position [r, 3], suns [n, 3].
+    position: in room axes, m [r, 3]; suns: unit vectors to the sun in room axes [n, 3]; hour, ray:
+    indices into these [k].
     """
     enters = np.full(len(hour), -np.inf, np.float32)
     leaves = np.full(len(hour), np.inf, np.float32)
@@ -331,9 +353,10 @@ def unit_patches(
 ) -> Float32:
     """Return irradiance of the pixels' surfaces per lx of the sun on its normal, [n, m].
 
-    ends: of the r rays; suns_room: in room axes [n, 3]. pixel [r]: which of the m pixels a ray
-    belongs to; sub x sub rays make a pixel. tone [r]: a factor of each ray, such as albedo. Times
-    illuminance, times albedo over pi, this is the luminance of the sun patch.
+    ends: of r rays; suns_room: unit vectors in room axes [n, 3]; pixels: their number m. pixel:
+    index below m of each ray's pixel [r]; sub x sub rays make a pixel. tone: a factor of each ray,
+    such as albedo, None for 1 [r]. Times the sun's illuminance, times albedo over pi, the result is
+    the luminance of the sun patch.
     """
     lit = lit_entries(guess, ends, suns_room)
     strength = lit.strength if tone is None else lit.strength * tone[lit.ray]

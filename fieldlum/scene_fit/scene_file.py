@@ -23,13 +23,14 @@ class Scene:
 
     room: the fitted box relative to true north. north_deg: how far room and camera are turned
     clockwise from the stated direction; clock_min: how late the stated times are. before, after, u:
-    values and standard uncertainties by parameter. misfit: share of the pixels near sun patches
-    that are wrong, on hours held out of the search. chosen: the geometry that the captures support.
-    expected_log10_mse, trusted_share: of a year's hours, by the model trained with the chosen
-    geometry; None: unknown. stated_heading_deg, stated_room: the start of the fit. A scene is used
-    only with captures that state the same, otherwise a correction would be applied twice.
-    room_draws: the numbers of the room in repeated searches, by the names of
-    `scene.drawn_rooms.room_parameters`.
+    values and standard uncertainties by parameter. hours: number of sunny hours. misfit: by "none",
+    "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong, on
+    hours held out of the search. chosen: the geometry that the captures support; verdict: why;
+    trusted: whether enough hours support it. expected_log10_mse, trusted_share: of a year's hours,
+    by the model trained with the chosen geometry; None: unknown. stated_heading_deg, stated_room:
+    the start of the fit. A scene is used only with captures that state the same, otherwise a
+    correction would be applied twice. room_draws: the numbers of the room in repeated searches, by
+    the names of `scene.drawn_rooms.room_parameters`.
     """
 
     north_deg: float
@@ -53,7 +54,10 @@ class Scene:
 
 
 def write_scene(folder: Path, scene: Scene) -> Path:
-    """Write scene.toml into a folder and return its path."""
+    """Write scene.toml into a folder, which is created, and return the file's path.
+
+    An existing file is replaced.
+    """
     import tomli_w
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +68,11 @@ def write_scene(folder: Path, scene: Scene) -> Path:
 
 
 def read_scene(folder: Path) -> Scene:
-    """Read the scene.toml of a folder. Raises InputError for one that is missing or damaged."""
+    """Read the scene.toml of a folder.
+
+    Raises InputError for one that is missing, no valid TOML, of another format number, or with
+    missing, unknown or wrong entries.
+    """
     path = folder / SCENE_TOML
     try:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))

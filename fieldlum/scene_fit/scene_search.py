@@ -78,7 +78,10 @@ SHADE_GAIN = 0.02
 
 @dataclass(frozen=True)
 class Misfits:
-    """Shares of wrong pixels in n held-out hours: without patches, stated and fitted room [n]."""
+    """Shares of wrong pixels in n held-out hours: without patches, stated and fitted room [n].
+
+    A share is weighted and 0 to 1, see `SceneEvidence.misfit`. days: local date of each hour [n].
+    """
 
     none: Array
     stated: Array
@@ -86,12 +89,16 @@ class Misfits:
     days: NDArray[np.datetime64]
 
     def mean(self) -> dict[str, float]:
-        """Return the mean share over the hours, with the keys "none", "stated" and "fitted"."""
+        """Return the mean share of wrong pixels over the hours: "none", "stated" and "fitted"."""
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
 class SceneSearch:
-    """State of one fit: evidence, the hours that count, and the light below the patches."""
+    """State of one fit: evidence, the hours that count, and the light below the patches.
+
+    fit_hours, kept_out: indices into the hours of `evidence` that the search uses and does not use.
+    The methods `contents`, `box`, `relight` and `furnished` replace evidence or albedos.
+    """
 
     def __init__(
         self,
@@ -111,7 +118,7 @@ class SceneSearch:
         self.prior_unit = PRIOR_SHARE * float(evidence.misfit(patch).mean())
 
     def objective(self, evidence: SceneEvidence) -> Objective:
-        """Return the cost function of a guess for some hours or pixels of the evidence."""
+        """Return the cost function of a guess (misfit plus prior) for some hours or pixels."""
         return Objective(
             evidence, self.start, self.parameters, self.albedo, self.prior_unit, self.stated.pose
         )
@@ -124,8 +131,9 @@ class SceneSearch:
     def windows(self, guess: Guess) -> list[Guess]:
         """Search edges and bars in the picture of the windows alone; return three guesses.
 
-        Each has walls of another azimuth, because the picture and the tape measure leave it open by
-        2 or 3 degrees; `contents` chooses among them.
+        Their walls are turned by -2, 0 and 2 degrees against that of `guess`, because the picture
+        and the tape measure leave this angle open; `contents` chooses among them. If the picture
+        shows no edges, the turned guesses are returned without a search.
         """
         turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
         starts = [turned(guess, turn_deg) for turn_deg in RESTART_TURNS_DEG]
@@ -153,7 +161,8 @@ class SceneSearch:
         """Search shades and bars from each guess; return the best one with furniture added.
 
         Rooms with differently turned walls cost the same until they have bars. step: called with
-        the number of searches done.
+        the number of searches done, 0 to the number of guesses. Evidence and albedos become those
+        of the result.
         """
         given = self.evidence, self.albedo
         rooms: list[tuple[float, Guess, SceneEvidence, Array]] = []
@@ -169,7 +178,10 @@ class SceneSearch:
         return self.furnished(guess, MAX_SOLIDS)
 
     def box(self, guess: Guess) -> Guess:
-        """Search the box, its pose and its shades from several clocks; return the best guess."""
+        """Search the box, its pose and its shades from several clocks; return the best guess.
+
+        The attribute `albedo` becomes that of the result.
+        """
         coarse = self.objective(self.fit_evidence.coarse())
         starts = [self.stated.at_clock(guess, clock) for clock in self.stated.start_clocks_min]
         tries = [pattern_search(coarse, start, self.parameters, fine=4.0) for start in starts]
@@ -178,7 +190,10 @@ class SceneSearch:
         return guess
 
     def shaded(self, guess: Guess) -> Guess:
-        """Add up to two blinds, facades, canopies or arches, if each lowers the misfit enough."""
+        """Add up to two blinds, curtains, facades, canopies, arched or slanted window tops.
+
+        One is added only if it lowers the cost by at least 2 %, and by 0.1 % in held-out hours.
+        """
         coarse = self.objective(self.fit_evidence.coarse())
         for _ in range(MAX_SHADES):
             trials = [self._covered(guess, coarse), self._faced(guess), self._shaped(guess, coarse)]
@@ -221,7 +236,8 @@ class SceneSearch:
     def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
         """Find bars in each window from its sun patches; search their place, width and depth.
 
-        Blinds (bars wider than 20 cm) remain. fine: factor on the last steps of the search.
+        Bars up to 20 cm wide are replaced, if that lowers the cost; blinds (wider bars) remain.
+        Bars of too little effect are removed. fine: factor on the last steps of the search.
         """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
@@ -261,7 +277,8 @@ class SceneSearch:
     def furniture(self, guess: Guess) -> Guess:
         """Return the guess with the proposed solid that lowers the misfit most.
 
-        Return the same object if no solid lowers it enough.
+        Return the same object if none of the best two lowers it by 0.4 %, and by 0.1 % in held-out
+        hours.
         """
         albedo = self.albedo_with_solids(guess)
         depths = pixel_depths(self.fit_evidence, guess, albedo)
@@ -300,7 +317,10 @@ class SceneSearch:
         return trials
 
     def furnished(self, guess: Guess, most: int) -> Guess:
-        """Add up to `most` solids; after each, search everything again."""
+        """Add up to `most` solids; after each, search all parameters again.
+
+        It stops at the first solid that does not lower the misfit enough.
+        """
         for _ in range(most):
             more = self.furniture(guess)
             if more is guess:
@@ -313,7 +333,10 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without bars and added solids that do not lower the misfit enough."""
+        """Return the guess without bars and added solids that do not lower the misfit enough.
+
+        Solids of the stated room remain.
+        """
         guess = self._pruned(guess)
         for solid in list(guess.solids[len(self.start.solids) :]):
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
@@ -322,11 +345,18 @@ class SceneSearch:
         return guess
 
     def albedo_with_solids(self, guess: Guess) -> Array:
-        """Return the albedos of the shell's six surfaces and of the solids, [6 + solids]."""
+        """Return the albedos of the guess's surfaces, [6 + solids].
+
+        They are the current ones of west, east, south and north wall, floor and ceiling, and the
+        solids' own.
+        """
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
 
     def relight(self, guess: Guess) -> None:
-        """Replace albedos and the light below the patches by estimates with the guess's patches."""
+        """Replace albedos and the light below the patches by estimates with the guess's patches.
+
+        The attributes `albedo` and `evidence` change.
+        """
         self.albedo = self.evidence.albedos(guess, self.albedo)
         albedo = self.albedo_with_solids(guess)
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
@@ -335,8 +365,8 @@ class SceneSearch:
         """Return the best of several searches from other clocks and displaced rooms.
 
         A guess with bars and furniture can leave a valley in which an earlier search stopped. The
-        attribute `valley` becomes the standard deviation of each parameter over results of nearly
-        equal cost, which the captures cannot separate.
+        attribute `valley` becomes the standard deviation of each parameter over results with a cost
+        within 3 % of the best, which the captures cannot separate.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.coarse())
@@ -356,12 +386,15 @@ class SceneSearch:
         return best
 
     def settled(self, guess: Guess) -> Guess:
-        """Search all parameters together in small steps, at few pixels."""
+        """Search all parameters in small steps at about 1 000 pixels; return the best guess."""
         objective = self.objective(self.fit_evidence.coarse())
         return pattern_search(objective, guess, self.all_parameters(guess), coarse=0.25)[0]
 
     def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
-        """Search all parameters together in small steps and along principal axes, in hours [k]."""
+        """Search all parameters in small steps, then along principal axes; return the best guess.
+
+        hours: indices of the hours that count [k].
+        """
         objective = self.objective(self.evidence.hours(hours))
         parameters = self.all_parameters(guess)
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
@@ -376,7 +409,11 @@ class SceneSearch:
         return parameters
 
     def misfits(self, guess: Guess) -> Misfits:
-        """Return three misfits on held-out hours: no sun patch, the stated box, and the guess."""
+        """Return three misfits on held-out hours: no sun patch, the stated box, and the guess.
+
+        The stated box has albedos that are fitted to these hours; the guess has those of the
+        search.
+        """
         evidence = self.evidence.hours(self.kept_out)
         albedo = self.albedo_with_solids(guess)
         stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))

@@ -40,7 +40,7 @@ class GuessCost(Protocol):
 
     @property
     def pose(self) -> PosePrior | None:
-        """Return the prior of north, level and clock by sun discs; None without discs."""
+        """The prior of north, tilt, roll and clock by sun discs; None without discs."""
         ...
 
     def __call__(self, guess: Guess) -> float:
@@ -52,7 +52,8 @@ class GuessCost(Protocol):
 class Objective:
     """Misfit plus prior of a guess, for some evidence.
 
-    start: the stated guess; albedo: of each surface [6 or more]; prior_unit: cost of one standard
+    start: the stated guess; parameters: those that have a prior; albedo: of west, east, south and
+    north wall, floor, ceiling [6 or more; solids have their own]; prior_unit: cost of one standard
     deviation of one parameter; pose: replaces the priors of north, tilt, roll and clock; count:
     number of evaluations so far.
     """
@@ -79,7 +80,7 @@ class Objective:
         return self._seen[1] + self.prior(guess)
 
     def misfits(self, guess: Guess) -> Array:
-        """Return the misfit of each hour's patches, [n].
+        """Return the misfit (0 to 1) of each hour's sun patches, [n].
 
         The windows' picture is left out: it has no hours, and its reveals of one luminance are a
         rough model, which would make uncertainties too small.
@@ -87,7 +88,11 @@ class Objective:
         return self.evidence.misfit(self.evidence.patches(guess, self._albedo(guess)))
 
     def residuals(self, guess: Guess) -> Array:
-        """Return numbers whose squares add up to the misfit, [n m + q]; q pixels show windows."""
+        """Return numbers whose squares add up to the misfit, [n m + q].
+
+        The first n m are of hours and pixels, hour by hour; the last q of pixels that show windows.
+        The prior is not included.
+        """
         evidence = self.evidence
         patch = evidence.patches(guess, self._albedo(guess))
         error = np.log(evidence.below + patch) - evidence.log_seen  # [n, m]
@@ -101,8 +106,8 @@ class Objective:
     def prior(self, guess: Guess) -> float:
         """Return the cost of deviating from the stated numbers.
 
-        If sun discs determined a pose, north, tilt, roll and clock are compared with that pose
-        instead.
+        It is `prior_unit` times the sum of squared deviations in standard deviations. If sun discs
+        determined a pose, north, tilt, roll and clock are compared with that pose instead.
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
         z = [
@@ -122,7 +127,7 @@ class ViewCost:
 
     @property
     def pose(self) -> PosePrior | None:
-        """The pose's prior, as in `Objective`."""
+        """The prior of north, tilt, roll and clock by sun discs; None without discs."""
         return self.objective.pose
 
     def __call__(self, guess: Guess) -> float:
@@ -141,9 +146,9 @@ def pattern_search(
     """Search the guess of least cost from a start; return it and its cost.
 
     Each parameter is stepped up or down while the cost falls. Its step is halved when neither
-    direction lowers the cost. Steps begin at `coarse` times the first step and end at `fine` times
-    the last one. Parameters that compensate for each other are also moved together
-    (`compound_moves`).
+    direction lowers the cost. Steps begin at `coarse` times the parameter's first step; a parameter
+    is left when its step is below `fine` times the last one. Parameters that compensate for each
+    other are also moved together (`compound_moves`).
     """
     moves = [(p.name, p.change, coarse * p.first_step, fine * p.last_step) for p in parameters]
     for name, change, first, last in compound_moves(guess, parameters, objective.pose):
@@ -158,7 +163,8 @@ def principal_search(
 
     Numbers that compensate for each other, such as a wall's azimuth, a window and the camera, form
     valleys that steps of single numbers do not follow. The directions are eigenvectors of the
-    Gauss-Newton matrix, from numeric differences; flat directions have the longest steps.
+    Gauss-Newton matrix, from numeric differences at `guess`, with the prior; flat directions have
+    the longest steps.
     """
     base = objective.residuals(guess)
     cost = objective(guess)
@@ -205,8 +211,9 @@ def search_moves(
 ) -> tuple[Guess, float]:
     """Search the guess of least cost by some moves from a start; return it and its cost.
 
-    A move has a name, a function change(guess, by), a first and a last step. A step is halved when
-    neither direction lowers the cost; the search ends when all are below the last step.
+    A move has a unique name, a function change(guess, by), a first and a last step. A step is
+    halved when neither direction lowers the cost by over 0.01 %; the search ends when all are below
+    their last step.
     """
     best, cost = guess, objective(guess)
     step = {name: first for name, _, first, _ in moves}
@@ -237,10 +244,11 @@ def compound_moves(
 ) -> list[tuple[str, Change, float, float]]:
     """Return moves of several numbers along which the misfit hardly changes.
 
-    Each has a name, the change, the first and the last step. A search along single numbers stops
-    in such valleys: north and clock; a window, the camera and a wall that shift together; a
-    window's two edges; the wall and north; the camera's place or the walls' azimuth with windows
-    that stay where the camera sees them.
+    Each has a name, the change, the first and the last step. A search along single numbers stops in
+    such valleys: north and clock; a window, the camera and a wall that shift together; a window's
+    two edges; the wall and north; the camera's place, tilt and roll or the walls' azimuth with
+    windows that stay where the camera sees them. A move is omitted if `parameters` lack its
+    numbers. pose: adds the move of north, tilt, roll and clock that does not shift the sun's discs.
     """
     by_name = {p.name: p.change for p in parameters}
 
@@ -297,7 +305,11 @@ _AIMED = {
 
 
 def aimed(change: Change) -> Change:
-    """Return `change` extended so that the camera sees windows, bars and furniture where it did."""
+    """Return `change` extended so that the camera sees windows, bars and furniture where it did.
+
+    change(guess, by) returns a changed guess. Furniture is shifted in plan only, by its middle;
+    solids outside the room stay.
+    """
 
     def follow(guess: Guess, by: float) -> Guess:
         moved = change(guess, by)
@@ -377,7 +389,10 @@ def _along_discs(pose: PosePrior) -> Change:
 
 
 def along_valley(guess: Guess, by_min: float) -> Guess:
-    """Return the guess at a clock `by_min` later, with north turned so that noon patches stay."""
+    """Return the guess at a clock `by_min` later, with north turned so that noon patches stay.
+
+    North decreases by 0.25 degrees a minute; the clock stays within -19 and 19 min.
+    """
     clock = float(np.clip(guess.clock_min + by_min, -19.0, 19.0))
     moved = clock - guess.clock_min
     north = guess.north_deg - SUN_DEG_PER_MIN * moved

@@ -29,8 +29,9 @@ Array = NDArray[np.floating]
 class SolidCost:
     """Cost function (misfit plus prior) of guesses that differ only in their last solid.
 
-    The rest is rendered once: a solid removes light from the entries that it hides or shades, adds
-    its own sunlit faces, and hides panes. This costs a fifth of `search.Objective`.
+    guess: the scene without that solid; albedo: of its surfaces [6 + solids]; prior: its prior's
+    cost, as a solid adds none; pose: None, as no solid moves it. All but the solid is rendered
+    once, which costs a fifth of `search.Objective`.
     """
 
     evidence: SceneEvidence
@@ -65,9 +66,9 @@ class SolidCost:
 
     @property
     def without(self) -> float:
-        """Return the misfit of the scene without the solid; nothing is fitted again.
+        """The misfit of `guess`, without the solid; nothing is fitted again.
 
-        It is that of patches and the windows' picture, without the prior.
+        It is the sum of those of sun patches and of the windows' picture, without the prior.
         """
         patches = self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
         return patches + self._view_misfit

@@ -34,7 +34,7 @@ MIN_HOURS_OUTSIDE = 4
 
 @dataclass(frozen=True, slots=True)
 class SceneResult:
-    """A fitted scene, and the files that were written."""
+    """A fitted scene, and the files that were written: scene.toml and three pictures."""
 
     scene: Scene
     files: tuple[Path, ...]
@@ -50,10 +50,12 @@ def run(
 ) -> SceneResult:
     """Fit the scene of captures and write scene.toml, overlay.png, windows.png and plan.png.
 
-    Centres of the sun's disc that merge measured are used if there are at least three.
-    clock_sd_min: standard uncertainty of the captures' times. Raises InputError without a `[room]`
-    of kind box with a window, and for captures that contradict it (`checks.check_captures`);
-    NotEnoughDataError for too few sunny captures. Nothing is written then.
+    out: the folder, created if needed. Centres of the sun's disc that merge measured are used if
+    there are at least three. clock_sd_min: standard uncertainty of the captures' times. Raises
+    InputError without a `[room]`, for one that is not a box, has no window or is impossible, for
+    captures that contradict it (`checks.check_captures`), and for a damaged sidecar;
+    NotEnoughDataError for fewer than six captures with direct sun on a window. Nothing is written
+    then.
     """
     room = data.setup.room
     if room is None:
@@ -87,11 +89,12 @@ def run(
 def judged_scene(
     data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
 ) -> Scene:
-    """Return the fit as a scene, with the geometry that held-out hours support.
+    """Return the fit as a scene, with the geometry that `judge_fit` chooses.
 
-    If too few directions of the sun were captured, the misfit of patches on held-out hours chooses
-    alone, the expected error is unknown (None), and the choice is not trusted. The choice is not
-    trusted either with fewer than four held-out hours.
+    If the sunny captures have fewer than three separate directions of the sun, the misfit of
+    patches on held-out hours chooses alone (`choose_by_misfit`), the expected error is unknown
+    (None), and the choice is not trusted. The choice is not trusted either with fewer than four
+    held-out hours.
     """
     try:
         verdict = judge_fit(data, fit, seed=seed, progress=progress)
@@ -120,7 +123,11 @@ def judged_scene(
 def judge_fit(
     data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
 ) -> SceneVerdict:
-    """Judge no patch, the stated box and the fitted scene, by transport models of the captures."""
+    """Judge no patch, the stated box and the fitted scene, by transport models of the captures.
+
+    Misfits are those of the fit's held-out hours; `judge` chooses. Raises NotEnoughDataError for
+    fewer than three separate directions of the sun.
+    """
     from fieldlum.models.transport import fit as fit_transport
 
     def fit_model(captures: Dataset, patch: Patch) -> Predictor:
@@ -142,8 +149,8 @@ def judge_fit(
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     """Return the geometry that the held-out hours support, and why.
 
-    In the order none, stated, fitted, a geometry replaces the one chosen so far if it is better by
-    more than one standard error over the hours.
+    In the order none, stated, fitted, a geometry replaces the one chosen so far if its mean share
+    of wrong pixels is lower by more than one standard error of the difference over the hours.
     """
     order: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen: Chosen = "none"

@@ -35,7 +35,7 @@ MAX_OTHER_SHARE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class BoxVerdict:
-    """Whether captures support the patches of the stated box, and why."""
+    """The choice between sun patches of the stated box ("stated") and none ("none"), and why."""
 
     chosen: Chosen
     reason: str
@@ -44,10 +44,11 @@ class BoxVerdict:
 def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     """Return the choice between no patch and the stated box; None with 12 clear hours or more.
 
-    The box is not used if it leaves over 10 % more wrong pixels near sun patches than no patch.
-    Otherwise, also if no capture has direct sun on a window, it is used: a box of about the right
-    place predicts suns that were not captured better than no patch does. Raises InputError for a
-    room that is not a box or has no window.
+    A clear hour has over 1 000 lx of direct sun on a window. The box is not used if it leaves over
+    10 % more wrong pixels near sun patches than no patch. Otherwise, also if no capture has direct
+    sun on a window, it is used: a box of about the right place predicts suns that were not captured
+    better than no patch does. Raises InputError for a room that, with fewer clear hours, is not a
+    box, has no window or is impossible.
     """
     clear = int(sunny_hours(data, room).sum())
     if clear >= MIN_CLEAR_HOURS:
@@ -81,8 +82,9 @@ def training_captures(
 ) -> tuple[Dataset, str]:
     """Return captures as `train` learns them, and the patch mode for training.
 
-    The scene is used as `in_scene` describes. If `option` is empty and there is no scene, captures
-    with few clear hours decide whether the stated box is used, as `with_judged_box` describes.
+    The arguments are those of `in_scene`, which applies the scene. If `option` is empty and there
+    is no scene, captures with few clear hours decide whether the stated box is used, as
+    `with_judged_box` describes. Raises InputError as `in_scene` does.
     """
     data, patch = in_scene(data, pairs, option, patch, progress=progress)
     return (data, patch) if option else with_judged_box(data, patch, progress=progress)
@@ -93,10 +95,11 @@ def with_judged_box(
 ) -> tuple[Dataset, str]:
     """Return captures without a scene as `judge_box` decides, and the patch mode for training.
 
-    They do not change with a scene, with 12 clear hours or more, with `patch` "none", or with sun
-    patches that are not those of a box `[room]`. Edges measured by tape are wrong by centimetres.
-    Patches of the stated box are therefore learnt like those of a fitted scene, by robust recipes
-    (decision 13).
+    If it decides for the box, they have its patches; if not, none, and the mode is "none". They do
+    not change with a scene, with 12 clear hours or more, with `patch` "none", without a box
+    `[room]` with windows, or with sun patches of another source than this room. As edges measured
+    by tape are wrong by centimetres, patches of the stated box are learnt like those of a fitted
+    scene, by robust recipes (decision 13). Raises InputError for an impossible room.
     """
     room = data.setup.room
     if data.scene is not None or patch == "none" or room is None:

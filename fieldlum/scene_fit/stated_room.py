@@ -17,7 +17,11 @@ START_CLOCKS_MIN = (-6.0, 0.0, 6.0)  # slightly beyond the prior's 5 minutes; ch
 
 @dataclass(frozen=True, slots=True)
 class StatedRoom:
-    """What is known before the search: stated room, pose by sun discs, uncertainty of the clock."""
+    """What is known before the search: the stated room, and pose and clock by sun discs.
+
+    pose: None without discs. clock_sd_min: standard uncertainty of the stated times, used without
+    `pose`.
+    """
 
     room: Room
     pose: PosePrior | None
@@ -25,23 +29,24 @@ class StatedRoom:
 
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
-        """Return how late the clock is assumed at the start of each search, [min].
+        """How late the clock is assumed to be at the start of each search, [min].
 
-        There are several if the clock's standard uncertainty is over a minute.
+        They are -6, 0 and 6 if `is_clock_open`; otherwise the clock by sun discs, or 0 without
+        discs.
         """
         clock = 0.0 if self.pose is None else float(self.pose.values[3])
         return START_CLOCKS_MIN if self.is_clock_open else (clock,)
 
     @property
     def is_clock_open(self) -> bool:
-        """Whether the clock's standard deviation is over a minute."""
+        """Whether the clock's standard uncertainty is over a minute: that by sun discs, if any."""
         return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
         """Return the guess with its clock `clock_min` late, and a pose that compensates for it.
 
-        With discs of the sun the pose is the most likely one for this clock; without, the north is
-        turned as far as the sun moves in the changed minutes.
+        With discs of the sun the pose is the most likely one for this clock; without, north
+        decreases by 0.25 degrees for each minute that the clock is later than the guess's.
         """
         if self.pose is not None:
             return self.pose.at_clock(guess, clock_min)

@@ -15,8 +15,9 @@ SKY_TURN_DEG_PER_MIN = 0.25
 def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -> Array:
     """Return the sun's directions `minutes` earlier (negative: later), [n, 3].
 
-    sun_direction : [n, 3] unit vectors (x east, y north, z up). The sun turns about the celestial
-    pole from east to west; Rodrigues' rotation formula is exact for this.
+    sun_direction: [n, 3] unit vectors (x east, y north, z up); latitude_deg: north positive. The
+    sky turns about the celestial pole by 0.25 degrees a minute from east to west (Rodrigues'
+    formula).
     """
     suns = np.asarray(sun_direction, float)
     angle = np.radians(SKY_TURN_DEG_PER_MIN * minutes)  # counter-clockwise about the pole

@@ -53,8 +53,8 @@ FitTransport = Callable[["Dataset", "Patch"], Predictor]
 class GeometryCandidate:
     """A geometry to compare.
 
-    data: captures with its heading, sun, room and sun patches (None: no patch). misfit: of patches
-    on the hours outside the search (NaN: unknown).
+    data: captures with its heading, sun, room and sun patches (None: no patch). misfit: mean share
+    of wrong pixels, 0 to 1, on the hours held out of the search (NaN: unknown).
     """
 
     name: str
@@ -64,7 +64,11 @@ class GeometryCandidate:
 
 @dataclass(frozen=True, slots=True)
 class GeometryScore:
-    """Expected log10 MSE and share of trusted hours of a year; patch misfit outside the search."""
+    """How well a geometry predicts: errors expected in a year, and misfit of its sun patches.
+
+    misfit: mean share of wrong pixels, 0 to 1, on the hours held out of the search. trusted_share:
+    of a year's hours, those that the model trusts.
+    """
 
     name: str
     expected_log10_mse: float
@@ -76,8 +80,8 @@ class GeometryScore:
 class SceneVerdict:
     """The chosen geometry and why it was chosen.
 
-    trusted: whether the model trusts most hours of a year, and its errors and the misfit of patches
-    speak for the same geometry.
+    trusted: whether the model trusts at least half of a year's hours, and no other geometry's
+    expected error is clearly smaller (over 5 %). scores: of all candidates, simplest first.
     """
 
     chosen: str
@@ -89,7 +93,10 @@ class SceneVerdict:
 
 
 def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
-    """Return a block number for each sun [n, 3]; suns closer than `reach_deg` share a block."""
+    """Return a block number from 0 for each sun, [n]; suns closer than reach_deg share a block.
+
+    suns: unit vectors [n, 3]. A chain of such neighbours is one block.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -98,9 +105,10 @@ def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
 
 
 def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return a mask [n] of the hours with strong direct sun on the plane of a window.
+    """Return a mask [n], True for hours with strong direct sun on the plane of a window.
 
-    Strong is over 1 000 lx and a tenth of the total light, from a sun over 2 degrees.
+    Strong is over 1 000 lx and over a tenth of the total light, from a sun over 2 degrees. Without
+    a box room with windows, the planes are eight vertical ones, every 45 degrees.
     """
     normals = facades_of(room).normals
     facing = np.maximum(data.light.sun_direction @ normals.T, 0.0).max(axis=1)
@@ -110,9 +118,10 @@ def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
 
 
 def outside_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return a mask [n] of the hours to hold out: sunny, in every third block of sun directions.
+    """Return a mask [n], True for hours to hold out: sunny, in every third block of sun directions.
 
-    Raises NotEnoughDataError for fewer blocks than three.
+    Sunny is as in `sunny_hours`; a block (`sun_blocks`) has suns within 9 degrees of each other or
+    in a chain. Raises NotEnoughDataError for fewer blocks than three.
     """
     sunny = sunny_hours(data, room)
     blocks = sun_blocks(data.light.sun_direction[sunny])
@@ -134,10 +143,11 @@ def judge(
     seed: int = 0,
     progress: Progress = quiet,
 ) -> SceneVerdict:
-    """Choose among candidates of the same hours; candidates are sorted, simplest first.
+    """Choose among candidates of the same hours, as `choose_geometry`; simplest candidate first.
 
-    fit: fits the transport model to captures with patch mode "absolute" or "none". Raises
-    NotEnoughDataError if too few directions of the sun were captured.
+    fit: returns a transport model of captures with patch mode "absolute" or "none"; 250 pixels and
+    hours of a year, drawn by `seed`, give the expected errors. Raises NotEnoughDataError for fewer
+    than three separate directions of the sun.
     """
     first = candidates[0].data
     room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)
@@ -172,9 +182,9 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
     """Return the simplest geometry that no richer one clearly beats; scores are simplest first.
 
     A richer geometry beats a simpler one if the simpler one's patches leave over 10 % more wrong
-    pixels on hours that no search used. If the numbers agree within 10 %, the richer one's expected
-    error must be over 5 % smaller. The choice is not trusted if the model trusts less than half of
-    a year's hours, or if the expected error of another geometry is over 5 % smaller.
+    pixels on hours that no search used. If the two numbers agree within 10 %, the richer one's
+    expected error must be over 5 % smaller. The choice is not trusted if the model trusts less than
+    half of a year's hours, or if the expected error of another geometry is over 5 % smaller.
     """
     chosen = scores[0]
     for score in scores[1:]:

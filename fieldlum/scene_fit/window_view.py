@@ -39,9 +39,9 @@ class WindowView:
     """The median picture of q pixels near the windows, and the rays that sample it.
 
     seen: luminance over that of the hour's mean pane, median of the hours [q]; row: of the picture,
-    from 0 [q]; weights: share of the solid angle that the camera sees, 0 if the room is too bright
-    to show edges [q]; rays in stated world axes [r, 3]; pixel: index below q of each ray [r];
-    per_pixel: number of rays.
+    from 0 at the topmost of the pixels [q]; weights: share of the solid angle that the camera sees,
+    all 0 if the room is too bright to show edges [q]; rays: unit vectors, x east, y north, z up by
+    the stated heading [r, 3]; pixel: index below q of each ray [r]; per_pixel: rays in each pixel.
     """
 
     seen: Array
@@ -52,7 +52,7 @@ class WindowView:
     per_pixel: int
 
     def thinned(self, every: int) -> WindowView:
-        """Return the view at every n-th pixel, `every` being n, with the same sum of weights."""
+        """Return the view at pixels 0, `every`, 2 `every` ..., with the same sum of weights."""
         keep = np.arange(0, len(self.seen), every)
         place = np.full(len(self.seen), -1)
         place[keep] = np.arange(len(keep))
@@ -68,12 +68,15 @@ class WindowView:
         )
 
     def redrawn(self, rng: np.random.Generator) -> WindowView:
-        """Return the view with random weights of its pixels (a Bayesian bootstrap)."""
+        """Return the view with random weights of its pixels (a Bayesian bootstrap).
+
+        The sum of the weights is about the same.
+        """
         share = rng.exponential(1.0, len(self.weights))
         return replace(self, weights=self.weights * share / max(share.mean(), 1e-12))
 
     def errors(self, guess: Guess) -> Array:
-        """Return predicted minus seen luminance of each pixel over that of its panes, [q].
+        """Return predicted minus seen luminance of each pixel over that of its row's panes, [q].
 
         A pixel mixes panes, reveals and the room in the shares that the guess has, with the
         `levels` that explain the picture best.
@@ -90,7 +93,8 @@ class WindowView:
         """Return the luminances that explain the picture best, for pixels with the shares [q, 5].
 
         They are that of the panes in each picture row, then of sill, head, jambs and room, [rows +
-        4], as shares of the mean pane's luminance. share: see `shares`.
+        4], over the mean pane's luminance. The last four are drawn towards 0.3, 0.15, 0.15 and
+        0.05, and neighbouring rows towards each other. share: see `shares`.
         """
         pane, rest = share[:, 0], share[:, 1:]
         rows = int(self.row.max()) + 1
@@ -110,11 +114,17 @@ class WindowView:
         return np.linalg.solve(normal + 1e-9 * np.eye(size), right)
 
     def shares(self, guess: Guess) -> Array:
-        """Return the share of each pixel that shows pane, sill, head, jamb, room or bar, [q, 5]."""
+        """Return the share of each pixel that shows pane, sill, head, jamb or the rest, [q, 5].
+
+        The rest is room, furniture and bars.
+        """
         return self.shares_of(self.kinds(guess))
 
     def kinds(self, guess: Guess) -> NDArray[np.int8]:
-        """Return what each ray sees, `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR` (also room), [r]."""
+        """Return what each ray sees: `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR` (0 to 4), [r].
+
+        `BAR` is also the room and its furniture.
+        """
         ends = surfaces(guess, self.rays)
         into = np.flatnonzero(ends.surface == OUTSIDE)
         turn = guess.camera_turn.T.astype(np.float32)
@@ -123,13 +133,16 @@ class WindowView:
         return kind
 
     def shares_of(self, kind: NDArray[np.int8]) -> Array:
-        """Return the share of each pixel's rays that see `PANE` ... `BAR`, [q, 5]; kind: [r]."""
+        """Return the share of each pixel's rays that see each of the five kinds, [q, 5].
+
+        kind: what each ray sees, 0 to 4: `PANE`, `SILL`, `HEAD`, `JAMB`, `BAR` (also room) [r].
+        """
         count = len(self.seen)
         counts = np.bincount(self.pixel * (BAR + 1) + kind, minlength=count * (BAR + 1))
         return counts.reshape(count, BAR + 1) / self.per_pixel
 
     def residuals(self, guess: Guess) -> Array:
-        """Return numbers [q] whose squares add up to the misfit."""
+        """Return numbers [q] whose squares add up to `misfit`; 0 if the picture shows no edges."""
         if not self.weights.any():
             return np.zeros(len(self.weights))
         return self._saturated(self.errors(guess))
@@ -138,18 +151,25 @@ class WindowView:
         return np.sqrt(self.weights) * error / np.sqrt(error**2 + WIDTH**2)
 
     def misfit(self, guess: Guess) -> float:
-        """Return the share of all seen pixels that the guess's windows leave wrong."""
+        """Return the share of the camera's solid angle that the guess's windows leave wrong.
+
+        It is the weighted sum of e^2 / (e^2 + 0.25^2), e being `errors`; 0 if the picture shows no
+        edges.
+        """
         return float((self.residuals(guess) ** 2).sum())
 
     def misfit_of(self, kind: NDArray[np.int8]) -> float:
-        """Return the share of all seen pixels that are wrong, if each ray sees `kind` [r]."""
+        """Return `misfit` for rays that see `kind` [r]: `PANE`, `SILL`, `HEAD`, `JAMB` or `BAR`."""
         if not self.weights.any():
             return 0.0
         return float((self._saturated(self._errors(self.shares_of(kind))) ** 2).sum())
 
 
 def window_view(data: Dataset, guess: Guess) -> WindowView:
-    """Return the captures' median picture near the windows of a guess; empty if none is in view."""
+    """Return the captures' median picture near the windows of a guess; empty if none is in view.
+
+    Near is within 6 degrees. It is also empty if the pixels show only panes.
+    """
     from fieldlum.scene.view import pixel_rays
 
     height, width = data.shape
