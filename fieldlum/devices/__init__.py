@@ -36,37 +36,42 @@ FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no ch
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Description of a camera; empty or None where the driver does not know a value."""
+    """Description of a camera; empty or None where the driver does not know a value.
 
-    kind: str  # the driver
+    kind : the driver, such as gphoto; clock_offset_s : the camera's clock minus the computer's [s];
+    frames_left : number of frames that the camera can still take.
+    """
+
+    kind: str
     make: str = ""
     model: str = ""
     serial: str = ""
     firmware: str = ""
     lens: str = ""
     battery: str = ""
-    clock_offset_s: float | None = None  # the camera's clock minus the computer's [s]
-    frames_left: int | None = None  # number of frames that still fit on its card
+    clock_offset_s: float | None = None
+    frames_left: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class InstrumentInfo:
-    """Description of an instrument, from its answers, its profile or its driver.
+    """Description of an instrument, from its answers, its profile or its driver; "" where unknown.
 
-    Empty where nothing is known.
+    kind : the driver or register profile; calibration_date : in ISO form; sensitivity : with its
+    unit; status : "" if no fault is reported; gives : any of ghi, dhi, dni, illuminance; guard :
+    how a damaged answer is detected: by CRC-16, by exclusive or, by a second query, or by its form
+    alone.
     """
 
-    kind: str  # the driver or register profile
+    kind: str
     model: str = ""
     serial: str = ""
     firmware: str = ""
-    calibration_date: str = ""  # ISO
-    sensitivity: str = ""  # with its unit
-    status: str = ""  # empty if no fault is reported
+    calibration_date: str = ""
+    sensitivity: str = ""
+    status: str = ""
     port: str = ""
-    gives: tuple[str, ...] = ("ghi",)  # any of ghi, dhi, dni, illuminance
-    # How a damaged answer is detected: by CRC-16, by exclusive or, by a second query, or
-    # (FORM_ALONE) only by its form.
+    gives: tuple[str, ...] = ("ghi",)
     guard: str = ""
 
 
@@ -81,8 +86,9 @@ class Camera(Protocol):
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame, write it to `target` plus the camera's suffix, and return the file.
 
-        heading_deg : view direction, for a camera on a turning head. Raises DeviceError if the
-        camera fails or does not offer this exposure.
+        heading_deg : view direction [deg clockwise from north], for a camera on a turning head;
+        others ignore or reject it. Raises DeviceError if the camera fails or does not offer this
+        exposure, OSError if the disk is full.
         """
         ...
 
@@ -103,7 +109,8 @@ class BracketingCamera(Protocol):
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
         """Take the frames of a bracket in the given order; return the files written.
 
-        Each file is its target plus a suffix. Raises DeviceError if a frame is missing.
+        targets : one path for each frame, to which its suffix is added. Raises DeviceError if the
+        camera fails or cannot take the bracket, OSError if the disk is full.
         """
         ...
 
@@ -113,7 +120,7 @@ class ReportingCamera(Protocol):
     """A camera that reports which exposure it took; it may differ from the requested one."""
 
     def exposure_taken(self, written: Path) -> Exposure | None:
-        """Return the exposure of the frame just written; None if the camera does not report it."""
+        """Return the exposure of the newest frame, the file `written`; None if not reported."""
         ...
 
 
@@ -127,7 +134,10 @@ class Choosing(Protocol):
 
 
 def refuse_turning(kind: str, heading_deg: float | None) -> None:
-    """Raise DeviceError if a frame has a heading: this camera has no turning head."""
+    """Raise DeviceError unless `heading_deg` is None, for a camera without a turning head.
+
+    kind : the driver's name, for the error.
+    """
     if heading_deg is not None:
         raise DeviceError(
             f"{kind}: this camera has no turning head; remove headings from the site file and plan "
@@ -162,7 +172,8 @@ class Pyranometer(Protocol):
     def read(self) -> IrradianceSample:
         """Return one reading: a new one, or the newest that the instrument sent by itself.
 
-        Raises DeviceError if the instrument does not answer, or if the answer is damaged.
+        Raises DeviceError if the instrument does not answer, or if the answer is damaged or
+        impossible.
         """
         ...
 
@@ -176,13 +187,13 @@ class Streaming(Protocol):
     """An instrument that sends lines with readings without a request."""
 
     def refused(self) -> list[str]:
-        """Return the lines rejected since the last call, at most 100, each with the reason."""
+        """Return the lines rejected since the last call (the newest 100), each with the reason."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class IlluminanceReading:
-    """One reading of an illuminance meter; `raw` is the answer as received."""
+    """One reading of an illuminance meter; `raw` is the answer as received, less its line end."""
 
     illuminance_lx: float
     low_battery: bool = False
@@ -238,20 +249,21 @@ def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
     """Open the camera that a device URI names, such as ``gphoto:``, by the driver of its scheme.
 
-    session : the simulator reads its site file and truth, rpicam the aperture in its plan; other
-    drivers ignore it. Raises DeviceError for an unknown scheme or option, or if the camera is
-    missing; InputError for a file of the simulator or plan that cannot be used.
+    session : the simulator reads its SITE.toml and its rendered panoramas, rpicam its planned
+    aperture; other drivers ignore it. Raises DeviceError for a malformed URI, an unknown scheme or
+    option, or a missing camera; InputError for a file of the session or a camera profile that
+    cannot be used.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, CAMERAS, "camera")(parsed, clock=clock, session=session)
 
 
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
-    """Open the pyranometer that a device URI names.
+    """Open the pyranometer that a device URI names, such as ``modbus:/dev/ttyUSB0?kind=smp``.
 
-    session : the simulator reads its site file and true irradiance; other drivers ignore it. Raises
-    DeviceError for an unknown scheme or option, or if the instrument is missing; InputError for a
-    broken profile or truth.
+    session : the simulator reads its SITE.toml and simulated irradiance; other drivers ignore it.
+    Raises DeviceError for a malformed URI, an unknown scheme or option, or a missing instrument;
+    InputError for a file of the session or an instrument profile that cannot be used.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, PYRANOMETERS, "pyranometer")(parsed, clock=clock, session=session)
@@ -260,7 +272,8 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
 def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
     """Open the illuminance meter that a device URI names, such as ``cl200a:/dev/ttyUSB0``.
 
-    Raises DeviceError for an unknown scheme or option, or if the meter does not answer.
+    Raises DeviceError for a malformed URI, an unknown scheme or option, a port that cannot be
+    opened, or a meter that does not answer.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, METERS, "illuminance meter")(parsed, clock=clock)

@@ -37,21 +37,21 @@ _CORRECT = "check the cable, or correct the instrument's program or the profile"
 class AsciiLine(SerialLine):
     """Settings of the serial line of an instrument that prints its readings.
 
-    `silence_s` must be longer than the restart of an Arduino, because opening the line restarts
-    most of them.
+    silence_s : time without a line [s] after which the instrument counts as silent. It must be
+    longer than the restart of an Arduino, because opening the line restarts most of them.
     """
 
-    silence_s: float = 5.0  # the instrument counts as silent after this time without a line
+    silence_s: float = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class AsciiField:
     """One number in a line that an instrument prints: quantity = scale * number + offset.
 
-    The fields with a default, apart from scale and offset, reject damaged numbers. `decimals` :
-    exact number of digits after the point; `width` : exact number of characters, as printf's %6.1f
-    or %06.1f print; `unit` : text directly behind the number; `lowest` and `highest` : limits of
-    the quantity.
+    key : name of the number in the line, or its group in the pattern. The other fields reject
+    damaged numbers: `decimals`, the exact number of digits after the point; `width`, the exact
+    number of characters, as printf's %6.1f or %06.1f print; `unit`, the text directly behind the
+    number; `lowest` and `highest`, limits of the quantity (None: -200 to 4000 W/m2, -60 to 150 C).
     """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
@@ -67,16 +67,19 @@ class AsciiField:
 
 @dataclass(frozen=True, slots=True)
 class AsciiProfile:
-    """The format of the lines that an instrument prints, from instruments/ascii/NAME.toml."""
+    """The format of the lines that an instrument prints, from instruments/ascii/NAME.toml.
+
+    pattern : regular expression for the form regex, with a group for each entry's key; only : for
+    key-value and json, a line has only the entries' keys, in their order; checksum : the line ends
+    in * and hexadecimal digits, which check the text before the *, without a leading $: two digits
+    for xor (exclusive or of the bytes, as in NMEA), four for crc16 (CRC-16/MODBUS).
+    """
 
     name: str
     form: Literal["regex", "key-value", "json"]
     entry: tuple[AsciiField, ...]
-    pattern: str = ""  # of a regex; its groups have the names of the entries' keys
-    only: bool = False  # for key-value and json: only these keys, in this order
-    # The line ends in * and hexadecimal digits. These check the text before the *, without a
-    # leading $. Two digits are the exclusive or of its bytes, as in NMEA. Four digits are
-    # CRC-16/MODBUS, which detects all damage to a few bytes.
+    pattern: str = ""
+    only: bool = False
     checksum: Literal["none", "xor", "crc16"] = "none"
     model: str = ""
     serial: str = ""
@@ -129,7 +132,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Return the quantities in one line, by name such as ``ghi_wm2``; `line` has its line feed.
+    """Return the quantities in one line, which ends in a line feed, by name such as ``ghi_wm2``.
 
     Raises DeviceError for a line that is damaged or does not fit the profile, and for a quantity
     outside its limits.
@@ -154,7 +157,7 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
 
 
 def body_of(profile: AsciiProfile, line: bytes) -> str:
-    """Return the text of a complete line without its line feed and its checksum.
+    """Return the text of a complete line without its line end and without its checksum.
 
     Raises DeviceError for a line without a line feed, of over 1000 bytes, with other bytes than
     ASCII text, or with a missing or wrong checksum.
@@ -285,6 +288,9 @@ def _form(entry: AsciiField) -> str:
 
 
 def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:
-    """Return a pyranometer sample of `values`, by name such as ``ghi_wm2``; others are None."""
+    """Return a pyranometer sample of `values`, by name such as ``ghi_wm2``; missing ones are None.
+
+    raw : the instrument's own text, stored with the sample.
+    """
     ghi, dhi, dni = values.get("ghi_wm2"), values.get("dhi_wm2"), values.get("dni_wm2")
     return IrradianceSample(t_utc, ghi, dhi, dni, values.get("temperature_c"), raw=raw)

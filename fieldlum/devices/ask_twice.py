@@ -27,11 +27,10 @@ def agreed_answer(
     time are evenly spaced.
 
     The instrument is queried twice, and a third time if the answers differ by more than the noise
-    or one of them is damaged.
-    If two values agree, the earlier of the nearest two is returned. Otherwise, if three values are
-    `in_line`, the light was changing and the middle one is returned. A damaged answer agrees with
-    no other. Raises DeviceError if neither is the case, or at once if `ask` raises it, for example
-    because the instrument is silent.
+    or exactly one of them is damaged. If two values agree, the earlier of the nearest two is
+    returned. Otherwise, if three values are `in_line`, the light was changing and the middle one is
+    returned. A damaged answer agrees with no other. Raises DeviceError if neither is the case, or
+    at once if `ask` raises it, for example because the instrument is silent.
     """
     answers: list[bytes] = []
     valid: list[T] = []

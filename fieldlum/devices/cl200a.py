@@ -50,7 +50,10 @@ class NotReady(DeviceError):
 
 
 def bcc(body: bytes) -> bytes:
-    """Return the two check digits (BCC) of a frame; `body` is without STX and ETX."""
+    """Return the check digits (BCC) of a frame: exclusive or of `body` and ETX, as two hex digits.
+
+    body : without STX and ETX.
+    """
     return b"%02X" % reduce(xor, body + ETX)
 
 
@@ -86,8 +89,8 @@ def _value(six: str) -> float:
 def parse_answer(reply: bytes) -> IlluminanceReading:
     """Return the illuminance reading in the meter's answer to its measuring command (02).
 
-    Raises DeviceError for a damaged answer and for an error that the meter reports; NotReady if the
-    meter changes its range or has not measured yet.
+    Raises DeviceError for a damaged answer, an error that the meter reports, over 200 000 lx or
+    another impossible value; NotReady if the meter changes its range or has not measured yet.
     """
     body = unframe(reply)
     match = _ANSWER.fullmatch(body)
@@ -116,7 +119,9 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
 class Cl200a:
     """A CL-200A on a serial port; implements `IlluminanceMeter`.
 
-    sleep : waits for a number of seconds. Raises DeviceError if the meter does not answer.
+    place : the port; sleep : waits for a number of seconds; parity : "N" for a line of 8 bits
+    without parity. Raises DeviceError if the port cannot be opened, or if the meter does not answer
+    or its answer is damaged.
     """
 
     def __init__(
@@ -153,8 +158,8 @@ class Cl200a:
     def read(self) -> IlluminanceReading:
         """Measure, up to four times until the meter is ready, and return the illuminance.
 
-        Raises DeviceError if the meter does not answer, its answer is damaged or reports an error,
-        or the meter does not settle on a range.
+        Raises DeviceError if the meter does not answer or is not ready after four measurements, or
+        if its answer is damaged, impossible or reports an error.
         """
         for _ in range(_TRIES - 1):
             with suppress(NotReady):
@@ -184,9 +189,9 @@ class Cl200a:
 
 
 def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a:
-    """Open the meter of ``cl200a:/dev/serial/by-id/...``.
+    """Open the meter of ``cl200a:/dev/serial/by-id/...``; option parity: E (default) or N.
 
-    Raises DeviceError for an unknown option, a missing port, or no answer.
+    Raises DeviceError for an unknown option or value, a missing port, or no answer.
     """
     options = uri.read(parity=one_of("E", "N"))
     if not uri.place:

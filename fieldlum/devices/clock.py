@@ -26,7 +26,7 @@ class Clock(Protocol):
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Wait for a number of seconds."""
+        """Wait for a number of seconds; not at all for a negative one."""
         ...
 
 
@@ -56,7 +56,7 @@ class RealClock:
         )
 
     def sleep(self, seconds: float) -> None:
-        """Wait for a number of seconds."""
+        """Wait for a number of seconds; not at all for a negative one."""
         time.sleep(max(seconds, 0.0))
 
 
@@ -76,8 +76,9 @@ class ClockFault:
 class FastClock:
     """A simulated clock: `sleep` returns at once and moves its time forward.
 
-    `true_utc` is the time of the simulated sun. faults : steps and suspends that happen at their
-    times; `step` and `suspend` cause them directly.
+    start : first time, aware; `true_utc` : time of the simulated sun; faults : steps and suspends
+    that happen at their times; `step` and `suspend` cause them directly. Raises ValueError for a
+    naive start.
     """
 
     def __init__(self, start: datetime, faults: Iterable[ClockFault] = ()) -> None:
@@ -110,7 +111,10 @@ class FastClock:
             return self._boot_s
 
     def sleep(self, seconds: float) -> None:
-        """Advance the time by `seconds`, and by the suspends that begin within them."""
+        """Advance the time by `seconds` (0 if negative), and apply the faults due until then.
+
+        A suspend adds its own duration.
+        """
         with self._lock:
             left = max(seconds, 0.0)
             while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=left):
@@ -122,7 +126,7 @@ class FastClock:
             self._pass(left)
 
     def step(self, seconds: float) -> None:
-        """Set the wall clock forward (or back, if negative)."""
+        """Set the wall clock forward by `seconds` (or back, if negative)."""
         with self._lock:
             self._step_s += seconds
 

@@ -33,7 +33,8 @@ def failure(error: Exception) -> tuple[str, Any]:
 class Child:
     """A child process that starts with the first command and runs one command at a time.
 
-    starts : number of times that it was started.
+    name : for errors; serve : function that the child runs; starts : number of times that it was
+    started. The next command after its end starts it again.
     """
 
     def __init__(self, name: str, serve: Serve) -> None:
@@ -51,8 +52,8 @@ class Child:
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
         """Send a command to the child and return its answer.
 
-        Raises DeviceError if the child reports an error, does not answer (it is then killed) or
-        dies; OSError if the child found the disk full.
+        Raises DeviceError if the child reports an error, dies, or does not answer within
+        `timeout_s` (it is then killed); OSError if the child found the disk full.
         """
         with self._lock:
             pipe = self._ready()

@@ -42,7 +42,8 @@ def setting_value(text: str) -> float | None:
 def choose(role: str, asked: float, choices: list[str]) -> str:
     """Return the entry of `choices`, as the camera writes it, that is nearest to the value `asked`.
 
-    role : shutter [s], aperture or iso. Raises DeviceError if no choice is within 1/6 EV.
+    role : shutter ([s]), aperture (f-number) or iso; nearest : by ratio. Raises DeviceError if no
+    choice is within 1/6 EV.
     """
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
     unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
@@ -57,9 +58,10 @@ def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
 class GphotoCamera:
     """A tethered camera, by libgphoto2 in a child process; implements `Camera` and `Choosing`.
 
-    After a hang or a crash the next `expose` restarts the child. readout_s : time that is added to
-    the shutter time before a call counts as hung; late_file_s : time to wait for the second file of
-    a raw and JPEG pair.
+    After a hang or a crash the next `expose` restarts the child. delete : whether copied pictures
+    are deleted from the card; readout_s : time that is added to the shutter time before a call
+    counts as hung; late_file_s : time to wait for the second file of a raw and JPEG pair. Raises
+    DeviceError if the camera cannot be opened or offers no shutter times.
     """
 
     def __init__(
@@ -97,8 +99,9 @@ class GphotoCamera:
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Set what the camera lets a computer set, take the frame and copy it; return the file.
 
-        The EXIF of the frame is not checked. Raises DeviceError if the camera fails, does not offer
-        the exposure or shows another setting, and OSError if the disk is full.
+        The EXIF of the frame is not checked. Raises DeviceError for a heading, or if the camera
+        fails, does not offer the exposure or shows another setting, and OSError if the disk is
+        full.
         """
         refuse_turning("gphoto", heading_deg)
         if not self._child.alive or self._child.starts != self._opened_at_start:
@@ -140,7 +143,8 @@ class GphotoCamera:
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
     """Open the first tethered camera, or the first whose model contains the URI's place.
 
-    Raises DeviceError for an unknown option, without the package gphoto2, or without a camera.
+    Raises DeviceError for an unknown option, without the package gphoto2, without a camera, or for
+    one that offers no shutter times.
     """
     from importlib.util import find_spec
 

@@ -33,7 +33,10 @@ _TRIES = 4  # number of tries, half a second apart, while the camera is busy; ch
 
 
 class GphotoDescription(TypedDict):
-    """What a camera reports about itself; settings: (widget, choices) by shutter, aperture, iso."""
+    """What a camera reports about itself; clock_offset_s : its clock minus the computer's [s].
+
+    settings : (widget, choices) by shutter, aperture, iso, for those that a computer can set.
+    """
 
     make: str
     model: str
@@ -46,7 +49,10 @@ class GphotoDescription(TypedDict):
 
 
 def serve(pipe: Connection) -> None:
-    """Answer the parent's commands to the camera through `pipe`, until `close` or its end."""
+    """Answer the commands to the camera that come through `pipe`, until `close`.
+
+    It ends also if the parent closes the pipe or ends.
+    """
     import gphoto2 as gp
 
     camera: Any = None

@@ -26,8 +26,7 @@ _PADDED = re.compile(r"[+-]?0\d")
 def constant(values: Sequence[Hashable]) -> Hashable | None:
     """Return the value that nearly all of `values` have, or None.
 
-    One value may differ, or one in sixty if there are over 120 values. None for fewer than 20
-    values.
+    One value may differ; from 120 values on, one in sixty. None for fewer than 20 values.
     """
     if len(values) < ENOUGH:
         return None
@@ -52,7 +51,11 @@ class _Number:
 
 @dataclass(slots=True)
 class LineForm:
-    """The format of the last 60 lines of a stream, against which each new line is checked."""
+    """The format of the last 60 lines of a stream, against which each new line is checked.
+
+    texts : the text around the numbers, one for each line; numbers : the form of each number, by
+    its place in the line (0 is the first).
+    """
 
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))
     numbers: dict[int, _Number] = field(default_factory=dict)
@@ -60,7 +63,8 @@ class LineForm:
     def unlike(self, text: str) -> str:
         """Return how a line differs from the format of earlier lines, or ""; learn from the line.
 
-        After a permanent format change, two lines are rejected, then the new format is accepted.
+        The result is "" until a format is known from 20 lines. After a permanent format change, two
+        lines are rejected, then the new format is accepted.
         """
         numbers = list(_NUMBER.finditer(text))
         around = re.sub(r"[ \t]+", " ", _NUMBER.sub("#", text))

@@ -34,12 +34,13 @@ class LoggerFile:
 def read_logger_file(
     path: Path, utc_offset: timedelta | None = None, columns: Mapping[str, str] | None = None
 ) -> LoggerFile:
-    """Read the irradiance in a data logger's file.
+    """Read the irradiance in a data logger's file: TOA5, csv, or a day file of fieldlum.
 
     utc_offset : the logger's clock minus UTC, needed if the times have no zone; columns : names of
-    the columns of some quantities (ghi_wm2 ...); the others are found by their usual names. Raises
-    InputError for another kind of file, for a column that does not exist, for times without a zone
-    and without utc_offset, and for a file without a readable row.
+    the columns of some quantities (ghi_wm2 ...); the others are found by their usual names: in csv
+    the quantity itself, in TOA5 also names like SlrW. Raises InputError for a file that cannot be
+    read or is of another kind, for a column that does not exist, is ambiguous or has another unit,
+    for times without a zone and without utc_offset, and for a file without a readable row.
     """
     try:
         data = path.read_bytes()

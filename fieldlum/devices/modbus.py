@@ -38,7 +38,11 @@ class Unit:
 
 
 class ModbusPyranometer:
-    """One instrument, or several of one kind, on one bus; implements `Pyranometer`."""
+    """One instrument, or several of one kind, on one bus; implements `Pyranometer`.
+
+    Raises DeviceError if the port cannot be opened, or if an instrument does not answer or its
+    answer is damaged or impossible.
+    """
 
     def __init__(
         self,
@@ -88,9 +92,10 @@ class ModbusPyranometer:
         )
 
     def read(self) -> IrradianceSample:
-        """Read all units, one after the other, and return one reading.
+        """Read all units, one after the other, and return one reading, with the time of the first.
 
-        Raises DeviceError if a unit does not answer, or if its answer is impossible.
+        The temperature is that of the first unit that reports one. Raises DeviceError if a unit
+        does not answer, or if its answer is damaged or impossible.
         """
         t_utc = self._clock.now()
         values: dict[str, float] = {}
@@ -149,8 +154,9 @@ def open_pyranometer(
 ) -> ModbusPyranometer:
     """Open the Modbus pyranometer, or the several of one kind, that a URI names.
 
-    Raises DeviceError for unknown options or kinds, a missing port, or an instrument that does not
-    answer; InputError for a broken profile.
+    Raises DeviceError for unknown options or kinds, a missing or repeated unit number, a missing
+    port, or an instrument that does not answer or gives an impossible value; InputError for a
+    broken profile.
     """
     options: dict[str, Any] = uri.read(
         kind=str,

@@ -25,7 +25,10 @@ Registers = Mapping[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Line(SerialLine):
-    """Factory settings of a Modbus line, and the unit number (0: the user must state it)."""
+    """Factory settings of a Modbus line.
+
+    unit : the instrument's address; 0: there is no default, so that the user must state it.
+    """
 
     baud: int = 19200
     parity: Literal["N", "E", "O"] = "E"
@@ -41,15 +44,17 @@ class RegisterBlock:
 
     @property
     def numbers(self) -> range:
-        """Numbers of its registers."""
+        """Numbers of the block's registers."""
         return range(self.start, self.start + self.count)
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value of a register profile: its name, registers, type and scale.
+    """One value of a register profile: its name, first register, type and scale (a factor).
 
-    power10_register : the value is divided by ten to the power of that register (Kipp & Zonen).
+    power10_register : the number is divided by ten to the power in that register (Kipp & Zonen);
+    words : number of registers of a text; allow : values of a status word without a fault; another
+    value makes the sample suspect (empty: no check).
     """
 
     name: str
@@ -57,8 +62,7 @@ class Entry:
     type: Kind = "u16"
     scale: float = 1.0
     power10_register: int | None = None
-    words: int = 0  # number of registers of a text
-    # values of a status word without a fault; with others the sample is suspect
+    words: int = 0
     allow: tuple[int, ...] = ()
 
 
@@ -66,7 +70,9 @@ class Entry:
 class RegisterProfile:
     """Description of the registers of a kind of instrument: calibration/instruments/KIND.toml.
 
-    32-bit values have their high word first.
+    poll : blocks of each reading; at_open : more blocks, read once; function : read holding (3) or
+    input (4) registers, no other function is ever sent; largest_request : number of registers; note
+    : about the unit number, for an error. 32-bit values have their high word first.
     """
 
     kind: str
@@ -75,7 +81,6 @@ class RegisterProfile:
     source: str
     poll: tuple[RegisterBlock, ...]
     entry: tuple[Entry, ...]
-    # read holding (3) or input (4) registers; no other function is ever sent
     function: Literal[3, 4] = 3
     at_open: tuple[RegisterBlock, ...] = ()
     largest_request: int = 125
@@ -87,8 +92,8 @@ class RegisterProfile:
 class Decoded:
     """The decoded content of some registers.
 
-    values : by name of the entry; texts : model, serial number and dates; status : the status words
-    that report a fault.
+    values : numbers by name of the entry; texts : texts and dates by name of the entry; status :
+    the status words that report a fault, as NAME=NUMBER, or "".
     """
 
     values: dict[str, float]
@@ -186,7 +191,7 @@ def _text(words: Iterable[int]) -> str:
 
 
 def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
-    """Return the profile's entries whose registers are in `registers`, decoded.
+    """Return the profile's entries whose registers are in `registers` (content by number), decoded.
 
     A value that is not finite is omitted. Raises DeviceError for an irradiance that is not finite
     or outside -200 to 4000 W/m2, and for a power of ten outside -1 to 2.

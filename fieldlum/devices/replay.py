@@ -26,9 +26,10 @@ _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", 
 
 
 def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
-    """Return all frames in a folder and its subfolders, ordered by camera clock and name.
+    """Return all frames in a folder and its subfolders, in order of camera clock, then path.
 
-    Files without an exposure in their EXIF are skipped. Raises DeviceError if no frame remains.
+    Frames without a time are last. Files without an exposure in their EXIF are skipped. Raises
+    DeviceError if no frame remains.
     """
     frames = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."):
@@ -54,12 +55,18 @@ def _order(t_camera: datetime | None) -> datetime:
 
 
 def fits(found: Exposure, asked: Exposure) -> bool:
-    """Return whether shutter, aperture, ISO and, if `found` states one, the filter agree."""
+    """Return whether two exposures agree: shutter, aperture and ISO within 1/6 EV each, and filter.
+
+    The filter is compared only if `found` states one.
+    """
     return same_exposure(found, asked) and found.nd in ("", asked.nd)
 
 
 class ReplayCamera:
-    """Copies frames that were taken before; implements `Camera`."""
+    """Copies frames that were taken before; implements `Camera`.
+
+    Raises DeviceError if the folder and its subfolders have no frame.
+    """
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self._clock = clock
@@ -75,7 +82,8 @@ class ReplayCamera:
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Copy the next unused frame with this exposure to `target` plus its suffix.
 
-        Return the file. heading_deg is ignored. Raises DeviceError if no such frame is left.
+        Return the copy, after the shutter time. heading_deg is ignored. Raises DeviceError if no
+        such frame is left, OSError if the disk is full.
         """
         for i, (path, info) in enumerate(self._left):
             if fits(info.exposure, exposure):
@@ -98,7 +106,7 @@ class ReplayCamera:
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ReplayCamera:
     """Open the folder in a URI ``replay:FOLDER`` as a camera that returns its frames.
 
-    Raises DeviceError for a missing folder, or one without frames.
+    Raises DeviceError for any option, for a missing folder, or one without frames.
     """
     uri.read()
     folder = Path(uri.place)

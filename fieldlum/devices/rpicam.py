@@ -59,7 +59,7 @@ class FrameMetadata:
     def exposure(self, asked: Exposure) -> Exposure:
         """Return the exposure that the sensor took; aperture and filter are those of `asked`.
 
-        So is the ISO, if the gain differs from it by at most 3 %.
+        The ISO is 100 times the analogue gain, or that of `asked` if the two differ by at most 3 %.
         """
         iso = ISO_OF_GAIN_1 * self.analogue_gain
         is_as_asked = abs(iso / asked.iso - 1.0) <= GAIN_TOLERANCE
@@ -67,7 +67,10 @@ class FrameMetadata:
 
 
 def parse_metadata(text: str) -> FrameMetadata:
-    """Parse the JSON of rpicam-still about a frame. Raises DeviceError for anything else."""
+    """Parse the JSON of rpicam-still about a frame; a missing digital gain is 1.
+
+    Raises DeviceError for any other text, and for numbers that are not above 0 and finite.
+    """
     try:
         table = json.loads(text)
         values = [float(table[key]) for key in ("ExposureTime", "AnalogueGain")]
@@ -86,14 +89,15 @@ def parse_metadata(text: str) -> FrameMetadata:
 
 
 def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
-    """Return sensor and format of each camera, by number, in the output of --list-cameras."""
+    """Return {number: (sensor, format)} of the cameras in the output of --list-cameras."""
     return {int(m[1]): (m[2], m[3]) for m in _CAMERA_LINE.finditer(text)}
 
 
 class RpicamCamera:
     """A Raspberry Pi camera; implements `Camera`, `Choosing` and `ReportingCamera`.
 
-    Raises DeviceError if the program or the camera is missing.
+    place : the camera's number, "" for 0; f_number : of the lens. Raises DeviceError if the program
+    is missing or fails, or does not list the camera.
     """
 
     def __init__(self, place: str, f_number: float, *, program: str = PROGRAM) -> None:
@@ -120,7 +124,8 @@ class RpicamCamera:
         """Take one raw frame and return its file, `target` plus .dng.
 
         Its shutter time may differ from the requested one: see `exposure_taken`. Raises DeviceError
-        if the module or the program cannot take this exposure, and OSError if the disk is full.
+        for a heading, or if the module or the program fails or cannot take this exposure, and
+        OSError if the disk is full.
         """
         refuse_turning("rpicam", heading_deg)
         self.check_offered(exposure)
@@ -263,8 +268,9 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
     """Open the Raspberry Pi camera of a URI ``rpicam:NUMBER?f_number=F``.
 
-    Without f_number the aperture is that of the session's plan. Raises DeviceError if the plan does
-    not have exactly one aperture, for an unknown option, or if the camera is missing.
+    Without f_number the aperture is that of the session's plan; DeviceError if the plan does not
+    have exactly one. Raises DeviceError also for an unknown option or a missing camera, InputError
+    for a broken plan.
     """
     options = uri.read(f_number=number(0.5, 64.0), program=str)
     f_number = options.get("f_number") or _planned_f_number(session)

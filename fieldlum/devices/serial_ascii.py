@@ -21,8 +21,8 @@ def open_pyranometer(
 ) -> Pyranometer:
     """Open the serial pyranometer that a URI names: an SPN1, or one that prints lines.
 
-    Raises DeviceError for unknown options, a missing port or profile, and for an SPN1 that does not
-    answer; InputError for a broken profile.
+    Raises DeviceError for unknown options, a missing port, kind or profile, and for an SPN1 that
+    does not answer; InputError for a broken profile.
     """
     if not uri.place:
         raise DeviceError(

@@ -26,7 +26,7 @@ _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 
 
 def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Return the median of each quantity over the values of some lines.
+    """Return the median of each quantity over some lines, which all have the same quantities.
 
     One damaged value out of three is either outside the other two, so that the median omits it, or
     between them, where it does no harm.
@@ -38,8 +38,8 @@ class LineInstrument:
     """An instrument that sends lines; implements `Pyranometer` and `Streaming`.
 
     A reading is the newest line since the last reading, or else the next line. If three or more
-    lines have arrived, on average at most two seconds apart, the reading is the median of the
-    newest three.
+    lines have arrived, on average at most two seconds apart, each quantity is the median of the
+    newest three. Raises DeviceError if the port cannot be opened.
     """
 
     def __init__(
@@ -76,8 +76,8 @@ class LineInstrument:
     def read(self) -> IrradianceSample:
         """Return a reading; wait for a line if there is none.
 
-        Raises DeviceError if no line that fits the profile arrives within the silence time
-        (default: that of the profile).
+        Raises DeviceError if no line that fits the profile and the format of earlier lines arrives
+        within the silence time (default: that of the profile), or if the port fails.
         """
         deadline = time.monotonic() + self._silence_s
         why = "no line received; check cable, power and baud rate"
@@ -111,7 +111,7 @@ class LineInstrument:
         return sample_of(self._clock.now(), voted([values for _, values in newest]), texts)
 
     def refused(self) -> list[str]:
-        """Return the lines that were rejected since the last call, each with the reason."""
+        """Return the lines rejected since the last call (the newest 100), each with the reason."""
         refused, self._refused = self._refused, []
         return refused
 

@@ -53,8 +53,9 @@ def _cannot_open(port: str, error: DeviceError) -> str:
 def resolve(place: str) -> str:
     """Return the device file of `place`: the place itself, or the port of ``usb=VID:PID[:SERIAL]``.
 
-    Of several ports that match, the first is returned. The name of a USB port may change after a
-    replug; its identity does not. Raises DeviceError if no such device is plugged in.
+    VID and PID have four hexadecimal digits. Of several ports that match, the first is returned.
+    The name of a USB port may change after a replug; its identity does not. Raises DeviceError if
+    no such device is plugged in.
     """
     if not place.startswith("usb="):
         return place
@@ -77,7 +78,7 @@ def resolve(place: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SerialLine:
-    """Settings of a serial line: baud rate, data bits, parity and stop bits."""
+    """Settings of a serial line: baud rate, data bits, parity (none, even, odd) and stop bits."""
 
     baud: int = 9600
     bits: int = 8
@@ -88,7 +89,8 @@ class SerialLine:
 class SerialPort:
     """A serial port with fixed settings, locked against other programs that lock their ports.
 
-    Raises DeviceError if it cannot be opened.
+    timeout_s : of each read and write. Raises DeviceError if the port cannot be opened; so do its
+    methods, apart from `close`, if it fails later.
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
@@ -122,17 +124,17 @@ class SerialPort:
             return self._port.read(waiting) if waiting else b""
 
     def write(self, data: bytes) -> None:
-        """Write all bytes. Raises DeviceError."""
+        """Write all bytes. Raises DeviceError if the port fails."""
         with device_errors(self.name):
             self._port.write(data)
 
     def read(self, count: int) -> bytes:
-        """Return up to `count` bytes, fewer after the timeout. Raises DeviceError."""
+        """Return up to `count` bytes, fewer after the timeout. Raises DeviceError if it fails."""
         with device_errors(self.name):
             return self._port.read(count)
 
     def read_until(self, end: bytes, limit: int = 4096) -> bytes:
-        """Return all bytes up to and including `end`.
+        """Return all bytes up to and including `end`. Raises DeviceError if the port fails.
 
         After the timeout, or after `limit` bytes, `end` may be missing: the caller must check.
         """

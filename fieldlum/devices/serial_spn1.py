@@ -69,8 +69,8 @@ class Spn1:
         """Return a reading on which two answers agree, or the middle of three evenly spaced ones.
 
         Several answers are needed because the line has no checksum. A total over 3 W/m2 below the
-        diffuse gets a status. `raw` has all answers that differ. Raises DeviceError for silence, or
-        if neither two answers agree nor three are evenly spaced.
+        diffuse gets a status. `raw` has the distinct answers, joined by " | ". Raises DeviceError
+        for silence, or if neither two valid answers agree nor three are evenly spaced.
         """
         t_utc = self._clock.now()
         reading, answers = agreed_answer(

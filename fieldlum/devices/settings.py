@@ -20,8 +20,9 @@ def nearest(
 ) -> float:
     """Return the value in `offered` that is nearest to the planned setting `asked`, by ratio.
 
-    what, unit : for the error. ev_per_octave: 2 for f-numbers, 1 for shutter times and ISO. Raises
-    DeviceError if the value is more than 1/6 EV away, or if nothing is offered.
+    what, unit : names of the setting and its unit, for the error. ev_per_octave : EV for a factor
+    of 2, which is 2 for f-numbers, 1 for shutter times and ISO. Raises DeviceError if the nearest
+    value is more than 1/6 EV away, or if no positive value is offered or planned.
     """
     choices = [value for value in offered if value > 0]
     if not (asked > 0 and choices):

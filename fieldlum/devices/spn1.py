@@ -40,7 +40,7 @@ class Spn1Reading:
 
 @dataclass(frozen=True, slots=True)
 class Spn1Status:
-    """The instrument's answer to I; `lines` has all of it."""
+    """The instrument's answer to the command I; `lines` has all of its lines that are not blank."""
 
     firmware: str = ""
     serial: str = ""
@@ -48,11 +48,11 @@ class Spn1Status:
 
 
 def parse_reading(reply: bytes) -> Spn1Reading:
-    """Return the reading in ``S 812.4, 104.9,1<CR>``, with or without the echo.
+    """Return the reading in ``S 812.4, 104.9,1<CR>``, with or without the echo S.
 
-    Raises DeviceError for any other bytes, and for a number over 2500 W/m2. Both numbers have six
-    characters with one decimal, so that a number that lost a character is never read as a smaller
-    one.
+    The numbers are total and diffuse [W/m2] and sunshine. Raises DeviceError for any other bytes,
+    and for a number over 2500 W/m2. The first two have six characters with one decimal, so that a
+    number that lost a character is never read as a smaller one.
     """
     match = _READING.fullmatch(reply)
     if match is None:
@@ -74,9 +74,10 @@ def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
 
 
 def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
-    """Return whether the middle of three readings is half way between the others, to 25 W/m2.
+    """Return whether `b`, read between `a` and `c`, is half way between them, to 25 W/m2.
 
-    This is so in light that rises or falls steadily. The outer two may differ by at most 200 W/m2.
+    This must hold for the total and the diffuse, and `a` and `c` may differ by at most 200 W/m2. It
+    is so in light that rises or falls steadily.
     """
     triples = zip(_both(a), _both(b), _both(c), strict=True)
     return apart_wm2(a, c) <= STEEPEST_WM2 and all(
@@ -89,9 +90,10 @@ def _both(reading: Spn1Reading) -> tuple[float, float]:
 
 
 def parse_status(reply: bytes) -> Spn1Status:
-    """Parse the reply to I: lines with firmware, units, radio and serial number.
+    """Parse the reply to the command I: lines with firmware, units, radio and serial number.
 
-    Raises DeviceError for another reply, and for an instrument with other units.
+    reply : without the echo. Raises DeviceError for another reply, and for an instrument with other
+    units than W/m2.
     """
     if not (_STATUS_REPLY.fullmatch(reply) and b"SPN1 " in reply):
         raise DeviceError(

@@ -42,7 +42,8 @@ _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylig
 class ThetaCamera:
     """A Ricoh Theta; implements `Camera`, `Choosing` and `BracketingCamera`.
 
-    Raises DeviceError if the camera does not answer or reports an error.
+    address : such as http://192.168.1.1; delete : whether pictures are deleted after they were
+    copied. Raises DeviceError if the camera does not answer or reports an error.
     """
 
     def __init__(
@@ -94,8 +95,9 @@ class ThetaCamera:
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Set the exposure, check the setting, take the frame and fetch it; return the file.
 
-        The EXIF of the frame is not checked. Raises DeviceError if the camera fails, does not offer
-        the exposure or shows another setting, and OSError if the disk is full.
+        The EXIF of the frame is not checked. Raises DeviceError for a heading, or if the camera
+        fails, does not offer the exposure or shows another setting, and OSError if the disk is
+        full.
         """
         refuse_turning("theta", heading_deg)
         wanted = self._chosen(exposure)
@@ -129,8 +131,9 @@ class ThetaCamera:
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
         """Take 2 to 13 JPEG frames with one command, in the order of `exposures`; return the files.
 
-        Raises DeviceError if the camera fails or does not offer an exposure; frames that were
-        already fetched stay on the disk.
+        targets : one path for each frame, to which its suffix is added. Raises DeviceError for
+        another number of frames, or if the camera fails or does not offer an exposure, OSError if
+        the disk is full; frames that were already fetched stay on the disk.
         """
         if len(exposures) not in self.bracket_shots:
             low, high = self.bracket_shots[0], self.bracket_shots[-1]
@@ -303,7 +306,8 @@ def _numbers(values: object) -> list[float]:
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
     """Open the Theta at the URI's address (default: http://192.168.1.1).
 
-    Raises DeviceError for an unknown option, another kind of address, or no answer.
+    Raises DeviceError for an unknown option, an address that is not http, no answer, or an error
+    that the camera reports.
     """
     options = uri.read(delete=integer_option(0, 1))
     address = uri.place or ADDRESS

@@ -39,7 +39,8 @@ class Toa5:
     """The content of a TOA5 table.
 
     samples : in the file's order; broken : omitted lines, each with the reason; missing_records :
-    how many record numbers are missing between the lines that could be read.
+    how many record numbers are missing between the lines that could be read; jumps of a million or
+    more are not counted.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -65,11 +66,12 @@ def parse_toa5(
     """Read a TOA5 table.
 
     columns : names of the columns of some quantities (ghi_wm2 ...); the others are found by their
-    usual names; utc_offset : the logger's clock minus UTC.
+    usual names, such as SlrW_Avg; utc_offset : the logger's clock minus UTC; source : for errors.
 
-    A row is omitted and listed if it is incomplete, if its time or a number cannot be read, if its
-    time does not fit its record number, or if its decimals differ from the rest of the column.
-    Raises InputError for a text that is no TOA5 table, without a column of irradiance, with several
+    A row is omitted and listed if it is incomplete, if its time or a number cannot be read, if an
+    irradiance is outside -200 to 4000 W/m2, if its time does not fit its record number, or if its
+    decimals differ from the rest of the column. Raises InputError for a text that is no complete
+    TOA5 table, for a named column that does not exist, without a column of irradiance, with several
     columns for a quantity, or with an irradiance in another unit than W/m2.
     """
     lines = text.split("\n")
@@ -255,10 +257,10 @@ def _sample(
 
 
 def number_of(text: str, quantity: str) -> float | None:
-    """Return a logger's number; None for NAN and INF.
+    """Return a logger's number; None for NAN and INF, with or without a minus.
 
-    Raises ValueError for a text that is not a number, and for an irradiance outside -200 to 4000
-    W/m2.
+    Raises ValueError for a text that is not a number, and for an irradiance (a `quantity` that ends
+    in _wm2) outside -200 to 4000 W/m2.
     """
     if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
         return None

@@ -16,15 +16,18 @@ Number = TypeVar("Number", int, float)
 
 @dataclass(frozen=True, slots=True)
 class DeviceUri:
-    """A parsed device URI."""
+    """A parsed device URI: scheme:place?name=value&name=value.
+
+    text : all of it; options : the values by name.
+    """
 
     text: str
     scheme: str
-    place: str = ""  # the text between the colon and the question mark
+    place: str = ""
     options: dict[str, str] = field(default_factory=dict)
 
     def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
-        """Return the URI's options, each converted by the reader of its name in `known`.
+        """Return the URI's options, each converted by the function of the same name in `known`.
 
         Raises DeviceError, naming the option, for an unknown option or a bad value.
         """
@@ -78,12 +81,18 @@ def one_of(*choices: str) -> Callable[[str], str]:
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Return a function that converts a text to a number; ValueError outside `low` to `high`."""
+    """Return a function that converts a text to a number from `low` to `high`.
+
+    It raises ValueError for any other text.
+    """
     return _within(float, f"a number from {low:g} to {high:g}", low, high)
 
 
 def integer_option(low: int, high: int) -> Callable[[str], int]:
-    """Return a function that converts a text to an integer; ValueError outside `low` to `high`."""
+    """Return a function that converts a text to an integer from `low` to `high`.
+
+    It raises ValueError for any other text.
+    """
     return _within(int, f"an integer from {low} to {high}", low, high)
 
 

@@ -28,9 +28,11 @@ def _check_place(uri: DeviceUri) -> None:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:
-    """Open a simulated camera.
+    """Open a simulated camera that photographs the panoramas of `open_world`.
 
-    Raises DeviceError for unknown options, InputError for a bad profile or truth.
+    session : its SITE.toml names the camera profile and the heading, unless the URI has a profile.
+    Raises DeviceError for another place than office or an unknown option, InputError for a bad
+    profile, SITE.toml or truth/ of the session.
     """
     from fieldlum.devices.simulated.camera import SimulatedCamera
     from fieldlum.devices.simulated.office import open_world
@@ -57,9 +59,10 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
-    """Open a simulated SPN1 on a pseudo-terminal, read by the real driver.
+    """Open a simulated SPN1 on a pseudo-terminal, read by the real driver; see `open_world`.
 
-    Raises DeviceError for unknown options and on Windows, InputError for a bad truth.
+    Raises DeviceError for another place than office, for unknown options and on Windows, InputError
+    for a bad SITE.toml or truth/ of the session.
     """
     from fieldlum.devices.simulated.office import open_world
     from fieldlum.devices.simulated.spn1 import open_simulated

@@ -26,7 +26,8 @@ from fieldlum.records import Exposure, Panorama
 class SimulatedCamera:
     """A simulated camera; implements `Camera`.
 
-    heading_deg : its view direction unless `expose` states another.
+    heading_deg : its view direction unless `expose` states another; clock_offset_s : its clock
+    minus the computer's; overhead_s : time between frames (None: the profile's).
     """
 
     def __init__(
@@ -67,8 +68,9 @@ class SimulatedCamera:
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame and return its file, `target` plus a suffix.
 
-        The clock advances by the overhead plus the shutter time. Raises DeviceError for a setting
-        that the camera does not have, and for a time without a picture in the session's truth/.
+        heading_deg : view direction; None: that of the camera. The clock advances by the overhead
+        plus the shutter time. Raises DeviceError for a setting that the camera does not have, and
+        for a time without a picture in the session's truth/.
         """
         dial_s = self._allowed(exposure)
         set_to = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
@@ -85,7 +87,7 @@ class SimulatedCamera:
         return path
 
     def close(self) -> None:
-        """Forget the last picture, which is stored for repeated exposures."""
+        """Forget the last simulated picture, which is stored for repeated exposures."""
         self._last = None
 
     def _allowed(self, exposure: Exposure) -> float:

@@ -149,7 +149,10 @@ class Office:
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return Ineichen's clear sky changed by clouds, linear between steps of ten minutes."""
+        """Return Ineichen's clear sky changed by clouds [W/m2].
+
+        It is linear between steps of ten minutes.
+        """
         part, step = math.modf(t_utc.timestamp() / _LIGHT_STEP_S)
         before, after = self._light_of(int(step)), self._light_of(int(step) + 1)
         return SimulatedLight(*(a + part * (b - a) for a, b in zip(before, after, strict=True)))
@@ -179,7 +182,7 @@ class Office:
         return float(np.clip(day + np.interp(hour % 1.0, [0, 1], marks), 0.0, 1.0))
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """Return the panorama at a time; it does not change within a minute."""
+        """Return the panorama at a time; it is computed for the start of the minute."""
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
     def _scene(self, t_utc: datetime) -> Panorama:
@@ -238,10 +241,11 @@ class Office:
 
 
 def open_world(session: Session | None, seed: int) -> World:
-    """Return the session's truth/ if it exists, or else a simulated office.
+    """Return the session's truth/ if it has irradiance.csv, or else a simulated office.
 
-    The office is the session's room if that is a box with windows, else a built-in one; it is at
-    the session's site, or in Seattle without a session. Raises InputError for a bad truth.
+    `fieldlum simulate` writes truth/. The office is the session's room if that is a box with
+    windows, else a built-in one; it is at the session's site, or in Seattle without a session. seed
+    : of its clouds. Raises InputError for a bad SITE.toml or irradiance.csv.
     """
     if session is not None and session.truth_irradiance.is_file():
         return TruthWorld(session.truth)

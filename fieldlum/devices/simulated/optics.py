@@ -31,8 +31,8 @@ class LensSampling:
     """How one lens maps a panorama onto the sensor.
 
     pixels [n] : flat indices of the lens's sensor pixels; relative_angle [n] : their angle from the
-    axis over half of the full angle; weights [n, H * W] : share of each panorama pixel in each
-    sensor pixel, rows sum to 1.
+    axis, 0 on the axis and 1 at the edge of the image circle; weights [n, H * W] : share of each
+    panorama pixel in each sensor pixel, rows sum to 1.
     """
 
     geometry: LensGeometry
@@ -44,7 +44,8 @@ class LensSampling:
 def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensSampling:
     """Compute how a lens samples the panorama; sensor and panorama are (height, width).
 
-    The panorama is constant over each of its pixels. A sensor pixel averages 3 x 3 directions.
+    lens : turned by the camera's heading minus that of the panorama. The panorama is constant over
+    each of its pixels. A sensor pixel averages 3 x 3 directions.
     """
     from scipy.sparse import csr_array
 
@@ -85,9 +86,9 @@ def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32
 
 
 def channels(panorama: Panorama) -> NDArray[np.float32]:
-    """Return R, G, B in cd/m2 with luminance .265 R + .670 G + .065 B, [H * W, 3].
+    """Return R, G, B in cd/m2 with luminance .265 R + .670 G + .065 B, [H * W, 3], row by row.
 
-    A grey panorama gives [H * W, 1].
+    A panorama without colour gives its luminance [H * W, 1].
     """
     from fieldlum.images import RADIANCE_LM_PER_W
 
@@ -101,7 +102,8 @@ def on_sensor(
 ) -> NDArray[np.float32]:
     """Return the mean R, G, B of each sensor pixel [cd/m2], [h, w, 3], or grey [h, w, 1].
 
-    The sun's disc is included. sensor : (height, width).
+    The sun's disc is included; pixels outside the lenses are 0. views : from `look`, one for each
+    lens; sensor : (height, width).
     """
     flat = channels(panorama)
     out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)
@@ -147,7 +149,10 @@ def _add_sun(
 def pixel_solid_angle_sr(
     lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]
 ) -> Array:
-    """Return the solid angle of the pixels around points [...], in sr; 0 outside the circle."""
+    """Return the solid angle of one pixel at points [...], in sr; 0 outside the image circle.
+
+    x_px, y_px : column and row; the first pixel's centre is at (0.5, 0.5).
+    """
     distance = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     step = 1e-4
     r = np.clip(distance, step, 1.0 - step)

@@ -45,7 +45,10 @@ def camera_channels(scene: NDArray[np.float32], profile: CameraProfile) -> NDArr
 
 
 def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
-    """Return each pixel's channel in the Bayer pattern `cfa`: [h, w, 3] becomes [h, w]."""
+    """Return each pixel's channel in the Bayer pattern `cfa`: R, G, B [h, w, 3] become [h, w].
+
+    cfa : the letters of a cell of 2 x 2 pixels, row by row, such as RGGB.
+    """
     out = np.empty(image.shape[:2], np.float32)
     for i, letter in enumerate(cfa):
         row, column = divmod(i, 2)
@@ -79,7 +82,7 @@ class RawSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint16]:
-        """Return the raw counts [h, w] of one frame, with shot noise and read noise.
+        """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
 
         mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; true_s : the
         true shutter time [s].
@@ -116,7 +119,7 @@ class JpegSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
-        """Return the 8-bit codes [h, w, 3] of one frame, with noise.
+        """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
 
         image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; true_s : the true shutter
         time [s].

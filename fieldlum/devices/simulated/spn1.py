@@ -62,7 +62,7 @@ class PtyInstrument(threading.Thread):
 
 
 class Spn1Voice:
-    """The replies of a simulated SPN1.
+    """The replies of a simulated SPN1; called with the bytes of a client, it returns the answer.
 
     It answers R with 0xAF, S with an echo, total, diffuse and sunshine, I with an echo and its
     status, and other characters with a question mark.
@@ -114,7 +114,8 @@ class Spn1Voice:
 def open_simulated(world: World, clock: Clock, seed: int, noise_wm2: float) -> Pyranometer:
     """Open a simulated SPN1 on a pseudo-terminal through the real driver.
 
-    Raises DeviceError on a system without pseudo-terminals (Windows).
+    noise_wm2 : standard deviation of its noise [W/m2], drawn by `seed`. Raises DeviceError on a
+    system without pseudo-terminals (Windows).
     """
     from fieldlum.devices.serial_spn1 import Spn1
 

@@ -44,7 +44,10 @@ class World(Protocol):
 
 
 class TruthWorld:
-    """A `World` from a session's truth/ folder: rendered panoramas and simulated irradiance."""
+    """A `World` from a session's truth/ folder: rendered panoramas and simulated irradiance.
+
+    Raises InputError if its irradiance.csv cannot be used.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._panoramas = {
@@ -55,7 +58,10 @@ class TruthWorld:
         self._read = lru_cache(maxsize=2)(_read_panorama)
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """Return the panorama nearest in time. Raises DeviceError without one within 45 minutes."""
+        """Return the panorama nearest in time. Raises DeviceError without one within 45 minutes.
+
+        Raises InputError for a file that is no panorama.
+        """
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
         if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
             raise DeviceError(
@@ -66,7 +72,10 @@ class TruthWorld:
         return self._read(self._panoramas[nearest])
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return the irradiance at a time; it is 0 before the first and after the last row."""
+        """Return the irradiance at a time, linear between rows.
+
+        It is 0 before the first and after the last row.
+        """
         now = t_utc.timestamp()
         times = self._light.t_unix_s
         if not times[0] <= now <= times[-1]:
