@@ -45,7 +45,7 @@ class BucketStore:
         return attributes is not None and attributes.get(_MADE_FROM) == digest
 
     def begin(self, draft: Path) -> None:
-        """Delete what is at the URL and upload a folder's files, but not the root's zarr.json."""
+        """Delete what is at the URL, then upload a folder's files without zarr.json of its root."""
         with self._reached():
             if self._fs.exists(f"{self._path}/{_ROOT}"):
                 self._fs.rm(f"{self._path}/{_ROOT}")
@@ -54,7 +54,10 @@ class BucketStore:
         self.upload(draft)
 
     def upload(self, draft: Path, below: str = "") -> None:
-        """Upload the files of a folder, or of one folder below it, but not the root's zarr.json."""
+        """Upload the files of folder `draft`, without zarr.json of its root.
+
+        below : name of a folder in it; then only that folder's files are uploaded.
+        """
         with self._reached():
             for path in sorted((draft / below).rglob("*")):
                 name = path.relative_to(draft).as_posix()
@@ -85,8 +88,9 @@ class BucketStore:
 def check_url(url: str, option: str, instead: str) -> None:
     """Raise InputError for a text that is no URL of a bucket, or for one with a user or password.
 
-    In an Azure URL (abfs, abfss) the name before the @ is the container, which is allowed. option,
-    instead: the option's name and the remedy, for the error.
+    URLs of local files (file:, local:) and chained ones (with ::) count as no bucket. In an Azure
+    URL (abfs, abfss) the name before the @ is the container, which is allowed. option, instead: the
+    option's name and the remedy, for the error.
     """
     parts = urlsplit(url)
     if parts.scheme in ("", "file", "local") or "::" in url:

@@ -21,7 +21,10 @@ _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
 def encode_sample(sample: IrradianceSample) -> bytes:
-    """Return one row of a day file; its last column is the CRC-32 of the columns before it."""
+    """Return one row of a day file; its last column is the CRC-32 of the columns before it.
+
+    A number that is None or not finite becomes an empty cell.
+    """
     figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
     row = io.StringIO()
     texts = [
@@ -52,9 +55,10 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
 
 
 class DayFiles:
-    """Appends samples to UTC day files.
+    """Appends samples to irradiance/YYYY-MM-DD.csv, one file for each UTC day.
 
-    flush: whether each row is on the disk when `append` returns.
+    flush: whether each row is on the disk when `append` returns; cut_bytes: size of the incomplete
+    last lines that were moved out of the files when they were opened.
     """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
@@ -100,12 +104,12 @@ class DayFiles:
 
 
 def day_files(session: Session) -> list[Path]:
-    """Return the day files in order of time."""
+    """Return the files irradiance/YYYY-MM-DD.csv of a session, in order of time."""
     return sorted(session.irradiance.glob("[0-9][0-9][0-9][0-9]-[0-9][0-9]-[0-9][0-9].csv"))
 
 
 def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
-    """Return the samples of one day file and the number of damaged lines that were skipped."""
+    """Return the samples of one day file, in its order, and the number of damaged lines skipped."""
     samples: list[IrradianceSample] = []
     broken = 0
     with path.open("rb") as file:

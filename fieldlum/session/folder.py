@@ -46,7 +46,11 @@ class _SlotPlace:
 
 @dataclass(frozen=True)
 class Session:
-    """A session folder: the paths in it, and its own files session.toml and plan.csv."""
+    """A session folder: the paths in it, and its own files session.toml and plan.csv.
+
+    root: the folder; each other attribute is the path of the file or folder of that name, or a
+    function from a slot's id to such a path.
+    """
 
     root: Path
 
@@ -79,7 +83,7 @@ class Session:
     truth_sunpatch = _SlotPlace("truth", "sunpatches", "{}.exr")
 
     def captured_folders(self) -> list[Path]:
-        """Return the slots' folders in raw/, in order of time."""
+        """Return the folders in raw/, one for each slot with a bracket, in order of time."""
         return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
 
     def panorama_files(self) -> list[Path]:
@@ -87,15 +91,15 @@ class Session:
         return sorted(self.panoramas.glob("[!.]*.exr"))
 
     def sidecar_files(self) -> list[Path]:
-        """Return the sidecars of the panoramas in order of time."""
+        """Return the JSON files of merged panoramas (panoramas/SLOT.json) in order of time."""
         return sorted(self.panoramas.glob("[0-9]*Z.json"))
 
     def model_folders(self) -> list[Path]:
-        """Return the folders in models/ with a config.json, by name."""
+        """Return the folders in models/ with a config.json, sorted by name."""
         return sorted(path.parent for path in self.models.glob("*/config.json"))
 
     def annual_folders(self) -> list[Path]:
-        """Return the folders in annual/ with a complete year, by name."""
+        """Return the folders in annual/ with a predict.json, sorted by name."""
         return sorted(path.parent for path in self.annual.glob("*/predict.json"))
 
     # ------------------------------------------------------------------------------------------
@@ -106,11 +110,17 @@ class Session:
         return cast(SessionTable, tomllib.loads(self.toml.read_text(encoding="utf-8")))
 
     def site_file(self) -> SiteFile:
-        """Return site, camera, room and pyranometer, as recorded when the session was planned."""
+        """Return site, camera, room and pyranometer, as recorded when the session was planned.
+
+        Raises InputError if the table [setup] of session.toml is wrong.
+        """
         return site_from_table(self.table().get("setup", {}), str(self.toml))
 
     def slots(self) -> list[Slot]:
-        """Return the planned slots."""
+        """Return the planned slots in the order of plan.csv.
+
+        Raises InputError for a wrong plan.csv.
+        """
         return read_plan(self.plan)
 
     @property
@@ -147,8 +157,9 @@ def create_session(
 ) -> Session:
     """Write plan.csv and session.toml, and return the session.
 
-    Raises InputError if the folder has a session.toml, or a plan.csv that fieldlum did not write. A
-    plan.csv of fieldlum without session.toml, left by an interruption, is written again.
+    plan_about: the table [plan]. Raises InputError if the folder has a session.toml, or a plan.csv
+    that fieldlum did not write. A plan.csv of fieldlum without session.toml, left by an
+    interruption, is written again.
     """
     session = Session(root)
     if session.toml.exists():

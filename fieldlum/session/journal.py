@@ -23,7 +23,11 @@ from fieldlum.session.tables import EventFields, JournalEvent
 
 
 class Journal:
-    """The session's events; any thread may append. Each line has a CRC."""
+    """The session's events; any thread may append. Each line has a CRC.
+
+    cut_bytes: size of the incomplete last line that opening moved to journal.jsonl.torn. Opening
+    raises InputError if the end of the file has no valid line.
+    """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
         """Open the journal, and move an incomplete last line to journal.jsonl.torn.
@@ -54,7 +58,10 @@ class Journal:
 def append_event(
     session: Session, event: str, t_utc: datetime, **fields: Unpack[EventFields]
 ) -> None:
-    """Append one event to the journal, even while another process captures."""
+    """Append one event to the journal, even while another process captures.
+
+    Raises OSError on a full disk, InputError if the end of the journal has no valid line.
+    """
     journal = Journal(session)
     try:
         journal.append(event, t_utc, **fields)
@@ -63,7 +70,10 @@ def append_event(
 
 
 def read_journal(session: Session) -> list[JournalEvent]:
-    """Return all valid events in the order of writing; empty if there is no journal."""
+    """Return all valid events in the order of writing; damaged lines are skipped.
+
+    The list is empty if there is no journal.
+    """
     if not session.journal.is_file():
         return []
     with session.journal.open("rb") as file:

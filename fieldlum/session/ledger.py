@@ -20,22 +20,31 @@ SETTLED = ("done", "missed", "aborted")  # outcomes after which a slot needs no 
 
 @dataclass(frozen=True, slots=True)
 class SlotState:
-    """The state of one slot: its outcome, attempts, frames, and the reason for a failure."""
+    """The state of one slot, from the journal.
+
+    outcome: "" before any bracket began; attempt: number of the last one, from 1; frames: of that
+    attempt, in the order of writing; why: reason of the outcome, or ""; illuminance_lx: readings of
+    a meter at the lens, during the bracket.
+    """
 
     outcome: Outcome = ""
     attempt: int = 1
     frames: tuple[Frame, ...] = ()
     why: str = ""
-    illuminance_lx: tuple[float, ...] = ()  # readings of a meter at the lens, during the bracket
+    illuminance_lx: tuple[float, ...] = ()
 
 
 @dataclass(slots=True)
 class Ledger:
-    """State of all slots of a journal, and how often each event occurred."""
+    """State of all slots of a journal, and how often each event occurred.
+
+    slots: by slot id, only those with an event; last_utc: newest time of an event that no person
+    caused; opened: the last `open` event (start of a capture); counts: by kind of event.
+    """
 
     slots: dict[str, SlotState] = field(default_factory=dict)
     last_utc: datetime | None = None
-    opened: JournalEvent | None = None  # the last `open` event
+    opened: JournalEvent | None = None
     counts: dict[str, int] = field(default_factory=dict)
 
     def state(self, slot: str) -> SlotState:
@@ -44,7 +53,7 @@ class Ledger:
 
 
 def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger:
-    """Return the state after some events; with `ledger`, add them to it in place.
+    """Return the state of all slots after some events; with `ledger`, add them to it in place.
 
     A capture resumes from this state only.
     """
@@ -91,6 +100,9 @@ def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
 
 
 def owed(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
-    """Return planned slots without an outcome (done, missed or aborted), in order of time."""
+    """Return the slots that still need a bracket, in order of time.
+
+    These are neither done, missed nor aborted in the journal.
+    """
     unsettled = (slot for slot in slots if ledger.state(slot.id).outcome not in SETTLED)
     return sorted(unsettled, key=lambda slot: slot.t_utc)

@@ -45,7 +45,10 @@ def decode_line(line: bytes) -> JournalEvent | None:
 
 
 def lock_now(handle: int) -> None:
-    """Lock an open file for this process. Raises OSError if another process has the lock."""
+    """Lock an open file for this process, without waiting.
+
+    Raises OSError if another process has the lock, or if the file system has no locks.
+    """
     if sys.platform == "win32":
         import msvcrt
 
@@ -106,7 +109,10 @@ def _held(handle: int) -> bool:
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
-    """Write all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk."""
+    """Write all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
+
+    Raises OSError, possibly after a part of `data` was written.
+    """
     while data:
         data = data[os.write(handle, data) :]
     if flush:
@@ -117,8 +123,8 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
     A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
-    before the last valid one remain: readers skip them. sound: whether a line is valid. Raises
-    InputError if the last MiB has three or more lines and none is valid.
+    before the last valid one remain: readers skip them. sound: whether a line is valid. A missing
+    file gives 0. Raises InputError if the last MiB has three or more lines and none is valid.
     """
     if not path.is_file():
         return 0

@@ -21,7 +21,9 @@ BY_PEOPLE = frozenset({EVENT, NOTE, "paused", "resumed"})
 def mark_slot(session: Session, slot: str, state: str) -> str:
     """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's full state.
 
-    This is safe during a capture. Raises InputError for an unknown slot or an unknown word.
+    The full state also has the words of earlier marks. This is safe during a capture. Raises
+    InputError for an id that is neither in the plan nor that of a panorama, and for an unknown
+    word.
     """
     known = {planned.id for planned in session.slots()}
     known |= {path.stem for path in session.panoramas.glob("*.exr")}
@@ -61,7 +63,7 @@ def add_note(session: Session, text: str) -> str:
 
 
 def marks(session: Session) -> dict[str, str]:
-    """Return the state of each marked slot.
+    """Return the room's state, such as ``lamp=on;blind=half``, by slot id, for the marked slots.
 
     A later mark replaces an earlier one with the same word.
     """

@@ -17,10 +17,10 @@ _SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
 def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) -> Panorama:
     """Read a panorama and add the sun that `pair` computed for it.
 
-    The table is suns.csv in the folder above the picture's; `suns` is that table, for a caller that
-    reads many pictures. A sun that the picture measured is not replaced. `attributes["note"]`
-    reports a sun that remains a lower bound, because every frame is clipped there. Raises
-    InputError for an unusable picture or table.
+    suns: the table suns.csv by panorama, for a caller that reads many pictures; None: read it from
+    the folder above the picture's. A sun that the picture measured is not replaced; without a sun
+    in the picture none is added. `attributes["note"]` reports a sun that remains a lower bound,
+    because every frame is clipped there. Raises InputError for an unusable picture or table.
     """
     panorama = read_panorama(path)
     sun = panorama.sun
@@ -37,7 +37,10 @@ def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) ->
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
-    """Return the table of suns of a panorama's session; empty if there is none."""
+    """Return the rows of suns.csv in the folder above a panorama's folder, by panorama.
+
+    Empty if the file is missing. Raises InputError for other content.
+    """
     return read_suns(panorama.absolute().parent.parent / "suns.csv")
 
 

@@ -19,9 +19,9 @@ MAX_PAUSE = timedelta(hours=4)
 
 
 def pause(session: Session, duration: timedelta) -> datetime:
-    """Pause the capture from now on; return the end. A second pause replaces the first.
+    """Pause the capture from now on; return the end [UTC]. A second pause replaces the first.
 
-    Raises InputError for a duration that is not between 0 and 4 hours.
+    Raises InputError for a duration that is not above 0 and at most 4 hours.
     """
     if not timedelta(0) < duration <= MAX_PAUSE:
         longest = f"{MAX_PAUSE.total_seconds() / 60:.0f}"
@@ -49,7 +49,7 @@ def resume(session: Session) -> None:
 
 
 def paused_until(session: Session, now_utc: datetime) -> datetime | None:
-    """Return the end of the present pause; None if there is none.
+    """Return the end of the present pause [UTC]; None if there is none.
 
     An unreadable file is ignored, and so is an end over 4 hours away: a wrong clock or a wrong file
     must not cost days of captures.

@@ -33,9 +33,9 @@ def exposure_text(exposure: Exposure) -> str:
 
 
 def parse_exposure(text: str) -> Exposure:
-    """Return the exposure in a text such as ``1/250 f/5.6 ISO100 ND=name``.
+    """Return the exposure in a text such as ``1/250 f/5.6 ISO100 ND=name``; ND= is optional.
 
-    Raises ValueError for any other text, and for numbers that are not above 0.
+    Raises ValueError for any other text, and for numbers that are not above 0 and finite.
     """
     shutter, f_number, iso, *nd = text.split()
     if not f_number.startswith("f/") or not iso.startswith("ISO"):
@@ -50,7 +50,10 @@ def parse_exposure(text: str) -> Exposure:
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
-    """Write the slots; local times only serve readers of the file."""
+    """Write the slots as plan.csv; the column of local times only serves readers of the file.
+
+    timezone: IANA name of the zone of the local times.
+    """
     zone = ZoneInfo(timezone)
     rows = (
         (
@@ -68,7 +71,10 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
 
 
 def read_plan(path: Path) -> list[Slot]:
-    """Return the slots of a plan. Raises InputError for a missing file or other content."""
+    """Return the slots of a plan, in its order.
+
+    Raises InputError for a missing file or other content.
+    """
     if not path.is_file():
         raise InputError(
             path,

@@ -18,10 +18,11 @@ import numpy as np
 
 
 def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[str, Any] | None:
-    """Return a result's note if its inputs are the same and all files exist, else None.
+    """Return a result's note if it states the same inputs and all files exist, else None.
 
-    A damaged note counts as missing: the result is computed again. In a note without the key
-    `inputs`, the note itself is the inputs.
+    note: JSON file that is written after the result, with its inputs under the key `inputs`, or as
+    a whole; inputs: plain values that JSON can store; outputs: the result's files. A damaged note
+    counts as missing, so that the result is computed again.
     """
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
@@ -38,7 +39,7 @@ def digest(value: object) -> str:
 
 
 def data_digest(*values: object) -> str:
-    """Return the SHA-256 of values with arrays, dataclasses and times, in hex."""
+    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists."""
     total = hashlib.sha256()
     for value in values:
         _feed(total, value)

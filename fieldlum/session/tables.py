@@ -10,13 +10,17 @@ DeviceTable = dict[str, str | int | float | bool]
 
 
 class PlanTable(TypedDict, total=False):
-    """[plan] of session.toml: the request, and the time [s] and disk space that each slot needs."""
+    """[plan] of session.toml: the request, and time [s] and disk space [MB] of each slot.
+
+    seed: of a sample of the year; first, last: dates of the slots; revision: number of this
+    version of the plan;  sha256: of plan.csv, older_sha256: of the earlier ones.
+    """
 
     set: str
     start: date
     year: int
     count: int
-    seed: int  # of a sample of the year
+    seed: int
     revision: int
     slots: int
     first: date
@@ -24,7 +28,7 @@ class PlanTable(TypedDict, total=False):
     seconds_per_slot: float
     megabytes_per_slot: float
     sun_band_percent: float
-    sha256: str  # of plan.csv
+    sha256: str
     older_sha256: list[str]
 
 
@@ -38,24 +42,31 @@ class DevicesTable(TypedDict, total=False):
 
 
 class GraceTable(TypedDict, total=False):
-    """[capture] of session.toml: how late a bracket may start."""
+    """[capture] of session.toml; grace_s: how late a bracket may start [s]."""
 
     grace_s: float
 
 
 class LoggerFileTable(TypedDict, total=False):
-    """How a logger's file was read."""
+    """How a logger's file was read.
 
-    # the name without its folder, because the file may have grown and come from another card
+    file: its name without the folder, because the file may have grown and come from another card;
+    utc_offset_s: the logger's clock minus UTC [s]; columns: names of the columns by quantity.
+    """
+
     file: Required[str]
     utc_offset_s: float
     columns: dict[str, str]
 
 
 class SessionTable(TypedDict, total=False):
-    """The content of session.toml."""
+    """The content of session.toml, table by table; setup: SITE.toml.
 
-    setup: dict[str, Any]  # SITE.toml
+    imported: the frames that were imported, by card folder, with the offset of the camera's clock;
+    logger_files: how each file was read.
+    """
+
+    setup: dict[str, Any]
     plan: PlanTable
     devices: DevicesTable
     capture: GraceTable
@@ -75,7 +86,7 @@ class ExposureTable(TypedDict, total=False):
 
 
 class FrameTable(TypedDict, total=False):
-    """A frame, in the journal and in capture.json."""
+    """A frame in the journal and in capture.json: the fields of `Frame`, times as text."""
 
     index: int
     file: Required[str]
@@ -123,7 +134,7 @@ class EventFields(TypedDict, total=False):
 
 
 class JournalEvent(EventFields, total=False):
-    """One line of journal.jsonl."""
+    """One line of journal.jsonl; event: its kind, such as done; t_utc: ISO time."""
 
     event: Required[str]
     t_utc: Required[str]

@@ -30,9 +30,9 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 def write_table(
     path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]], *, end: str = "\n"
 ) -> None:
-    """Write a csv as `replacing` does: a line with the names of the columns, then the rows.
+    """Write a csv: a line with the names of the columns, then the rows; end: end of a line.
 
-    end: end of a line.
+    The file gets its name only when it is complete, as by `replacing`.
     """
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator=end)
@@ -42,7 +42,10 @@ def write_table(
 
 @contextmanager
 def replacing_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary path with the same suffix, for writers that need one; see `replacing`."""
+    """Yield a temporary path with the same suffix; rename it to `path` after the `with` block.
+
+    For writers that need a path; see `replacing`. After an exception the temporary file is removed.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_host()}.{os.getpid()}.tmp.{path.name}")
     try:
@@ -61,7 +64,7 @@ def _host() -> str:
 
 
 def remove_scraps(folder: Path) -> None:
-    """Remove temporary files of processes that ended before they could rename the files.
+    """Remove temporary files of `replacing` whose process ended before it could rename them.
 
     Files of a process on another computer are removed after a day, because its state is unknown.
     """

@@ -41,7 +41,7 @@ def alignment_path(pairs: Path) -> Path:
 
 
 def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
-    """Return the rows of an alignment table; empty if the file is missing or cannot be read."""
+    """Return the rows of an alignment table; empty if the file is missing or has other content."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return tuple(_row(cells) for cells in csv.DictReader(file))

@@ -21,9 +21,9 @@ _HEADERS = {
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays by name, of any shape; nothing is unpickled.
 
-    Raises ValueError for compressed members over 16 MiB, for objects, for a member whose length is
-    not that of its array, and for values that are not finite; OSError or zipfile.BadZipFile for a
-    damaged file.
+    Raises ValueError for compressed members over 16 MiB, for an unknown array format, for objects,
+    for a member whose length is not that of its array, and for values that are not finite; OSError
+    or zipfile.BadZipFile for a missing or damaged file.
     """
     with path.open("rb") as file:
         _check_members(file)

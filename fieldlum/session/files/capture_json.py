@@ -19,20 +19,23 @@ _REMEDY = "restore the file from a copy, or import the card again (fieldlum impo
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame in the journal: its file, exposure, times and sha256.
+    """One frame of a bracket: its file, exposure, times and sha256.
 
-    file: relative to the slot's folder.
+    index: place in the bracket, from 0; file: relative to the slot's folder; exposure: as
+    requested, or from EXIF if that differs, and then `doubt` is set; t_utc: time of the request;
+    seconds: from the request to the file on the disk; doubt: what looked wrong when the frame was
+    checked; instead_of: file of the doubtful frame that this one replaces.
     """
 
     index: int
     file: str
-    exposure: Exposure  # as requested; from EXIF if EXIF differs, and then `doubt` is set
+    exposure: Exposure
     heading_deg: float | None
     t_utc: datetime
-    seconds: float = 0.0  # from the request to the file on disk
+    seconds: float = 0.0
     sha256: str = ""
-    doubt: str = ""  # what looked wrong when the frame was checked
-    instead_of: str = ""  # file of the doubtful frame that this one replaces
+    doubt: str = ""
+    instead_of: str = ""
 
 
 def frame_fields(frame: Frame) -> FrameTable:
@@ -55,7 +58,7 @@ def frame_fields(frame: Frame) -> FrameTable:
 
 
 def frame_from(fields: Mapping[str, Any]) -> Frame:
-    """Return the frame whose `frame_fields` are given.
+    """Return the frame of a table that `frame_fields` wrote.
 
     Raises KeyError, TypeError or ValueError for other content.
     """
@@ -66,8 +69,10 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
 class CaptureFile:
     """The content of one capture.json.
 
-    t_open_utc is the first request to the camera; t_close_utc is when the last file was on the
-    disk.
+    t_open_utc: first request to the camera; t_close_utc: when the last file was on the disk;
+    complete: whether all planned frames were taken; profile: name of the camera profile;
+    heading_deg: clockwise from north; camera: what it reports; illuminance_lx: mean reading of a
+    meter at the lens, or None.
     """
 
     slot: str
@@ -78,7 +83,7 @@ class CaptureFile:
     profile: str = ""
     heading_deg: float | None = None
     camera: dict[str, Any] = field(default_factory=dict)
-    illuminance_lx: float | None = None  # mean reading of a meter at the lens
+    illuminance_lx: float | None = None
 
     @property
     def t_mid_utc(self) -> datetime:
@@ -98,11 +103,11 @@ class CaptureFile:
 
     @classmethod
     def find(cls, path: Path) -> CaptureFile | None:
-        """Read the file; return None if it is missing, as for frames copied by hand."""
+        """Read the file; return None if it is missing. Raises InputError for other content."""
         return cls.read(path) if path.is_file() else None
 
     def write(self, path: Path) -> None:
-        """Write the file."""
+        """Write the file, with the middle of the two times as t_mid_utc."""
         lux = {} if self.illuminance_lx is None else {"illuminance_lx": self.illuminance_lx}
         table = {
             "format": FORMAT,
@@ -121,7 +126,7 @@ class CaptureFile:
 
 
 def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
-    """Return the times of the first request and of the last file.
+    """Return the earliest request and the latest end (request plus duration) of some frames [UTC].
 
     Raises ValueError without frames.
     """

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 class CleanIrradiance:
     """Quality-checked irradiance: arrays [n] in order of time [W/m2]; NaN is unusable.
 
-    flags: words separated by spaces.
+    source: measured, or derived:dirint for a direct irradiance estimated from the global; flags:
+    words separated by spaces.
     """
 
     t_unix_s: Array
@@ -36,7 +37,7 @@ class CleanIrradiance:
     def every_s(self, moment_unix_s: float) -> float:
         """Return the median time between the 60 rows around a moment [s]; 60 for one row or none.
 
-        A session can have two loggers with different intervals.
+        The moment is in Unix seconds. A session can have two loggers with different intervals.
         """
         at = int(np.searchsorted(self.t_unix_s, moment_unix_s))
         steps = np.diff(self.t_unix_s[max(at - _AROUND_ROWS, 0) : at + _AROUND_ROWS])
@@ -72,7 +73,7 @@ class CleanIrradiance:
         return cls(t, ghi, dhi, dni, source, flags)
 
     def write(self, path: Path) -> None:
-        """Write all rows."""
+        """Write all rows, with three decimals."""
         import pandas as pd
 
         count = len(self.t_unix_s)

@@ -22,12 +22,12 @@ MOST_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chose
 class HeldOutMaps:
     """Hours that were held out of the fit which predicted them, in the order of the folds.
 
-    slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted, as in
-    scores.json [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun
-    disc [n, 10]; contrast_measured, contrast_predicted: of each pyramid level [n, 5] cd/m2;
-    measured_log10, predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2 %), reduced to fewer
-    pixels, without the disc; season_deg: angle to the nearest sun in that fit's training data [n]
-    deg.
+    slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted by solid angle
+    [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun disc [n,
+    10]; contrast_measured, contrast_predicted: mean local contrast of each level of a picture
+    pyramid [n, 5] cd/m2; measured_log10, predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2
+    %), reduced to fewer pixels, without the disc; season_deg: angle to the nearest sun in that
+    fit's training data [n] deg.
     """
 
     slots: NDArray[np.str_]
@@ -46,7 +46,7 @@ class HeldOutMaps:
         return len(self.slots)
 
     def take(self, rows: NDArray[np.intp]) -> HeldOutMaps:
-        """Return some hours, by their row numbers."""
+        """Return the hours with these indices (from 0), in their order."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
     @classmethod
@@ -57,7 +57,7 @@ class HeldOutMaps:
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
 
     def write(self, folder: Path) -> None:
-        """Write at most 150 hours, spread evenly from best to worst prediction."""
+        """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
         order = np.argsort(self.log10_mse, kind="stable")
         kept = order[
             np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_MAPS)).round()).astype(
@@ -71,7 +71,7 @@ class HeldOutMaps:
 
     @classmethod
     def find(cls, folder: Path) -> HeldOutMaps | None:
-        """Read the file; return None if it is missing, as in models of 0.1.0.
+        """Read held_out.npz of a folder; return None if it is missing, as in models of 0.1.0.
 
         Raises InputError for other content.
         """

@@ -51,10 +51,11 @@ LATER_HOUR_COLUMNS = ("disturbed_share",)
 
 @dataclass(frozen=True, slots=True)
 class HourlyFile:
-    """The content of one hourly.csv.
+    """The content of one hourly.csv: figures of n hours, and of each hour in d view directions.
 
-    hours: `HOUR_COLUMNS`, [n] each. views: `VIEW_COLUMNS`, [n, d] each, named ``metric@azimuth`` in
-    the file. NaN, an empty cell, means undefined.
+    azimuths_deg: [d], clockwise from north. hours: each of `HOUR_COLUMNS`, [n]. views: each of
+    `VIEW_COLUMNS`, [n, d]; columns ``metric@azimuth`` in the file. NaN, an empty cell, means
+    undefined.
     """
 
     t_utc: tuple[datetime, ...]
@@ -64,7 +65,11 @@ class HourlyFile:
 
     @classmethod
     def read(cls, folder: Path, azimuths_deg: NDArray[np.float64], count: int) -> HourlyFile:
-        """Read `count` rows of figures in some directions. Raises InputError for other content."""
+        """Read hourly.csv of a folder, with `count` rows and the view directions `azimuths_deg`.
+
+        Columns that version 0.1.0 did not write become NaN. Raises InputError for a missing file,
+        another number of rows or other content.
+        """
         path = folder / NAME
         try:
             with path.open(newline="", encoding="utf-8") as file:
@@ -98,7 +103,7 @@ class HourlyFile:
             ) from None
 
     def write(self, folder: Path, timezone: str) -> None:
-        """Write all rows; `t_local` is in the time zone of the site."""
+        """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""
         zone = ZoneInfo(timezone)
         names = [_view_column(name, a) for a in self.azimuths_deg for name in VIEW_COLUMNS]
         digits = [figure for _ in self.azimuths_deg for figure in VIEW_COLUMNS.values()]

@@ -40,9 +40,10 @@ def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
 
 
 def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
-    """Return a file's format version, 1 if absent.
+    """Return the value of a file's key `format`, 1 if absent.
 
-    Raises InputError for a version that is not an integer from 1 to `newest`.
+    newest: the highest version that is accepted. Raises InputError for a version that is not an
+    integer from 1 to `newest`.
     """
     version = table.get("format", 1)
     if not isinstance(version, int) or not 1 <= version <= newest:
@@ -58,7 +59,8 @@ def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
 def build_known(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     """Build a frozen dataclass from its keys, strictly; ignore other keys, which are additions.
 
-    Raises InputError for a missing key or a value of the wrong type.
+    where: the file, for the error. Raises InputError for a missing key or a value of the wrong
+    type.
     """
     names = {field.name for field in fields(cls)}  # type: ignore[arg-type]
     return build(cls, {key: value for key, value in table.items() if key in names}, where)
@@ -71,7 +73,7 @@ def content_of(
     """Turn errors within the `with` block that converts a file's content into InputError.
 
     These are KeyError, TypeError, ValueError, AttributeError and ArithmeticError. Raises InputError
-    also for a format version above `newest`.
+    also for a format version that is not an integer from 1 to `newest`.
     """
     check_format(table, newest, path)
     try:
@@ -85,8 +87,8 @@ def from_json(cls: type[T], table: Mapping[str, Any]) -> T:
 
     Other keys are additions and are ignored. Null counts as absent; an absent field gets its
     default, or None if its type allows that. A nested dataclass with a method `from_table` is built
-    by that method. Raises KeyError for an absent field, TypeError or ValueError for a value that
-    cannot be converted.
+    by that method. Raises KeyError for an absent field without these, TypeError or ValueError for a
+    value that cannot be converted.
     """
     values: dict[str, Any] = {}
     for name, hint, has_default in _fields_of(cls):

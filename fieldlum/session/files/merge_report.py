@@ -27,8 +27,9 @@ _KEYS = {
 class FrameQuality:
     """How one frame fits into its bracket.
 
-    correction: fitted over assumed exposure; u_percent: its standard uncertainty. dropped_percent:
-    share of its pixels that were excluded because something moved; None if this was not requested.
+    correction: fitted over assumed exposure; u_percent: its standard uncertainty. heading_deg:
+    clockwise from north; None without a turning head. dropped_percent: share of its pixels that
+    were excluded because something moved; None if this was not requested.
     """
 
     file: str
@@ -40,7 +41,7 @@ class FrameQuality:
     dropped_percent: float | None = None
 
     def table(self) -> JsonTable:
-        """Return the row of `quality.frames`."""
+        """Return the frame as the sidecar's JSON stores it."""
         row = {
             "file": self.file,
             "heading_deg": self.heading_deg,
@@ -56,9 +57,9 @@ class FrameQuality:
 
     @classmethod
     def from_table(cls, row: Mapping[str, Any]) -> FrameQuality:
-        """Build from a row of `quality.frames`. Raises KeyError, TypeError or ValueError.
+        """Build from the JSON that `table` returns; texts alone, as in version 0.1.0, are read too.
 
-        Version 0.1.0 wrote the exposure as text alone, with six digits of the shutter time.
+        Raises KeyError, TypeError or ValueError for other content and for a correction not above 0.
         """
         stated = parse_exposure(row["exposure"])
         exposure = {**asdict(stated), **row} if "shutter_s" in row else asdict(stated)
@@ -72,8 +73,9 @@ class FrameQuality:
 class NeighbourQuality:
     """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
 
-    long, short: numbers of the frames within their heading; residual_percent, u_percent: their
-    disagreement and its standard uncertainty; pixels: number of pixels compared.
+    long, short: the more and the less exposed frame, numbered within their heading;
+    residual_percent, u_percent: their disagreement and its standard uncertainty; pixels: number of
+    pixels compared.
     """
 
     long: int
@@ -87,7 +89,8 @@ class NeighbourQuality:
 class ShiftQuality:
     """Turn of the camera between two frames, which are named by their files.
 
-    shift_px: in sensor pixels at the lens's axis; sure_px: the shift minus three standard errors.
+    long, short: the more and the less exposed one; shift_px: in sensor pixels at the lens's axis;
+    u_px: its standard uncertainty; sure_px: the shift minus three of these, at least 0.
     """
 
     long: str
@@ -114,8 +117,13 @@ class DarkRim:
 class MergeReport:
     """The figures of one merged bracket; shares are percent of the solid angle seen.
 
-    None or empty: not determined, or not written by the version of the sidecar. deviations: a text
-    for each heading whose exposures differ from the profile's. lost: frames that could not be read.
+    None or empty: not determined, or not written by the version of the sidecar. residual_percent:
+    largest disagreement of neighbouring frames; shift_px: of the surest turn; outside_percent: of
+    all directions; exposure_span_percent: range of fitted over stated exposures; deviations: a text
+    for each heading whose exposures differ from the profile's; noise_over_profile: 1 if not larger;
+    plateau_dn: saturation of R, G1, G2, B by ISO; black_off_dn: the files' black level minus the
+    profile's; u_ratio_percent: standard uncertainty from the exposures; lost: frames that could not
+    be read.
     """
 
     frames: tuple[FrameQuality, ...] = ()
@@ -142,7 +150,7 @@ class MergeReport:
     dark_rims: tuple[DarkRim, ...] = ()
 
     def table(self) -> JsonTable:
-        """Return the object `quality` of the sidecar, without optional keys that have no value."""
+        """Return the key `quality` of the sidecar, without optional keys that have no value."""
         optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims")
         return {
             _KEYS.get(name, name): value
@@ -152,7 +160,7 @@ class MergeReport:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
-        """Build from the object of a sidecar; unknown keys are ignored.
+        """Build from the key `quality` of a sidecar; unknown keys are ignored.
 
         Raises KeyError, TypeError or ValueError for other content.
         """

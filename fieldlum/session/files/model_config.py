@@ -19,7 +19,7 @@ _EXPECTED, _REMEDY = "a model folder", "train one with: fieldlum train"
 
 @dataclass(frozen=True, slots=True)
 class TrainingNote:
-    """Training data of a model: the csv, its slots, and its days in local standard time."""
+    """Training data of a model; source: the csv; slots: their ids; days: in local standard time."""
 
     source: str = ""
     slots: tuple[str, ...] = ()
@@ -47,11 +47,12 @@ class UsedScene(TypedDict):
 class ModelConfig:
     """The content of one config.json.
 
+    height, width: of its maps [px], 0 if not stated; heading_deg: azimuth of their centre column;
     setup: SITE.toml as a table; state: all keys, from which `from_state` builds the model.
     """
 
     model: str
-    height: int = 0  # of its maps [px]; 0: not stated
+    height: int = 0
     width: int = 0
     heading_deg: float | None = None
     patch: str = "absolute"
@@ -67,7 +68,10 @@ class ModelConfig:
 
     @classmethod
     def read(cls, folder: Path) -> ModelConfig:
-        """Read config.json. Raises InputError if it is missing or has other content."""
+        """Read config.json of a model's folder.
+
+        Raises InputError if it is missing or has other content.
+        """
         path = folder / "config.json"
         if not path.is_file():
             raise InputError(folder, "no config.json in this folder", _EXPECTED, _REMEDY)
@@ -92,5 +96,5 @@ class ModelConfig:
 
 
 def write_config(folder: Path, table: Mapping[str, object]) -> None:
-    """Write config.json from a model's state and the keys common to all models."""
+    """Write config.json into a folder; table: a model's state and the keys common to all models."""
     write_object(folder / "config.json", {"format": FORMAT, **table})

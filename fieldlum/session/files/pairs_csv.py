@@ -41,10 +41,13 @@ _YES, _NO = ("", "1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
 
 @dataclass(frozen=True, slots=True)
 class PairRow:
-    """One panorama and its light.
+    """One panorama and its light: the mean irradiances during its bracket.
 
-    Paths are relative to the csv. An empty text means that there is none; NaN means unknown. line:
-    number of the line in the csv.
+    panorama, sunpatch: paths relative to the csv. An empty text means that there is none; NaN means
+    unknown. sun_altitude_deg: true, without refraction; steadiness: range of the global irradiance
+    over its mean; sun_in_map: whether the pictures contain the disc; refraction: False for a
+    rendering that shows the sun at its true altitude; line: number of the line in the csv, from 1,
+    0 if not read.
     """
 
     t_utc: datetime
@@ -53,7 +56,7 @@ class PairRow:
     dhi_wm2: float
     ghi_wm2: float = math.nan
     source: str = ""
-    sun_altitude_deg: float = math.nan  # true altitude, without refraction
+    sun_altitude_deg: float = math.nan
     sun_azimuth_deg: float = math.nan
     steadiness: float = 0.0
     sunpatch: str = ""
@@ -61,13 +64,13 @@ class PairRow:
     ok: bool = True
     why: str = ""
     state: str = ""
-    refraction: bool = True  # False for a rendering that shows the sun at its true altitude
+    refraction: bool = True
     line: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class PairsFile:
-    """A pairs.csv: rows in the file's order, and warnings about the file."""
+    """A pairs.csv: rows in the file's order, its version, and warnings about unknown columns."""
 
     path: Path
     rows: tuple[PairRow, ...]
@@ -88,8 +91,8 @@ class PairsFile:
     def read(cls, path: Path) -> PairsFile:
         """Read the file; numbers in rows with ok = 0 are not read.
 
-        Raises InputError for a missing file, a missing required column, or a wrong cell, with its
-        line.
+        Raises InputError for a missing file, a missing required column, a newer format, or a wrong
+        cell, with its line.
         """
         reader = _reader(path)
         names = reader.fieldnames or ()
@@ -100,11 +103,11 @@ class PairsFile:
 
     @classmethod
     def find(cls, path: Path) -> PairsFile:
-        """Read the file; a missing file has no rows."""
+        """Read the file as `read` does; a missing file has no rows."""
         return cls.read(path) if path.is_file() else cls(path, ())
 
     def write(self) -> None:
-        """Write all rows without their state and refraction; an unknown number is an empty cell."""
+        """Write all rows without their state and refraction; NaN becomes an empty cell."""
         write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
 
 

@@ -25,10 +25,11 @@ NAME = "predict.json"
 class DirectionYear:
     """Glare of one view direction over the occupied hours.
 
-    glare_class: called `class` in predict.json. certain: whether it is decided. seen: "seen",
-    "partly seen" or "not seen", by the lenses. dgp_exceeded: DGP that is exceeded in the share
-    `share` of the hours, with its 95 % interval low to high; None: unknown. hours_over: number of
-    hours above each limit of DGP ("0.35", "0.40", "0.45"); None: unknown.
+    azimuth_deg: clockwise from north. glare_class: called `class` in predict.json. certain: whether
+    it is decided. seen: "seen", "partly seen" or "not seen", by the lenses. dgp_exceeded: DGP that
+    is exceeded in the share `share` of the hours, with its 95 % interval low to high; None:
+    unknown. hours_over: number of hours above each limit of DGP ("0.35", "0.40", "0.45"); None:
+    unknown. sentence: the class in words.
     """
 
     azimuth_deg: float
@@ -43,20 +44,24 @@ class DirectionYear:
     sentence: str = ""
 
     def table(self) -> JsonTable:
-        """Return the row of `protection`."""
+        """Return the direction as predict.json stores it in its list `protection`."""
         return {("class" if k == "glare_class" else k): v for k, v in to_json(self).items()}
 
     @classmethod
     def from_table(cls, row: Mapping[str, Any]) -> DirectionYear:
-        """Build from a row of `protection`."""
+        """Build from what `table` returns.
+
+        Raises KeyError, TypeError or ValueError for other content.
+        """
         return from_json(cls, {**row, "glare_class": row["class"]})
 
 
 @dataclass(frozen=True, slots=True)
 class SkyToCapture:
-    """An hour of the year (local time) whose capture would help to settle an undecided glare class.
+    """An hour of the year whose capture would help to settle an undecided glare class.
 
-    worth: expected use of such a sky, relative to the other hours listed.
+    date, hour: local, such as 05 March and 14:00; worth: expected use of such a sky, relative to
+    the other hours listed.
     """
 
     date: str
@@ -71,7 +76,7 @@ class YearOccupancy:
     """The occupied hours of a year.
 
     text: their rule; hours: their number; lit: number of those with daylight; untrusted_share:
-    share of the lit hours in which the model does not trust its maps.
+    share (0 to 1) of the lit hours in which the model does not trust its maps.
     """
 
     text: str = ""
@@ -82,7 +87,7 @@ class YearOccupancy:
 
 @dataclass(frozen=True, slots=True)
 class YearWeather:
-    """The weather of a year, and what was repaired in it."""
+    """The weather of a year; repairs: a text for each repair of its file."""
 
     name: str = ""
     synthetic: bool = False
@@ -91,7 +96,14 @@ class YearWeather:
 
 @dataclass(frozen=True, slots=True)
 class PredictFile:
-    """The content of one predict.json; hours: number of rows of hourly.csv."""
+    """The content of one predict.json.
+
+    inputs: what the result depends on; setup: SITE.toml; height, width: of the maps [px];
+    heading_deg: of their centre column; hours: number of rows of hourly.csv; first, last: their UTC
+    times; disc_from: how the visibility of the sun's disc is known; seen_share: share of each view
+    direction that the lenses saw, empty if all of it; protection: glare by direction; capture_next:
+    hours worth a capture.
+    """
 
     software: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, Any] = field(default_factory=dict)
@@ -115,12 +127,15 @@ class PredictFile:
     capture_next: tuple[SkyToCapture, ...] = ()
 
     def table(self) -> JsonTable:
-        """Return the JSON object, without its format."""
+        """Return the JSON object, without its key `format`."""
         return to_json(self)
 
     @classmethod
     def read(cls, folder: Path) -> PredictFile:
-        """Read predict.json. Raises InputError if `folder` has no complete year."""
+        """Read predict.json.
+
+        Raises InputError if it is missing from `folder` or has other content.
+        """
         path = folder / NAME
         if not path.is_file():
             raise InputError(
@@ -136,5 +151,5 @@ class PredictFile:
             return from_json(cls, {**table, **needed})
 
     def write(self, folder: Path) -> None:
-        """Write predict.json."""
+        """Write predict.json into a folder."""
         write_object(folder / NAME, {"format": FORMAT, **self.table()})

@@ -14,7 +14,9 @@ from fieldlum.session.writing import write_table
 class QualityRow:
     """Figures of one merged bracket; the fields are the columns.
 
-    None, an empty cell, means that a figure could not be determined.
+    None, an empty cell, means that a figure could not be determined. The figures are those of
+    `MergeReport`, and: verdict: "good", or what to check; drift_percent, ghi_change_percent: change
+    of the light during the bracket; sun_lx: on a plane normal to the sun.
     """
 
     slot: str
@@ -42,13 +44,13 @@ QUALITY_COLUMNS = tuple(field.name for field in fields(QualityRow))
 
 
 def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
-    """Write all rows."""
+    """Write quality.csv: a header and all rows, numbers with four digits."""
     cells = ([_text(getattr(row, name)) for name in QUALITY_COLUMNS] for row in rows)
     write_table(path, QUALITY_COLUMNS, cells, end="\r\n")
 
 
 def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return the columns and the rows as text; empty for a missing file."""
+    """Return the columns and the rows of a quality.csv as text; both empty for a missing file."""
     if not path.is_file():
         return (), ()
     with path.open(newline="", encoding="utf-8") as file:

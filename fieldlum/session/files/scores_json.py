@@ -14,7 +14,15 @@ _REMEDY = "train the model again (fieldlum train)"
 
 
 class ScoreFigures(TypedDict):
-    """Errors of predicted maps (docs/models.md); None for a figure that was not computed."""
+    """Errors of predicted maps; None for a figure that was not computed.
+
+    log10_mse: mean squared error of log10 luminance (floor 1 cd/m2), _weighted by solid angle,
+    paper_ with equal pixels; median, p90, worst: of it over maps; rer: root of the summed squared
+    errors over the summed squared truth; dgp: with the true disc, own_disc with that of the room;
+    bias_log10: mean signed error; in_90_band: share of pixels whose truth is within the model's 90
+    % interval; worst_decile_found: share of the worst tenth of hours that the model expects to be
+    worst.
+    """
 
     log10_mse_weighted: float | None
     rer_weighted: float | None
@@ -42,7 +50,11 @@ class ScoreFigures(TypedDict):
 
 
 class ScoreRow(ScoreFigures):
-    """One model in `train --json` (docs/cli.md); earlier versions wrote fewer keys."""
+    """One model in `train --json`; earlier versions wrote fewer keys.
+
+    fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
+    not_judged_because: reason for missing figures, or None.
+    """
 
     name: str
     fit_s: float
@@ -62,7 +74,11 @@ class CurvePoint(TypedDict):
 
 
 class CaptureCurve(TypedDict, total=False):
-    """How many captures would have been enough; without keys if there are too few captures."""
+    """How many captures would have been enough; without keys if there are too few captures.
+
+    enough: the fewest captures within one standard error of the best; added_nothing: the slots
+    beyond them.
+    """
 
     curve: list[CurvePoint]
     enough: int
@@ -89,7 +105,8 @@ class TrainAnswer(TypedDict):
 class ScoresFile:
     """The content of one scores.json.
 
-    models: one row for each model, with the columns of `train --json` (docs/cli.md).
+    models: one row for each model, with the columns of `train --json`; chosen: name of the chosen
+    one; more: keys that other versions add.
     """
 
     models: tuple[ScoreRow, ...]
@@ -99,14 +116,13 @@ class ScoresFile:
     final_fit_s: float = 0.0
     captures: CaptureCurve = field(default_factory=CaptureCurve)
     notes: tuple[str, ...] = ()
-    more: dict[str, Any] = field(default_factory=dict)  # keys that other versions add
+    more: dict[str, Any] = field(default_factory=dict)
 
     @property
     def judged_row(self) -> ScoreRow | None:
-        """Row of the chosen model.
+        """Row of the chosen model; None without such a row or without its held-out error.
 
-        None if the file has no row for it, or if the row has no held-out error, for example because
-        the time limit ended before.
+        The error is missing for example because the time limit ended before.
         """
         rows = (row for row in self.models if row.get("name") == self.chosen)
         row = next(rows, None)
@@ -114,14 +130,20 @@ class ScoresFile:
 
     @classmethod
     def read(cls, folder: Path) -> ScoresFile:
-        """Read the file. Raises InputError for a missing file or other content."""
+        """Read scores.json of a model's folder.
+
+        Raises InputError if it is missing or has other content.
+        """
         path = folder / "scores.json"
         table = read_object(path, "the scores of a trained model", _REMEDY)
         return cls.from_table(table, path)
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], path: Path) -> ScoresFile:
-        """Build from the JSON object of `path`. Raises InputError for other content."""
+        """Build from a JSON object; path: its file, for errors.
+
+        Raises InputError for other content.
+        """
         known = {field.name for field in fields(cls)} | {"format"}
         more = {key: value for key, value in table.items() if key not in known}
         with content_of(table, FORMAT, path, "what fieldlum train wrote", _REMEDY):
@@ -129,11 +151,11 @@ class ScoresFile:
 
     @classmethod
     def find(cls, folder: Path) -> ScoresFile | None:
-        """Read the file; return None if it is missing."""
+        """Read scores.json; return None if it is missing. Raises InputError for other content."""
         return cls.read(folder) if (folder / "scores.json").is_file() else None
 
     def table(self) -> TrainAnswer:
-        """Return the object that `train --json` prints, without `kept`."""
+        """Return the object that `train --json` prints, without its key `kept`."""
         answer: TrainAnswer = {
             "models": list(self.models),
             "chosen": self.chosen,
@@ -146,5 +168,5 @@ class ScoresFile:
         return cast(TrainAnswer, {**answer, **self.more})
 
     def write(self, folder: Path) -> None:
-        """Write scores.json."""
+        """Write scores.json into a folder."""
         write_object(folder / "scores.json", {"format": FORMAT, **self.table()})

@@ -29,8 +29,9 @@ _EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket agai
 class MeasuredSun:
     """The sun's centre in the pictures, by the profile's lens and the camera's heading.
 
-    sigma_deg: standard uncertainty of the centre along each axis, without that of lens and pose.
-    t_utc: mean time of the frames that show it; None where their times are unknown.
+    altitude_deg, azimuth_deg: apparent, clockwise from north. sigma_deg: standard uncertainty of
+    the centre along each axis, without that of lens and pose. t_utc: mean time of the frames that
+    show it; None where their times are unknown.
     """
 
     altitude_deg: float
@@ -52,8 +53,10 @@ class MeasuredSun:
 class SidecarSun:
     """The sun's disc that was removed from a panorama.
 
-    Angles are apparent ones, by the ephemeris. u_mosaic_percent: uncertainty of the illuminance
-    because few pixels are under the disc. lower_bound: every frame is clipped at the disc.
+    Angles are apparent ones, by the ephemeris. normal_illuminance_lx: at the lens, on a plane
+    normal to the sun; u_mosaic_percent: its standard uncertainty because few pixels are under the
+    disc. origin: how it was measured; lower_bound: every frame is clipped at the disc; measured:
+    where the pictures show it, or None.
     """
 
     altitude_deg: float | None = None
@@ -67,7 +70,12 @@ class SidecarSun:
 
 @dataclass(frozen=True, slots=True)
 class Sidecar:
-    """The content of one sidecar; report: the key `quality` of the file."""
+    """The content of panoramas/SLOT.json, the sidecar of a merged panorama.
+
+    t_utc: middle of the bracket; verdict: "good", or what to check; report: the key `quality`; sun:
+    None without a disc; factors: of the merge, by name; inputs: what the result depends on;
+    size_bytes: of the panorama, -1 if unknown; fieldlum: version.
+    """
 
     slot: str
     t_utc: datetime | None = None
@@ -91,7 +99,10 @@ class Sidecar:
 
     @property
     def sun_u_percent(self) -> float:
-        """Uncertainty of the sun's illuminance because few pixels are under the disc [%]."""
+        """Uncertainty of the sun's illuminance because few pixels are under the disc [%].
+
+        It is 0 without a disc.
+        """
         return self.sun.u_mosaic_percent if self.sun else 0.0
 
     @classmethod
@@ -101,7 +112,10 @@ class Sidecar:
 
     @classmethod
     def from_table(cls, table: dict[str, Any], path: Path) -> Sidecar:
-        """Build from the JSON object of `path`. Raises InputError for other content."""
+        """Build from a JSON object; path: its file, for errors.
+
+        Raises InputError for other content.
+        """
         with content_of(table, FORMAT, path, _EXPECTED, _REMEDY):
             profile, software = table.get("profile") or {}, table.get("software") or {}
             stated = {
@@ -114,7 +128,7 @@ class Sidecar:
 
     @classmethod
     def find(cls, path: Path) -> Sidecar | None:
-        """Read the file; return None if it is missing, as for a panorama copied here by hand."""
+        """Read the file; return None if it is missing. Raises InputError for other content."""
         return cls.read(path) if path.is_file() else None
 
     def write(self, path: Path) -> None:
@@ -138,7 +152,10 @@ class Sidecar:
 
 
 def readable_sidecars(paths: Iterable[Path]) -> Iterator[Sidecar]:
-    """Yield the sidecars that can be read. Others are damaged, or were not written by a merge."""
+    """Yield the sidecars that can be read, in the order of `paths`.
+
+    Others are damaged, or were not written by a merge.
+    """
     for path in paths:
         with suppress(InputError):
             yield Sidecar.read(path)

@@ -19,12 +19,13 @@ _EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
 class SunRow:
     """The sun of one panorama.
 
-    panorama: path relative to the csv. bound_lx: illuminance of the sun that the picture records.
-    The row belongs to the picture only while the picture records the same `bound_lx`.
+    panorama: path relative to the csv. altitude_deg: apparent; normal_illuminance_lx: on a plane
+    normal to the sun; visible_fraction: of the disc; origin: how the illuminance is known.
+    bound_lx: illuminance that the picture itself records; the row counts only while the two agree.
     """
 
     panorama: str
-    altitude_deg: float  # apparent altitude
+    altitude_deg: float
     azimuth_deg: float
     normal_illuminance_lx: float
     visible_fraction: float
@@ -48,12 +49,15 @@ COLUMNS = tuple(field.name for field in fields(SunRow))
 
 
 def write_suns(path: Path, rows: list[SunRow]) -> None:
-    """Write all rows."""
+    """Write suns.csv: a header and all rows."""
     write_table(path, COLUMNS, (astuple(row) for row in rows))
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:
-    """Return the rows by panorama; empty for a missing file. Raises InputError with the line."""
+    """Return the rows by panorama; empty for a missing file.
+
+    Raises InputError, with the line, for other content.
+    """
     if not path.is_file():
         return {}
     rows: dict[str, SunRow] = {}

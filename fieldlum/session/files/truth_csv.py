@@ -19,7 +19,7 @@ TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 
 @dataclass(frozen=True, slots=True)
 class TruthIrradiance:
-    """Rows [n] in order of time [W/m2]; readers interpolate between them."""
+    """Simulated irradiance, rows [n] in order of time [W/m2]; readers interpolate between them."""
 
     t_unix_s: NDArray[np.float64]
     ghi_wm2: NDArray[np.float64]
@@ -28,7 +28,10 @@ class TruthIrradiance:
 
     @classmethod
     def read(cls, path: Path) -> TruthIrradiance:
-        """Read the file. Raises InputError for other content, or rows that are not in order."""
+        """Read the file. Raises InputError if it is missing, has other content or under two rows.
+
+        It is raised also for times that do not increase and for a value that is not finite.
+        """
         expected = f"the columns {', '.join(TRUTH_COLUMNS)}"
         remedy = "write the file again with: fieldlum simulate"
         try:
@@ -46,7 +49,7 @@ class TruthIrradiance:
         return cls(times, *light)
 
     def write(self, path: Path) -> None:
-        """Write all rows; NaN becomes 0."""
+        """Write all rows with three decimals; NaN becomes 0."""
         columns = self.t_unix_s, self.ghi_wm2, self.dhi_wm2, self.dni_wm2
         rows = []
         for second, *figures in zip(*columns, strict=True):
