@@ -29,7 +29,10 @@ QUIET = timedelta(hours=6)
 
 @dataclass(slots=True)
 class DayCount:
-    """Counts of the outcomes of slots on one local day, and its highest global irradiance."""
+    """Counts of the outcomes of slots on one local day, and its highest global irradiance.
+
+    doubtful: number of the done ones with a doubt; highest_ghi_wm2: None without a reading.
+    """
 
     done: int = 0
     missed: int = 0
@@ -42,7 +45,8 @@ class DayCount:
 class Alerts:
     """The faults already reported, and the counts of the current day, in one capture.
 
-    contact_sheet: called for a daily summary, returns the picture to attach, or None.
+    name, timezone: of the site; contact_sheet: called for a daily summary, returns the picture to
+    attach, or None.
     """
 
     name: str
@@ -81,7 +85,7 @@ class Alerts:
         """Return the messages that are due at a time, whether or not an event happened.
 
         disk_days: days of captures that the free disk space holds. ghi_wm2: latest global
-        irradiance [W/m2].
+        irradiance [W/m2]. None: unknown.
         """
         messages = self._new_day(t_utc)
         if ghi_wm2 is not None:

@@ -40,7 +40,7 @@ def no_check(path: Path, exposure: Exposure) -> str:
 
 
 def no_look(path: Path) -> str:
-    """Return "", which means that the frame is good."""
+    """Return "", which means that the frame is good; used if no check is given."""
     return ""
 
 
@@ -70,7 +70,8 @@ class BracketCapture:
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
         """Take the missing frames of a slot; return its final state, done or aborted.
 
-        After a failure, try again until `deadline`, the end of the slot's window.
+        state: from the journal, with the frames already taken. After a failure, try again until
+        `deadline`, the end of the slot's window.
         """
         folder = self.session.capture_file(slot.id).parent
         wanted = shots(slot.exposures, self.setup)
@@ -118,7 +119,10 @@ class BracketCapture:
                 state = self._again(slot, folder, state, wanted[frame.index], frame, deadline)
 
     def resumable(self, slot: Slot, state: SlotState) -> bool:
-        """Return whether a bracket is complete, or its last frame is less than a minute old."""
+        """Return whether all frames exist, or the last one ended at most a minute ago.
+
+        Without a frame it is False.
+        """
         if len(state.frames) == len(shots(slot.exposures, self.setup)):
             return True
         return bool(state.frames) and self._pause_s(state) <= STALE_S

@@ -101,7 +101,7 @@ def read_card(
 def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[str]]:
     """Return the frames without copies of the same file content, and a note if there were copies.
 
-    A copy would split its bracket in two.
+    The first frame of each content remains. A copy would split its bracket in two.
     """
     seen: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
     alike = Counter(_likeness(frame) for frame in frames)

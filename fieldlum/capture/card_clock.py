@@ -99,8 +99,8 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
 def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: float) -> str:
     """Return a warning if EXIF's offset differs from the stated one by over a minute, else "".
 
-    The warning states how many frames are near slots with each of the two. groups: with times from
-    `as_shown`. Without slots there is no warning.
+    The warning states how many frames are within 20 minutes of slots with each of the two. groups:
+    with times from `as_shown`; stated_s: clock minus UTC [s]. Without slots there is no warning.
     """
     own = [g for g in groups if g.frames[0].exif_offset_s is not None]
     offsets_s = _exif_offsets_s(own)
@@ -127,7 +127,7 @@ def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: floa
 
 
 def hms(seconds: float) -> str:
-    """Return an offset as +HH:MM, with seconds if they are not zero."""
+    """Return an offset [s] as +HH:MM or -HH:MM, with :SS if the seconds are not zero."""
     minutes, rest = divmod(round(abs(seconds)), 60)
     return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (
         f":{rest:02d}" if rest else ""
@@ -135,7 +135,7 @@ def hms(seconds: float) -> str:
 
 
 def hms_list(offsets_s: Sequence[float]) -> str:
-    """Return offsets as text, such as "-08:00 and -07:00"."""
+    """Return offsets [s] as text, such as "-08:00 and -07:00"."""
     return " and ".join(hms(offset_s) for offset_s in offsets_s)
 
 
@@ -169,7 +169,8 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
 
     An example is daylight saving time. With hourly slots such a change is hard to see: brackets
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
-    fewest parts that the brackets support: each change must bring three more brackets to slots.
+    fewest parts that the brackets support: each change must bring at least three more brackets near
+    slots. groups: not empty.
     """
     days = split_at_gaps(groups, _NIGHT_S)
     hits = hits_by_hour(days, slots)
@@ -183,9 +184,10 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
 
 
 def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.ndarray:
-    """Return how many brackets of each day are near slots, for each clock offset [days, offsets].
+    """Return how many brackets of each day are near slots, for each clock offset [days, 53].
 
-    Offsets are -26 to 26 hours from a base, the quarter of an hour that fits all brackets best.
+    Near is within 20 minutes. Offsets are -26 to 26 hours from a base: the minutes of the quarter
+    of an hour that fits all brackets best.
     """
     everything = [group for day in days for group in day]
     base = next(iter(fitting_offsets(everything, slots)), 0.0) % 3600.0
@@ -212,8 +214,8 @@ def _steadiest(hits: np.ndarray) -> list[int]:
 def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     """Return a note on each change of the camera's clock by over half an hour between two parts.
 
-    clocks: brackets of each part with the fitted offset. Brackets that were taken an hour early on
-    some days look the same.
+    clocks: brackets of each part, in order of time, with the fitted offset. Brackets that were
+    taken an hour early on some days look the same.
     """
     notes: list[str] = []
     for (before, old), (after, new) in pairwise(clocks):
@@ -232,7 +234,7 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
     """Return why the plan contradicts a clock offset, or "".
 
     Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),
-    and a clock that was set between brackets.
+    and a clock that was set between brackets. groups: in order of time.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
     hits = [_near(groups, slots, offset.seconds + s) for s in shifts]

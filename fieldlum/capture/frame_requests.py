@@ -14,9 +14,9 @@ from fieldlum.session.tables import DeviceTable
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
-    """One frame to take: its number in the bracket, its exposure, and the heading [deg].
+    """One frame to take: its number in the bracket (from 0), its exposure, and the heading.
 
-    heading_deg: None without a turned head.
+    heading_deg: clockwise from north; None without a turned head.
     """
 
     index: int
@@ -51,6 +51,7 @@ def write_capture(
     """Write capture.json about a slot's frames into its folder, atomically, for merge.
 
     complete: whether all planned frames were taken; camera: what the camera reports about itself.
+    Raises ValueError if the state has no frame.
     """
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx

@@ -53,25 +53,24 @@ from fieldlum.session.ledger import SlotState, read_ledger
 class Report:
     """Result of an import.
 
-    brackets, frames: number of new ones; known: number of brackets imported before. left_out:
-    sentences on files and brackets that were not imported. notes: sentences on imported brackets
-    that may be wrong. late_s: start of each bracket minus its slot's time [s]. slots: of the new
-    brackets. moved: slots whose bracket of an earlier import was removed. rows, withdrawn: rows of
-    a logger's file that were added, and removed.
+    brackets, frames: number of new ones; known: number of brackets imported before. offsets: the
+    camera's clock minus UTC, for each campaign on the card. late_s: start of each bracket minus its
+    slot's time [s]. left_out: sentences on files and brackets that were not imported. notes:
+    sentences on imported brackets that may be wrong. slots: of the new brackets. moved: slots whose
+    bracket of an earlier import was removed. rows, withdrawn: rows of a logger's file that were
+    added, and removed.
     """
 
     brackets: int = 0
     frames: int = 0
-    known: int = 0  # brackets that were already in the session
-    offsets: tuple[Offset, ...] = ()  # one for each campaign on the card
+    known: int = 0
+    offsets: tuple[Offset, ...] = ()
     late_s: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     rows: int = 0
-    # rows of the logger's file that an earlier import had added with another clock or other columns
     withdrawn: int = 0
     slots: tuple[str, ...] = ()
-    # slots whose brackets were removed because an earlier import used another clock
     moved: tuple[str, ...] = ()
 
 

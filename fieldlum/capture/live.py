@@ -9,9 +9,15 @@ from datetime import datetime
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """State of a running capture: counts of slots, next slot, irradiance, devices, disk."""
+    """State of a running capture: counts of slots, next slot, irradiance, devices, disk.
 
-    state: str  # waiting, paused, capturing, finished
+    state: waiting, paused, capturing or finished; left: slots still to capture; next_in_s,
+    ghi_age_s: seconds; camera, pyranometer: ok, closed or lost; bytes_missing: what the next
+    bracket needs and the disk lacks, without the space reserved for journal and rows; disk_days:
+    days of captures that fit. None: unknown.
+    """
+
+    state: str
     t_utc: datetime
     planned: int
     done: int
@@ -26,8 +32,6 @@ class Live:
     camera: str
     pyranometer: str
     bytes_free: int
-    # bytes that the next bracket needs and the disk lacks, without the space reserved for journal
-    # and rows
     bytes_missing: int
     disk_days: float | None
     last_event: str

@@ -24,7 +24,8 @@ _TOLD_AN_HOUR = 20
 class Logger:
     """Reads a pyranometer every `every_s` seconds and writes the rows.
 
-    It has its own thread (`start`), or the capture's loop calls `poll_if_due`.
+    It has its own thread (`start`), or the capture's loop calls `poll_if_due`. last: newest valid
+    reading, or None; bad: number of failed readings.
     """
 
     def __init__(
@@ -136,7 +137,8 @@ def log(
 ) -> int:
     """Log irradiance without a camera until `rows` are written or the process is stopped.
 
-    Return the number of rows written. Raises DeviceError if the instrument does not open at the
+    rows: None for no limit; every_s: time between readings [s]; say: called with notes for the
+    user. Return the number of rows written. Raises the error of opening the instrument at the
     start, InputError if another process logs into this session.
     """
     steady = SteadyClock(clock)

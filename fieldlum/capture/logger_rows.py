@@ -48,7 +48,7 @@ def adopt_rows(
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None = None,
 ) -> Adopted:
-    """Add the rows of a logger's file to the day files.
+    """Add the rows of a logger's file to the day files, except those whose time is there already.
 
     Rows that an earlier import of this file name read with another clock or other columns are
     removed. utc_offset_s: the logger's clock minus UTC [s], if the file does not state it. columns:
@@ -108,7 +108,7 @@ def _readable(path: Path, table: LoggerFileTable) -> Sequence[IrradianceSample]:
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Append the rows whose time is in no day file yet; return their number.
 
-    If several of these rows have the same time, those that differ from the row before are appended.
+    Of equal rows in sequence, one is appended; different rows of the same time all are.
     """
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:
@@ -133,10 +133,11 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
 
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Remove the rows with the times and texts of `samples` from the day files; return the number.
+    """Remove the rows with the times and raw texts of `samples` from the day files.
 
-    The earlier day file remains in irradiance/withdrawn/. clean.csv is deleted too, because it is
-    only updated if the length of a day file changes, and rows that only move do not change it.
+    Return their number. A changed day file's earlier version remains in irradiance/withdrawn/.
+    clean.csv is deleted too if a row was removed, because it is only updated if the length of a day
+    file changes, and rows that only move do not change it.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

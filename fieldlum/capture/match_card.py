@@ -33,15 +33,16 @@ class CardFrame:
     """A frame as EXIF describes it.
 
     t_camera: the camera's clock, read as if it were UTC; if exif_offset_s is known, t_camera is
-    UTC. exif_offset_s: the clock minus UTC [s], if EXIF states it.
+    UTC. exif_offset_s: the clock minus UTC [s], if EXIF states it. camera: model; serial: of the
+    body, "" if EXIF has none.
     """
 
     path: Path
     exposure: Exposure
     t_camera: datetime
     exif_offset_s: float | None = None
-    camera: str = ""  # model
-    serial: str = ""  # serial number of the body; "" if EXIF has none
+    camera: str = ""
+    serial: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class Group:
 
     @property
     def t_camera(self) -> datetime:
-        """Return the start of the bracket by the camera's clock."""
+        """Start of the bracket, the `t_camera` of its first frame."""
         return self.frames[0].t_camera
 
 
@@ -71,11 +72,14 @@ class Offset:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A bracket on a card, the planned slot it belongs to, and its delay [s]."""
+    """A bracket on a card, and the planned slot it belongs to.
+
+    late_s: true start minus planned start [s].
+    """
 
     slot: Slot
     group: Group
-    late_s: float  # true start minus planned start [s]
+    late_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,10 @@ class Unmatched:
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Return the median pause from the end of one frame to the next [s], at least 1 s."""
+    """Return the median pause from the end of one frame to the start of the next [s], at least 1 s.
+
+    It is 1 s for fewer than two frames. frames: in order of time.
+    """
     gaps = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
         for a, b in pairwise(frames)
@@ -126,7 +133,7 @@ def group_frames(
     """Group frames into brackets, in order of time.
 
     A new bracket begins after a pause, or with an exposure that the bracket already contains. The
-    pause is ten times this card's usual time between frames (60 times with several headings),
+    pause is over ten times this card's usual time between frames (60 times with several headings),
     because a bracket can take from three seconds to two minutes.
 
     pattern: the plan's exposures. An exposure that is twice in the plan (once through a filter,
@@ -150,7 +157,10 @@ def group_frames(
 
 
 def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
-    """Split brackets, in order of time, at gaps of five days, where the clock may have been set."""
+    """Split brackets, in order of time, at gaps of five days or more between two starts.
+
+    The camera's clock may have been set there.
+    """
     return split_at_gaps(groups, _CAMPAIGN_S)
 
 
@@ -188,7 +198,8 @@ def missing_exposures(group: Group, planned: Sequence[Exposure]) -> list[Exposur
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
     """Return by how much each bracket starts after its nearest slot, [n] s; negative if before.
 
-    offset_s: the camera's clock minus UTC, which is subtracted from the bracket's time.
+    offset_s: the camera's clock minus UTC, which is subtracted from the bracket's time. slots: at
+    least one.
     """
     starts = np.array([slot.t_utc.timestamp() for slot in slots])
     times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
@@ -196,10 +207,10 @@ def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> n
 
 
 def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
-    """Return the clock offsets [s] with which most brackets are near slots.
+    """Return the clock offsets [s] with which the largest number of brackets is near slots.
 
-    Near means within 7.5 minutes. Offsets are multiples of a quarter of an hour, from -12 to 14
-    hours. The result is empty if no bracket is near a slot with any of them.
+    Near means within 7.5 minutes. Offsets, clock minus UTC, are multiples of a quarter of an hour,
+    from -12 to 14 hours. The list is empty if no bracket is near a slot with any of them.
     """
     if not groups or not slots:
         return []
@@ -235,8 +246,9 @@ def find_offset(
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
     """Refine the offset by the median delay, if three or more brackets start equally early or late.
 
-    Such brackets were started by a timer, so that their common delay is an error of the camera's
-    clock.
+    Only brackets within 20 minutes of a slot count. Their delays must agree within 5 s (median
+    deviation), and the median must be 1 s or more; else the offset is returned unchanged. Such
+    brackets were started by a timer, so that their common delay is an error of the camera's clock.
     """
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
@@ -250,7 +262,10 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 
 
 def misfit(match: Match) -> tuple[int, float]:
-    """Return a key that sorts the best match first: most of the slot's exposures, then nearest."""
+    """Return a key that sorts the best match first.
+
+    The best has frames for most of the slot's exposures, then the smallest delay.
+    """
     return -fits(match.group, match.slot), abs(match.late_s)
 
 
@@ -259,8 +274,9 @@ def match_groups(
 ) -> tuple[list[Match], list[Unmatched]]:
     """Match brackets to the nearest slot within 20 minutes; return matches and the others.
 
-    A bracket must have two of the slot's exposures, or its only one. Of several brackets at one
-    slot, the one with most of its exposures is matched.
+    Matches are in order of the slots. A bracket must have two of the slot's exposures, or its only
+    one. Of several brackets at one slot, the one with most of the slot's exposures is matched, then
+    the nearest.
     """
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []

@@ -18,7 +18,10 @@ _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not m
 
 @dataclass(slots=True)
 class MissedHook:
-    """Counts slots in a row without a bracket; runs `command`, if not empty, after the second."""
+    """Counts slots in a row without a bracket; runs `command`, if not empty, after the second.
+
+    command: run by the shell in `folder`; recorder: receives events about it.
+    """
 
     command: str
     folder: Path
@@ -26,7 +29,10 @@ class MissedHook:
     _misses: int = 0
 
     def count(self, slot: str, state: SlotState) -> None:
-        """Count slots in a row that were not done; at the second, run the command in a thread."""
+        """Count slots in a row that were not done; at the second, run the command in a thread.
+
+        Environment variables FIELDLUM_SLOT, _OUTCOME, _REASON and _SESSION describe the slot.
+        """
         self._misses = 0 if state.outcome == "done" else self._misses + 1
         if self._misses != MISSES_IN_A_ROW or not self.command:
             return

@@ -16,20 +16,25 @@ FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance a
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Settings of a running capture that are not in the plan: times, watchdog, hook, disk."""
+    """Settings of a running capture that are not in the plan: times, watchdog, hook, disk.
 
-    # a bracket may start this late [s]; after that its slot is missed
+    grace_s: how late a bracket may start; after that its slot is missed. log_around_s: log
+    irradiance only from this time before a slot, in simulated time; None: always. threaded: whether
+    the log has its own thread; else the loop polls, as a simulated clock requires. watchdog_s: a
+    device that does not answer for longer is closed and reopened. on_misses: shell command after
+    two slots in a row without a bracket. reserve_bytes: disk space for journal and rows. flush:
+    with False, files survive a killed process but not a power cut. boot: identifies the computer's
+    boot, to detect a clock step after a restart.
+    """
+
     grace_s: float = DEFAULT_GRACE_S
     log_every_s: float = 5.0
-    # log irradiance only from this time before a slot [s], in simulated time; None: always
     log_around_s: float | None = None
-    # True: the log has its own thread; False: the loop polls, as a simulated clock requires
     threaded: bool = True
-    watchdog_s: float = 60.0  # a device that does not answer for longer is closed and reopened
-    on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
+    watchdog_s: float = 60.0
+    on_misses: str = ""
     reserve_bytes: int = RESERVE_BYTES
-    flush: bool = True  # False: files survive a killed process, but not a power cut
-    # identifies the boot of the computer, so that a restarted capture can detect a clock step
+    flush: bool = True
     boot: str = ""
 
 
@@ -39,8 +44,8 @@ DEFAULTS = Options()
 def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     """Return the clock and the options of a capture.
 
-    fast: a simulated clock that jumps from slot to slot. It starts a minute before the first slot,
-    or where the journal ends.
+    fast: a simulated clock that jumps from slot to slot. It starts where the journal ends, or,
+    without an event, a minute before the first slot.
     """
     grace_s = session.grace.total_seconds()
     if not fast:

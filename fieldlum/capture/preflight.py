@@ -30,10 +30,10 @@ def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
 def refuse_a_past_plan(
     slots: Sequence[Slot], before: Ledger, now_utc: datetime, grace: timedelta
 ) -> None:
-    """Raise NotEnoughDataError if every slot is past and no bracket was started.
+    """Raise NotEnoughDataError if every slot is past and the journal has no event of a slot.
 
-    Otherwise all slots would be journalled as missed. The cause is an old plan, or a clock that is
-    fast.
+    grace: how late a bracket may start. Otherwise all slots would be journalled as missed. The
+    cause is an old plan, or a clock that is fast.
     """
     last = max((slot.t_utc for slot in slots), default=now_utc)
     if not before.slots and last + grace < now_utc:
@@ -74,12 +74,12 @@ def wait_for_clock(
     say: Callable[[str], None],
     trusted: Callable[[], bool] = synchronised,
 ) -> None:
-    """Wait while the computer's clock is earlier than the session itself.
+    """Wait while the computer's clock is over two minutes earlier than the session's last change.
 
     A small computer without a clock battery starts with a past time, until a time server answers. A
-    bracket taken before that would be filed under a wrong sun position. The session's files cannot
-    be from the future, so an earlier clock has not been set. Return at once if `trusted()`, which
-    means that a time server has set the clock. say: called with notes for the user.
+    bracket taken before that would be filed under a wrong sun position. Return at once if
+    `trusted()`, which means that a time server has set the clock. say: called with notes for the
+    user.
     """
     latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
     if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():

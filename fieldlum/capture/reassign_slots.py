@@ -15,10 +15,11 @@ SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measure
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
 ) -> tuple[str, ...]:
-    """Remove imported brackets whose frames now have another slot or time; return their slots.
+    """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
-    matched: the new matches. The brackets' folders move to raw/withdrawn/, and what merge wrote
-    from them is deleted. The slots are then without a bracket again.
+    matched: the new matches, each with its clock offset; a time differs if by over two minutes. The
+    brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
+    are then without a bracket again.
     """
     held: dict[str, list[str]] = {}
     for slot, state in ledger.slots.items():

@@ -37,7 +37,8 @@ R = TypeVar("R")
 class Keeper(Generic[D]):
     """Holds one device and reopens it after a failure.
 
-    `tell(event, fields)` is called for device-lost and device-back.
+    tell: called as tell(event, ...) for device-lost and device-back; watchdog_s: time after which a
+    call of the device counts as hung [s].
     """
 
     def __init__(
@@ -73,7 +74,10 @@ class Keeper(Generic[D]):
         return self._device
 
     def insist(self) -> D:
-        """Return the device, opened now if necessary; pass on any error of opening it."""
+        """Return the device, opened now if necessary; pass on any error of opening it.
+
+        Raises DeviceError if opening takes longer than the watchdog allows.
+        """
         if self._device is None:
             self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
         return self._device
@@ -97,7 +101,7 @@ class Keeper(Generic[D]):
         return result
 
     def lost(self, error: BaseException) -> None:
-        """Close a failed device, journal its loss, and plan the next try to open it.
+        """Close a failed device, journal its loss once, and plan the next try to open it.
 
         The pause doubles with each call, from 1 s to 30 s, until a call of the device succeeds.
         """
@@ -129,7 +133,8 @@ def plain_info(info: CameraInfo | InstrumentInfo) -> DeviceTable:
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     """Run `work()` in its own thread and return its result, or raise its error.
 
-    Raises DeviceError, naming `what`, if it does not return in time; the thread is then abandoned.
+    Raises DeviceError, naming `what`, if it does not return within `seconds`; the thread is then
+    abandoned.
     """
     result: list[Any] = []
 

@@ -37,8 +37,10 @@ _KEPT_ROWS = 100_000  # rows that wait in memory, almost six days at 5 s; chosen
 class Recorder:
     """The journal and the day files of one running capture.
 
-    Writing an event or a row raises no error for faults of the disk: the recorder reports the
-    fault, stores in memory what could not be written, and tries again at the next event or row.
+    Writing an event or a row raises no error for faults of the disk: the recorder stores in memory
+    what could not be written (of rows the newest 100 000), and tries again at the next event or
+    row. reserve_bytes: size of a file that is deleted when the disk is full, to gain its space;
+    rows: number written.
     """
 
     def __init__(
@@ -88,9 +90,9 @@ class Recorder:
         return max(0, round(size) - usable)
 
     def claim(self, size: float) -> None:
-        """Make sure that a file of `size` bytes fits, if necessary by using the reserve.
+        """Make sure that a file of `size` bytes fits, if necessary by deleting the reserve file.
 
-        Raises OSError (ENOSPC) if the file does not fit.
+        Raises OSError (ENOSPC) if the file does not fit and leave half of the reserve's size free.
         """
         with self._lock:
             if missing := self.missing_bytes(size):
@@ -105,7 +107,10 @@ class Recorder:
         return disk_usage(self._reserve.parent).free
 
     def make_room(self) -> None:
-        """Delete the reserve on a full disk, so that journal and rows can be written."""
+        """Delete the reserve file on a full disk, so that journal and rows can be written.
+
+        It is journalled; until `refill` restores the reserve, nothing happens again.
+        """
         with self._lock:
             if not self.full:
                 self.full = True
@@ -113,7 +118,7 @@ class Recorder:
                 self.tell("disk-full", bytes_free=self._free_bytes())
 
     def refill(self) -> None:
-        """Write what waits in memory, and restore the reserve; called before each bracket."""
+        """Restore the reserve file and write what waits in memory; called before each bracket."""
         with self._lock:
             try:
                 _allocate(self._reserve, self._reserve_bytes)

@@ -33,7 +33,10 @@ class Remote:
     _lock: Lock = field(default_factory=Lock)
 
     def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
-        """Send the messages that a journal event causes, and a heartbeat if it settles a slot."""
+        """Send the messages that a journal event causes.
+
+        Also send a heartbeat if the event settles a slot (done, missed, aborted).
+        """
         if self.heartbeat is not None and event in SETTLED:
             self.heartbeat.beat()
         with self._lock:

@@ -54,7 +54,10 @@ class SteadyClock:
         self._refused_s = 0.0  # a step that was not followed is reported once
 
     def now(self) -> datetime:
-        """Return the steady UTC, which does not follow untrusted steps of the computer's clock."""
+        """Return the steady UTC, which does not follow untrusted steps of the computer's clock.
+
+        `check` must be called regularly: it follows trusted steps and drift.
+        """
         return self._anchor + timedelta(seconds=self._clock.boottime() - self._boot)
 
     def monotonic(self) -> float:
@@ -84,7 +87,7 @@ class SteadyClock:
     def check(self) -> list[tuple[str, EventFields]]:
         """Return the journal events since the last call: `suspend`, `clock-step`.
 
-        Each event is its name and its fields.
+        Each event is its name and its fields. Sleep or steps of at most 2 s are no event.
         """
         events: list[tuple[str, EventFields]] = []
         slept = self._clock.boottime() - self._clock.monotonic()

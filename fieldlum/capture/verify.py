@@ -47,7 +47,10 @@ def as_taken(path: Path, asked: Exposure) -> Exposure:
 
 
 def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
-    """Return the settings that differ between EXIF and request by more than rounding, or ""."""
+    """Return the settings that differ between EXIF and request by over 1/6 EV, as text, or "".
+
+    A setting that EXIF does not state is not compared.
+    """
     found = info.exposure
     pairs = (
         ("shutter", found.shutter_s, asked.shutter_s, 1.0),

@@ -33,7 +33,11 @@ def run(
     *,
     meter_uri: str = "",
 ) -> list[Finding]:
-    """Run all checks and return their findings; a check that raises an error is a failure."""
+    """Run all checks and return their findings; a check that raises an error is a failure.
+
+    progress: called with the number of checks done, their total and the name of the next one. An
+    empty URI means that the device is not used.
+    """
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
         ("profile", lambda: check_profile(session, now_utc.date())),

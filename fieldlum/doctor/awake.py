@@ -24,11 +24,15 @@ _LOCK_BEFORE_240 = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Lock:
-    """A lock that prevents the computer from some actions: sleep, idle, handle-lid-switch."""
+    """A lock that prevents the computer from some actions: sleep, idle, handle-lid-switch.
+
+    who: the program; mode: block; delay only postpones by some seconds; block-weak yields to the
+    user.
+    """
 
     who: str
     what: frozenset[str]
-    mode: str  # block; delay only postpones by some seconds; block-weak yields to the user
+    mode: str
 
 
 def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
@@ -77,6 +81,9 @@ def has_lid() -> bool:
 
 
 def lock_to_be_had() -> str:
-    """Take the locks against sleep that `capture` takes, release them, and return their names."""
+    """Take the locks against sleep that `capture` takes, release them, and return their names.
+
+    They are joined by colons, such as ``sleep:idle``; "" if none can be had.
+    """
     with kept_awake() as what:
         return what

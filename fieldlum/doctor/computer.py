@@ -42,7 +42,10 @@ def kernel_clock() -> bool | None:
 
 
 def check_clock(synchronised: bool | None) -> Finding:
-    """Return a finding on this computer's clock: a warning unless it is synchronised."""
+    """Return a finding on this computer's clock: a warning unless it is synchronised.
+
+    synchronised: None if unknown, which is a warning too.
+    """
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     if synchronised is None:
         text = (
@@ -60,7 +63,11 @@ def check_clock(synchronised: bool | None) -> Finding:
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Return a finding on the disk: it must have space for all future slots, with a 30 % margin."""
+    """Return a finding on the disk: it fails without space for all future slots and 30 % more.
+
+    free_bytes: free space. A slot needs what the plan states, or more if one of the last five
+    brackets was larger.
+    """
     ahead = owed_slots(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
@@ -93,7 +100,8 @@ def _largest_bracket_bytes(session: Session) -> int:
 def check_writing(folder: Path) -> list[Finding]:
     """Write 1 MB into the folder, flush, rename and read it back; return findings on this.
 
-    A slow disk, or a folder that a cloud service synchronises, is a warning.
+    An error, or other bytes than those written, is a failure. A flush of over 0.5 s, or a folder
+    that a cloud service synchronises, is a warning.
     """
     path = folder / f".doctor.{os.getpid()}.tmp"
     payload = os.urandom(1 << 20)
@@ -129,10 +137,11 @@ def check_writing(folder: Path) -> list[Finding]:
 
 
 def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
-    """Return a finding on whether something keeps this computer awake.
+    """Return a finding on whether something keeps this computer awake, a warning if nothing does.
 
-    locks: of all programs; own: the lock that `capture` can get. By logind's default a closed lid
-    overrides a lock on sleep; only a lock on handle-lid-switch prevents this.
+    locks: of all programs, None if unknown; lid: whether there is a lid; own: names of the locks
+    that `capture` can get, joined by colons. By logind's default a closed lid overrides a lock on
+    sleep; only a lock on handle-lid-switch prevents this.
     """
     command = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",

@@ -21,7 +21,7 @@ CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Zo
 class Finding:
     """The result of one check of `doctor`: its subject, ok, warn or fail, and a sentence.
 
-    exit_code counts if the check failed: 4 for devices and this computer, 3 for files.
+    exit_code: of the command if the check failed: 4 for devices and this computer, 3 for files.
     """
 
     what: str
@@ -31,7 +31,10 @@ class Finding:
 
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
-    """Return the planned slots that can still be captured at `now_utc`."""
+    """Return the planned slots without an outcome whose grace is not over at `now_utc`.
+
+    They are in order of time; grace: how late a bracket may start.
+    """
     grace, open_slots = session.grace, owed(session.slots(), read_ledger(session))
     return [slot for slot in open_slots if slot.t_utc + grace >= now_utc]
 

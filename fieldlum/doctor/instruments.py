@@ -34,7 +34,9 @@ CAMERA_CLOCK_FAIL_S = 300.0  # the default grace of a slot; chosen, not measured
 def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
     """Check that the camera opens, has the planned exposures, and is that of the profile.
 
-    The findings also report its name, its clock and the free space of its card.
+    The findings also report its name, its clock and the free space of its card. An empty URI is a
+    warning. Raises DeviceError if the camera does not open, InputError for a file of the session or
+    the profile.
     """
     if not uri:
         text = "no camera stated: add --camera URI, or import its card afterwards"
@@ -70,7 +72,8 @@ def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
 def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
     """Return a warning if the camera's model is not that of the profile, else an empty list.
 
-    Frames of another camera cannot be merged, and the planned exposures may be impossible.
+    Simulated and replayed cameras, and unknown models, give none. Frames of another camera cannot
+    be merged, and the planned exposures may be impossible.
     """
     wanted = profile.camera.model
     if (
@@ -93,7 +96,11 @@ def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
 
 
 def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
-    """Return the findings about a camera's name, clock and card."""
+    """Return the findings about a camera's name, clock and card.
+
+    frames: number that is planned. The clock warns over 5 s from the computer's and fails over 300
+    s; an unknown time is a warning, and so is a card with less space than planned.
+    """
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
     who = " ".join(part for part in (make, info.model, info.serial) if part) or info.kind
     battery = f", battery {info.battery}" if info.battery else ""
@@ -128,7 +135,10 @@ def _judge_camera_clock(offset_s: float) -> Finding:
 
 
 def check_pyranometer(session: Session, uri: str) -> list[Finding]:
-    """Check that the instrument opens, gives a plausible reading, and is calibrated."""
+    """Check that the instrument opens, gives a plausible reading, and is calibrated.
+
+    An empty URI is a warning. Raises DeviceError if it does not open or answer.
+    """
     if not uri:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
         return [Finding("pyranometer", "warn", text)]
@@ -140,7 +150,10 @@ def check_pyranometer(session: Session, uri: str) -> list[Finding]:
 
 
 def check_meter(uri: str) -> list[Finding]:
-    """Check that the illuminance meter next to the lens answers; nothing for an empty URI."""
+    """Check that the illuminance meter next to the lens answers; nothing for an empty URI.
+
+    Raises DeviceError if it does not answer.
+    """
     if not uri:
         return []
     meter = open_meter(uri, clock=RealClock())
@@ -159,8 +172,9 @@ def check_meter(uri: str) -> list[Finding]:
 def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
     """Return findings on an instrument: its reading, faults, and age of calibration.
 
-    A reading that is impossible for the sun's altitude fails. Readings of global irradiance only,
-    and lines without a checksum, are warnings.
+    A reading that is impossible for the sun's altitude fails. A reported fault, an instrument of
+    global irradiance only, lines without a checksum, and a calibration over two years ago are
+    warnings.
     """
     who = " ".join(part for part in (info.model or info.kind, info.serial) if part)
     reading = ", ".join(

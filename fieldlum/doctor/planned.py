@@ -14,7 +14,10 @@ from fieldlum.session import Session, sha256
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
-    """Check that plan.csv is unchanged since it was planned, and that slots are in the future."""
+    """Return findings on plan.csv: it fails if changed since it was planned.
+
+    It is a warning if no slot can still be captured.
+    """
     about = session.table().get("plan", {})
     slots, ahead = session.slots(), owed_slots(session, now_utc)
     findings = []
@@ -40,7 +43,11 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
 
 
 def check_profile(session: Session, today: date) -> list[Finding]:
-    """Check that the camera profile is readable, up to date, and fits the planned exposures."""
+    """Return findings on the camera profile: its age, calibration and coverage of the view.
+
+    See `judge_age` and `judge_calibration`. Directions that no lens covers are a warning. Raises
+    InputError for an unreadable profile.
+    """
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
@@ -49,7 +56,10 @@ def check_profile(session: Session, today: date) -> list[Finding]:
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:
-    """Return a finding on a profile's age: fail if expired, warn if calibrated long ago, or ok."""
+    """Return a finding on a profile: fail if expired, warn if calibrated long ago, else ok.
+
+    Long ago means over two years.
+    """
     name = profile.camera.name
     expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
     if expires and expires < today:
@@ -63,7 +73,10 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
 
 
 def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
-    """Return a finding for each kind of planned exposure without a calibration in the profile."""
+    """Return a failed finding for apertures without a scale, and one for unknown filters.
+
+    slots: with the planned exposures; the list is empty if all are in the profile.
+    """
     planned = {exposure for slot in slots for exposure in slot.exposures}
     findings = []
     apertures = {e.f_number for e in planned}
@@ -84,7 +97,11 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Fin
 
 
 def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
-    """Report coming changes to or from daylight saving time, and slots with the sun in view."""
+    """Return findings on coming changes of daylight saving time, and on slots with the sun in view.
+
+    The latter is a warning unless all of these slots have an exposure with a filter. The list is
+    empty without coming slots.
+    """
     ahead, site = owed_slots(session, now_utc), session.site_file().site
     if not ahead:
         return []

@@ -48,7 +48,10 @@ def fetch(address: str) -> None:
 
 
 class Heartbeat:
-    """Fetches an address in its own thread: at once, after each `beat`, and every `every_s` s."""
+    """Fetches an address in its own thread: at once, after each `beat`, and every `every_s` s.
+
+    use: fetches the address; its errors are ignored.
+    """
 
     def __init__(
         self,
@@ -69,7 +72,7 @@ class Heartbeat:
         self._due.set()
 
     def close(self) -> None:
-        """Stop the thread."""
+        """Tell the thread to end; return at once."""
         self._closing = True
         self._due.set()
 

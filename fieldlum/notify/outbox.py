@@ -22,7 +22,7 @@ PATIENCE_AT_END_S = 10.0  # seconds; not measured, because the user waits for th
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message to a user: title, text and an optional picture, which is attached if it exists."""
+    """A message to a user: title, text and an optional picture, attached if the file exists."""
 
     title: str
     body: str
@@ -40,10 +40,11 @@ def _silent(event: str, why: str) -> None:
 class Outbox:
     """Sends messages in order, in the background.
 
-    `put` returns at once, whatever the network or the disk does. A message that cannot be sent is
-    tried again after 30 s, 1 min ... 15 min, and after a restart. `report(event, why)` is called
-    with ``notify-lost`` when sending begins to fail, and with ``notify-back`` when it works again;
-    `why` never contains an address.
+    post: sends one message and returns whether it was sent; file: stores the waiting ones for a
+    restart. `put` returns at once, whatever the network or the disk does. A message that cannot be
+    sent is tried again after 30 s, 1 min ... 15 min, and after a restart; of more than 500 waiting
+    ones the oldest are dropped. `report(event, why)` is called with ``notify-lost`` when sending
+    begins to fail, and with ``notify-back`` when it works again; `why` never contains an address.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class Outbox:
             self._changed.notify_all()
 
     def close(self, patience_s: float = PATIENCE_AT_END_S) -> int:
-        """Send messages for at most `patience_s`; return how many still wait."""
+        """Send waiting messages for at most `patience_s` seconds; return how many still wait."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()

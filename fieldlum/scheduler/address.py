@@ -22,7 +22,10 @@ def _silent(text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """Certificate files of a cluster that uses TLS."""
+    """Certificate files of a cluster that uses TLS.
+
+    ca: of the authority; certificate, key: this computer's own.
+    """
 
     ca: Path
     certificate: Path
@@ -31,11 +34,12 @@ class TlsFiles:
 
 @dataclass(frozen=True, slots=True)
 class Scheduler:
-    """Where units run, and how failures of workers are handled.
+    """Where units of work run, and how failures of workers are handled.
 
-    address: tcp:// or tls:// address of a Dask scheduler. unit_limit_s: seconds after which a unit
-    counts as hanging; None derives it from completed units. retries: number of further tries of a
-    unit after its worker was lost. say: shows one sentence to the user.
+    processes: their number on this computer; address: tcp:// or tls:// address of a Dask scheduler.
+    unit_limit_s: seconds after which a unit counts as hanging; None derives it from completed
+    units. retries: number of further tries of a unit after its worker was lost. say: shows one
+    sentence to the user.
     """
 
     kind: Literal["local", "processes", "cluster"] = "local"
@@ -51,7 +55,7 @@ LOCAL = Scheduler()
 
 
 def in_processes(count: int) -> Scheduler:
-    """Return the scheduler for `count` processes on this computer; 1 means the current process."""
+    """Return the scheduler for `count` processes here; 1 or less means the current process."""
     return Scheduler("processes", count) if count > 1 else LOCAL
 
 
@@ -98,7 +102,7 @@ def _cluster(address: str, tls: TlsFiles | None, say: Callable[[str], None]) -> 
 
 
 def is_loopback(address: str) -> bool:
-    """Return whether only this computer can reach `address`."""
+    """Return whether the host of the URL `address` is localhost or a loopback address."""
     host = urlsplit(address).hostname or ""
     try:
         return ipaddress.ip_address(host).is_loopback

@@ -32,7 +32,10 @@ VISIBLE_S = 60.0  # timeout for a worker's file to appear here; NFS shows new na
 
 
 class ClusterCrew:
-    """The workers of a Dask scheduler; only workers with exactly this software get units."""
+    """The workers of a Dask scheduler; only workers with exactly this software get units of work.
+
+    Used in a `with` block; entering it raises InputError without dask, or if no scheduler answers.
+    """
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
@@ -119,7 +122,7 @@ class ClusterCrew:
     # units
 
     def free(self) -> int:
-        """Return how many more units the usable workers can accept.
+        """Return how many more units the usable workers can accept; it can be below 0.
 
         Raises InputError if all workers have been rejected for a minute, NotEnoughDataError if
         there was no usable worker for ten minutes.
@@ -131,7 +134,7 @@ class ClusterCrew:
         return UNITS_A_THREAD * threads - len(self._running)
 
     def submit(self, key: int, unit: WorkUnit) -> None:
-        """Send a unit to the scheduler."""
+        """Send a unit to the scheduler, for the workers that are usable now."""
         places = frozenset(self._usable)
         future = self._client.submit(
             perform_here,
@@ -145,7 +148,7 @@ class ClusterCrew:
         self._finished.add(future)
 
     def ended(self) -> list[Ended]:
-        """Return the units that ended, and those that no worker can run."""
+        """Return how units ended, including those that no worker can run; wait up to 0.5 s."""
         end_s = time.monotonic() + POLL_S
         while not self._finished.has_ready() and time.monotonic() < end_s:
             time.sleep(TURN_S)
@@ -195,7 +198,7 @@ class ClusterCrew:
         return Ended(key, "worker", text=f"worker {worker}: {why}")
 
     def give_up(self, key: int) -> str:
-        """Cancel a unit and stop using its worker; return why."""
+        """Cancel a unit and stop using its worker; return what was done, as text."""
         future, _, _ = self._running.pop(key)
         processing = self._client.processing()
         names = [name for name, keys in processing.items() if future.key in keys]
@@ -205,7 +208,7 @@ class ClusterCrew:
         return f"worker {names[0]} hangs" if names else "no worker accepted it"
 
     def status(self) -> str:
-        """Return the number of workers, as text."""
+        """Return the number of usable workers, and of those not used, as text."""
         count = len(self._usable)
         text = counted(count, "worker")
         return f"{text}, {len(self._avoided)} not used" if self._avoided else text
@@ -232,7 +235,7 @@ def _collector(client: Any) -> Any:
 
 
 def perform_here(task: Task) -> tuple[str, Answer]:
-    """Run `perform` on a worker; also return the worker's address."""
+    """Run a task on a worker; return the worker's address and the answer."""
     from distributed import get_worker
 
     _one_thread()

@@ -19,11 +19,11 @@ POLL_S = 0.5  # seconds between two checks of time limits and new workers; chose
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a unit ended.
+    """How a unit of work ended; key: that of `submit`.
 
-    kind: "value"; "error" raised by the call; "lost" if its worker is gone; "worker" for a fault of
-    the worker's computer; "changed" if the unit must be tried again as `value`, with other recorded
-    inputs. text: what to report, with the worker's name.
+    kind: "value", what the call returned; "error" raised by the call; "lost" if its worker is gone;
+    "worker" for a fault of the worker's computer; "changed" if the unit must be tried again as
+    `value`, a unit with other recorded inputs. text: what to report, with the worker's name.
     """
 
     key: int
@@ -87,7 +87,7 @@ class LocalCrew:
         self._next = (key, unit)
 
     def ended(self) -> list[Ended]:
-        """Run the stored unit and return how it ended."""
+        """Run the stored unit and return how it ended, as a list of one."""
         assert self._next is not None
         (key, unit), self._next = self._next, None
         try:
@@ -111,7 +111,7 @@ def _start_worker() -> None:
 
 
 class ProcessCrew:
-    """A crew of processes on this computer.
+    """A crew of processes on this computer, used in a `with` block.
 
     Each process has its own pool, so that a killed process is matched to its unit and affects no
     other.
@@ -140,7 +140,7 @@ class ProcessCrew:
             pool.shutdown(cancel_futures=True)
 
     def free(self) -> int:
-        """Return the number of free processes that have started.
+        """Return the number of processes that have started and have no unit.
 
         Starting a process does not count as time of a unit.
         """
@@ -163,7 +163,7 @@ class ProcessCrew:
         return self._pool()
 
     def ended(self) -> list[Ended]:
-        """Return how units ended; wait for at most `POLL_S` if none did."""
+        """Return how units ended; empty if none did within 0.5 s."""
         if not self._running:  # every process is still starting
             starting = [self._pids[pool] for pool in self._idle]
             wait(starting, timeout=POLL_S, return_when=FIRST_COMPLETED)

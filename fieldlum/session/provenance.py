@@ -20,9 +20,9 @@ import numpy as np
 def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[str, Any] | None:
     """Return a result's note if it states the same inputs and all files exist, else None.
 
-    note: JSON file that is written after the result, with its inputs under the key `inputs`, or as
-    a whole; inputs: plain values that JSON can store; outputs: the result's files. A damaged note
-    counts as missing, so that the result is computed again.
+    note: JSON file that is written after the result, with its inputs under the key `inputs`;
+    without that key all of it is the inputs; inputs: plain values that JSON can store; outputs: the
+    result's files. A damaged note counts as missing, so that the result is computed again.
     """
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
