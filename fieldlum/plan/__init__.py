@@ -40,8 +40,9 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    Raises NotEnoughDataError if no hour of the set has the sun above the horizon, or if `best` has
-    no weather, or weather of other dates; InputError for a profile or room that cannot be used.
+    Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if `best` has no
+    weather, or if `even` or `best` has weather without daylight on the days of the set; InputError
+    for a profile or room that cannot be used.
     """
     site = setup.site
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -117,10 +118,11 @@ def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
 def make_slots(
     hours: DaylightHours, setup: SiteFile, exposures: Sequence[Exposure]
 ) -> tuple[Slot, ...]:
-    """Return the slots of some hours, in order of time, with tags.
+    """Return a slot with `exposures` for each hour, in order of time, with tags.
 
-    Tags: the equinox or solstice if it is at most a day away, low-sun, sun-enters (through a
-    window), sun-in-view (of the camera).
+    Tags: the equinox or solstice if it is at most a day away, such as "march-equinox"; "low-sun"
+    below 5 deg; in a box room also "sun-enters" (through a window) and "sun-in-view" (of the
+    camera). Raises InputError for an impossible box room.
     """
     zone = setup.site.timezone
     tags = {
@@ -166,7 +168,7 @@ def _at_the_window(
 def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
     """Return the seconds and megabytes of one slot, with every exposure at every heading.
 
-    The time includes the exposure times.
+    The seconds are the profile's time per frame plus the exposure times.
     """
     exposures, turns = bracket_exposures(bracket), max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
@@ -184,7 +186,7 @@ def run(
     weather: Weather | None = None,
     progress: Progress = quiet,
 ) -> PlannedSession:
-    """Plan and create the session folder.
+    """Make the plan that `request` describes, and create the session folder `out` with it.
 
     Raises InputError if `out` is already a session, and the errors of `make_plan`.
     """
@@ -211,7 +213,8 @@ def write_sheets(
 ) -> Path:
     """Write plan.html next to plan.csv and return its path: plots, then a sheet for each day.
 
-    notes: texts to print on it. Raises InputError if session.toml has no complete table [plan].
+    weather: for a plot of the skies that the plan covers; notes: texts to print. Raises InputError
+    if session.toml has no complete table [plan].
     """
     from fieldlum.plan.sheet import Cost, html
 

@@ -18,7 +18,7 @@ ALARM_BEFORE = timedelta(minutes=20)  # time to set up the camera; chosen, not m
 
 
 def by_day(slots: Sequence[Slot], site: Site) -> list[tuple[date, list[Slot]]]:
-    """Return the slots grouped by local standard date, in time order."""
+    """Return (date, slots) for each local standard date with slots, both in time order."""
     ordered = sorted(slots, key=lambda slot: slot.t_utc)
     groups = groupby(ordered, key=lambda slot: sun.standard_date(slot.t_utc, site.timezone))
     return [(day, list(group)) for day, group in groups]
@@ -31,10 +31,11 @@ def ics(
     made_utc: datetime,
     sequence: int = 0,
 ) -> bytes:
-    """Return an iCalendar file (RFC 5545).
+    """Return an iCalendar file (RFC 5545) with one event for each local standard day with slots.
 
-    Each day with slots is one event. sequence : how often the plan was changed; a calendar replaces
-    an event of the same day, because it has the same UID.
+    An event ends `seconds_per_slot` (at least a minute) after its last slot begins; its alarm is 20
+    minutes before the first. made_utc: time of writing; sequence: how often the plan was changed. A
+    calendar replaces an event of the same day, because it has the same UID.
     """
     from icalendar import Calendar
 

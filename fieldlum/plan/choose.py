@@ -31,10 +31,10 @@ NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions/00
 
 
 def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
-    """Return indices [count], ascending, of points spread by farthest-point sampling.
+    """Return indices [count], ascending, of points [n, k] spread by farthest-point sampling.
 
-    All points are returned if there are no more than `count`. Gonzalez 1985: the widest gap is at
-    most twice the smallest possible. The first point is drawn by `rng`.
+    All points are returned if there are no more than `count` (1 or more). The first is drawn by
+    `rng`. Gonzalez 1985: the widest gap is at most twice the smallest possible.
     """
     if count >= len(points):
         return np.arange(len(points))
@@ -49,8 +49,9 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
 def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
     """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
 
-    points : [n, k]; each of `count` clusters has one point. All points are returned if there are no
-    more than `count`.
+    points : [n, k]. Each of `count` clusters has one point; instead of one of an empty cluster, the
+    point furthest from its own centre is taken. All points are returned if there are no more than
+    `count`.
     """
     from scipy.cluster.vq import kmeans2
 
@@ -74,10 +75,10 @@ def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -
 def even(
     hours: DaylightHours, weather: Weather | None, count: int, rng: np.random.Generator
 ) -> Index:
-    """Return ascending indices of at most `count` hours that are spread evenly.
+    """Return ascending indices of at most `count` hours whose suns and skies are spread evenly.
 
-    They are k-means medoids over sun position and sky (Liu, Colburn and Inanici 2020); without
-    weather, sun positions by `space_filling`. Hours without weather are not chosen.
+    They are k-means medoids over sun direction, DNI and DHI (Liu, Colburn and Inanici 2020); hours
+    without weather are not chosen. If `weather` is None: by `space_filling` of sun directions.
     """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:
@@ -96,7 +97,10 @@ def even(
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """What a greedy choice of hours needs: a kernel, and features of a weather year's daylight."""
+    """What a greedy choice of hours needs: a covariance kernel of light, and a weather year.
+
+    year: features of some of the year's daylight hours, at which the variance is computed.
+    """
 
     kernel: Kernel
     year: Features
@@ -107,10 +111,9 @@ class Learning:
 def learning(
     site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None
 ) -> Learning:
-    """Return kernel, weather and features of 800 to 1600 hours, for a greedy choice of hours.
+    """Return what a greedy choice of hours needs, with at most 1600 of the year's daylight hours.
 
-    The hours are spread evenly over the year's daylight. kernel : of a trained model; by default a
-    kernel for the room's facades.
+    They are every k-th hour. kernel : of a trained model; None: a kernel for the facades of `room`.
     """
     lit = weather.daylight()
     year = lit[np.arange(0, len(lit), max(len(lit) // YEAR_HOURS, 1))]
@@ -119,7 +122,10 @@ def learning(
 
 
 def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
-    """Return indices [k] of the hours that have daylight in the weather, and their features [k]."""
+    """Return the hours with daylight in the weather (DHI above 0) and their light features.
+
+    The hours are indices [k] into `hours`, ascending.
+    """
     light = task.weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
     chosen = hours[known]
@@ -129,7 +135,10 @@ def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
 
 
 def variance_left(task: Learning, captured: Features) -> float:
-    """Return the year's variance after some captures, divided by its prior variance: 0 to 1."""
+    """Return the share of the year's prior variance that remains after some captures, 0 to 1.
+
+    Both variances are sums over the hours of `task.year`. Without captures the share is 1.
+    """
     if not len(captured):
         return 1.0
     known = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
@@ -140,9 +149,10 @@ def variance_left(task: Learning, captured: Features) -> float:
 
 
 def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Index:
-    """Return ascending indices of at most `count` hours that reduce the year's variance most.
+    """Return ascending indices of at most `count` hours that together reduce the variance most.
 
-    The choice is greedy, among about 2200 hours at most; the variance is summed over the year.
+    The variance is summed over the year. The choice is greedy, among at most 2200 hours with
+    daylight in the weather; the result is empty without such hours.
     """
     known, features = features_at(hours, task)
     if not len(known):
@@ -156,6 +166,9 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
 
 
 def month_windows(year: int, days: int) -> list[list[date]]:
-    """Return twelve periods of `days` consecutive days, one around the 16th of each month."""
+    """Return twelve periods of `days` consecutive days, around 16 January to 16 December of `year`.
+
+    Each begins days // 2 before the 16th.
+    """
     starts = [date(year, month, 16).toordinal() - days // 2 for month in range(1, 13)]
     return [span(date.fromordinal(start), days) for start in starts]

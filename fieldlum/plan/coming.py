@@ -36,7 +36,11 @@ WORTH = 0.10
 
 @dataclass(frozen=True, slots=True)
 class ComingHour:
-    """One coming daylight hour, and how much it reduces the uncertainty."""
+    """One coming daylight hour, and how much a capture then would reduce the model's uncertainty.
+
+    reduction_percent: of the remaining variance over the year, as a mean over skies of the season;
+    planned: whether the hour is a slot of the plan.
+    """
 
     t_utc: datetime
     sun_altitude_deg: float
@@ -47,7 +51,13 @@ class ComingHour:
 
 @dataclass(frozen=True, slots=True)
 class RankedHours:
-    """Coming hours, ranked by how much they reduce the uncertainty."""
+    """Coming hours, the most useful first, and whether 25 more captures would pay.
+
+    model: trained model of the kernel, "" for none; captured: number of captures;
+    variance_left_percent: share of the prior variance over the year that they leave;
+    next_batch_percent: share of that variance which the best 25 hours of the year would remove;
+    pays: whether this is at least 10 %.
+    """
 
     model: str  # trained model of the kernel; "" for an untrained kernel of the facades
     captured: int
@@ -58,10 +68,10 @@ class RankedHours:
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
-    """Return the kernel and the name of the session's newest transport model.
+    """Return the kernel and the name of the session's newest transport model; None if it has none.
 
-    None if there is none. A model that was trained at another place is skipped. Raises InputError
-    for a model folder with wrong content.
+    A model that was trained 0.1 degrees of latitude or longitude away, or more, is skipped. Raises
+    InputError for a model folder with wrong content.
     """
     folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     for folder in sorted(
@@ -93,10 +103,10 @@ def _of_this_place(config: ModelConfig, site: Site) -> bool:
 
 
 def captured_features(session: Session, task: choose.Learning) -> Features:
-    """Return the features of the captures, [n].
+    """Return the light features of the n completed captures and usable pairs, [n].
 
-    A capture in pairs.csv has its measured irradiance. A capture without a pair has the irradiance
-    of the weather year, and is omitted if the weather has none.
+    A capture with a usable row in pairs.csv has its measured irradiance. One without has the
+    irradiance of the weather year, and is omitted if that has none then.
     """
     times, dni, dhi = _paired(session)
     known = {slot_id(t) for t in times}
@@ -157,10 +167,10 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
 ) -> RankedHours:
-    """Rank the daylight hours of the next two weeks, and return the best twelve.
+    """Rank the daylight hours (hh:30) after `now_utc`, of today and 13 days; return the best 12.
 
-    Raises NotEnoughDataError if the sun does not rise in that time, InputError for a model, pairs
-    or plan that cannot be read.
+    Raises NotEnoughDataError if these days have no more daylight, InputError for a model, pairs or
+    plan that cannot be read.
     """
     setup, now_utc = session.site_file(), now_utc.astimezone(UTC)
     trained = trained_kernel(session)
@@ -203,7 +213,7 @@ def run(
 
 
 def as_table(answer: RankedHours) -> JsonTable:
-    """Return the answer for --json."""
+    """Return the ranking as plain values for `--json`; an empty model name becomes None."""
     return {
         "model": answer.model or None,
         "captured": answer.captured,
@@ -228,7 +238,7 @@ def as_table(answer: RankedHours) -> JsonTable:
 
 
 def sentences(answer: RankedHours, site: Site) -> list[str]:
-    """Return the ranking as sentences."""
+    """Return the ranking as lines to print, with the hours in the local time of `site`."""
     zone = ZoneInfo(site.timezone)
     left = f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
     texts = [

@@ -32,8 +32,10 @@ LINE = "#8a96a3"
 class Coverage:
     """Shares of a year that a plan covers, in percent; None for shares that need a weather file.
 
-    sun_band_percent: of the sun's positions in a year; irradiance_percent: of the weather's hours,
-    by direct and diffuse irradiance; both_percent: of the hours covered in both ways.
+    sun_band_percent: of the sky area that the sun crosses in a year, within 10 deg of a planned
+    sun; irradiance_percent: of the weather's daylight hours that are in the same cell of 100 W/m2
+    direct by 50 W/m2 diffuse irradiance as a planned hour; both_percent: of those also within 10
+    deg of a planned sun.
     """
 
     # area of the band of sun positions that are within NEAR_DEG of a planned one
@@ -50,7 +52,8 @@ class Coverage:
 def band_directions(site: Site) -> NDArray[np.float64]:
     """Return directions spread evenly over the sky band of the sun, [n, 3].
 
-    The band has the declinations -23.44 to 23.44 deg, above the horizon.
+    They are unit vectors (x east, y north, z up) with declinations from -23.44 to 23.44 deg, above
+    the horizon.
     """
     sine = np.sin(np.radians(OBLIQUITY_DEG)) * (2 * (np.arange(41) + 0.5) / 41 - 1)
     turn = 2 * np.pi * np.arange(360) / 360
@@ -67,7 +70,10 @@ def band_directions(site: Site) -> NDArray[np.float64]:
 
 
 def sun_band_percent(hours: DaylightHours, site: Site) -> float:
-    """Return the share of the year's sun positions within 10 deg of an hour's sun, in percent."""
+    """Return the percentage of the sky band of the sun that is within 10 deg of an hour's sun.
+
+    The band is that of `band_directions`, weighted by area. Without hours the result is 0.
+    """
     band = band_directions(site)
     if not len(hours) or not len(band):
         return 0.0
@@ -89,9 +95,9 @@ def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
 
 
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
-    """Return how much of a year's suns some hours cover.
+    """Return how much of the year's sun band some hours cover; with weather, also of its daylight.
 
-    With weather, also how much of its daylight hours.
+    The shares by weather are None without hours, too.
     """
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
@@ -116,8 +122,9 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
 def sun_figure(hours: DaylightHours, site: Site) -> Figure:
     """Draw the band of sun positions on a sky chart, north up and east right, with planned suns.
 
-    As Figure 15 of Liu, Colburn and Inanici (2020). A chart of azimuth against altitude would fail
-    in the tropics, where the sun passes the zenith on either side.
+    Parts of the band within 10 deg of a planned sun have another colour. As Figure 15 of Liu,
+    Colburn and Inanici (2020). A chart of azimuth against altitude would fail in the tropics, where
+    the sun passes the zenith on either side.
     """
     from matplotlib.figure import Figure
 
@@ -186,9 +193,9 @@ def sun_figure(hours: DaylightHours, site: Site) -> Figure:
 
 
 def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return azimuth and altitude of the sun every ten minutes of a local standard day, [145] each.
+    """Return azimuth and altitude [deg] of the sun every ten minutes of a day, [145] each.
 
-    NaN while the sun is down.
+    The day begins and ends at midnight of local standard time. NaN while the sun is down.
     """
     start = sun.standard_midnight(day, site.timezone)
     at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
@@ -197,9 +204,10 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
-    """Draw the density of direct and diffuse irradiance over the year, with planned hours.
+    """Draw how often the weather year has each direct and diffuse irradiance, with planned hours.
 
-    As Figures 16 and 17 of Liu, Colburn and Inanici (2020).
+    As Figures 16 and 17 of Liu, Colburn and Inanici (2020). The planned hours have the irradiance
+    that the weather year has then.
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure

@@ -24,7 +24,10 @@ SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-
 
 @dataclass(frozen=True, slots=True)
 class DaylightHours:
-    """Hours with the sun above the horizon; angles of the sun are true, in deg, [n]."""
+    """Moments with the sun above the horizon, and its altitude and azimuth [n] in deg.
+
+    Angles are true, without refraction; the azimuth is clockwise from true north.
+    """
 
     t_utc: tuple[datetime, ...]
     altitude_deg: NDArray[np.float64]
@@ -41,14 +44,17 @@ class DaylightHours:
 
 
 def hours_of(slots: Sequence[Slot]) -> DaylightHours:
-    """Return the times of slots, and the sun's angles that the plan has for them."""
+    """Return the times of slots, in their order, with the sun's angles that the plan states."""
     altitude = np.array([s.sun_altitude_deg for s in slots], float)
     azimuth = np.array([s.sun_azimuth_deg for s in slots], float)
     return DaylightHours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
-    """Return the hh:30 times of local standard time on `days` while the sun's centre is up."""
+    """Return the times hh:30 of local standard time on `days` with the sun's centre up.
+
+    They are in time order; a repeated day counts once.
+    """
     midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
     times = [
         midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)
@@ -65,7 +71,10 @@ def span(first: date, count: int) -> list[date]:
 
 
 def season_date(year: int, which: int, site: Site) -> date:
-    """Return the local standard date of an equinox or solstice; which: 0 March to 3 December."""
+    """Return the local standard date of an equinox or solstice.
+
+    which: 0 March equinox, 1 June solstice, 2 September equinox, 3 December solstice.
+    """
     return sun.standard_date(sun.season(year, which), site.timezone)
 
 
@@ -92,12 +101,14 @@ def _event_dates(
 def set_days(
     name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None
 ) -> list[date]:
-    """Return the local standard dates of a set.
+    """Return the local standard dates of a capture set, in time order.
 
-    Sets of equinoxes and solstices (4-day, 9-day, 12-day): those of `year`, else the next ones
-    after `start` (or `today`). Set `month`: `days` (default 31) from `start`, or centred on the
-    March equinox of `year`, or on the next equinox whose complete period is in the future. Other
-    sets: `days` (default 365) from `start`, else from 1 January of `year`, else from `today`.
+    4-day: equinoxes and solstices; 12-day: also the days before and after; 9-day: so, without
+    September. Each is of `year`, or else the next whose days are not before `start` (or `today`).
+
+    month: `days` (default 31) from `start`; or centred on the March equinox of `year`, or on the
+    next March or September equinox for which no day is before `today`. Other sets: `days` (default
+    365) from `start`, else from 1 January of `year`, else from `today`.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
@@ -121,7 +132,10 @@ def set_days(
 
 
 def season_tag(day: date, site: Site) -> str:
-    """Return "march-equinox" and so on if that date is at most a day away, else ""."""
+    """Return the equinox or solstice that is at most a day away from `day`, or "" if none is.
+
+    The tags are march-equinox, june-solstice, september-equinox and december-solstice.
+    """
     for which, tag in enumerate(SEASON_TAGS):
         if abs((day - season_date(day.year, which, site)).days) <= 1:
             return tag
@@ -129,11 +143,11 @@ def season_tag(day: date, site: Site) -> str:
 
 
 def dark_days(days: Iterable[date], hours: DaylightHours, site: Site) -> list[date]:
-    """Return the days without a slot, because of polar night."""
+    """Return those of `days` on which none of `hours` is, in time order."""
     lit = {sun.standard_date(t, site.timezone) for t in hours.t_utc}
     return [day for day in sorted(set(days)) if day not in lit]
 
 
 def today_at(site: Site, now_utc: datetime) -> date:
-    """Return the local standard date at a time."""
+    """Return the local standard date of `site` at the moment `now_utc`."""
     return sun.standard_date(now_utc.astimezone(UTC), site.timezone)

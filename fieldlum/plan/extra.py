@@ -25,9 +25,9 @@ MARGIN = timedelta(seconds=60)
 def add_extra(session: Session, now_utc: datetime) -> Slot:
     """Add a slot to plan.csv at the next full minute that is over 45 s away, and return it.
 
-    Its exposures are those of the last planned slot before it. Raises InputError if the sun is
-    down, if a coming extra slot is already planned, or if a coming slot is nearer than the duration
-    of a bracket plus a minute.
+    Its exposures are those of the last planned slot before it (of the first slot if there is none).
+    It has the tag "extra". Raises InputError if the sun is down, if a coming extra slot is already
+    planned, or if a coming slot is nearer than the duration of a bracket plus a minute.
     """
     at = (now_utc + LEAD).replace(second=0, microsecond=0) + timedelta(minutes=1)
     slots, setup = session.slots(), session.site_file()

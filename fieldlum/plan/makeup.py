@@ -28,7 +28,7 @@ MOST_OFF_DEG = 12.0
 
 @dataclass(frozen=True, slots=True)
 class MakeUp:
-    """A missed slot, and the slot that repeats it."""
+    """A missed slot and the slot that repeats it, by id, and the angle between their suns."""
 
     missed: str
     slot: str
@@ -37,7 +37,14 @@ class MakeUp:
 
 @dataclass(frozen=True, slots=True)
 class MakeUpPlan:
-    """The missed slots of a session, and the make-up slots that repeat them."""
+    """The missed slots of a session, and the make-up slots that repeat them.
+
+    missed: number of past slots captured neither themselves nor by a make-up; made_up: slots added
+    now; lost: ids of missed slots that no hour of the coming year can repeat; already: number of
+    missed slots with a make-up that is still to come; recovered: number whose make-up was captured;
+    sun_band_percent: covered part of the sun band, "planned", "without" the missed slots, and
+    "with" the make-ups; revision: of the plan, 0 for the first.
+    """
 
     missed: int  # number of past slots without a capture, neither their own nor of a make-up
     made_up: tuple[MakeUp, ...]
@@ -49,14 +56,17 @@ class MakeUpPlan:
 
 
 def captured_ids(session: Session) -> set[str]:
-    """Return the ids of the slots that were captured."""
+    """Return the ids of the slots whose bracket was captured completely, by the capture records."""
     return {slot for slot, state in read_ledger(session).slots.items() if state.outcome == "done"}
 
 
 def missed_slots(
     slots: Sequence[Slot], done: set[str], now_utc: datetime, grace: timedelta
 ) -> list[Slot]:
-    """Return the slots without a capture that can no longer start, because `grace` is over."""
+    """Return the slots that are not in `done` and can no longer start.
+
+    done: ids of captured slots; grace: time after a slot in which its bracket may start.
+    """
     return [slot for slot in slots if slot.id not in done and slot.t_utc + grace < now_utc]
 
 
@@ -65,9 +75,9 @@ def make_up(
 ) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
     """Return make-up slots, their pairs with missed slots, and missed slots without a make-up.
 
-    A make-up is at the same standard hour on the earliest day from tomorrow, within 370 days, that
-    has the missed day's declination to 0.2 deg (also across the solstice), with the sun within 12
-    deg of the missed one.
+    A make-up is at the same hour of standard time, on the earliest of the 370 days from tomorrow
+    that has the missed day's declination within 0.2 deg (also on the other side of the solstice),
+    the sun up and within 12 deg of the missed one, and no planned slot at that time.
     """
     site, taken = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -120,7 +130,7 @@ def _first_free(
 
 
 def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
-    """Return the make-ups of each missed slot.
+    """Return the make-up slots of each slot that has some, by the id of the original slot.
 
     The make-up of a missed make-up counts for the first missed slot.
     """
@@ -142,8 +152,8 @@ def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
 def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     """Add make-up slots for missed ones to plan.csv; return what was missed and what was added.
 
-    If a make-up was missed, the original slot gets another one. No slot is removed. The earlier
-    plan is stored as plan.N.csv if slots are added.
+    If a make-up was missed, the original slot gets another one. No slot is removed. If slots are
+    added, the earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
@@ -184,7 +194,10 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
 
 
 def add_slots(session: Session, slots: Sequence[Slot]) -> None:
-    """Add slots to plan.csv and store the earlier plan as plan.N.csv; no slot is removed."""
+    """Add slots to plan.csv, in time order; no slot is removed.
+
+    The earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
+    """
     about = _resumed(session)
     _store_and_write(session, [*session.slots(), *slots], about, session.site_file())
 
@@ -225,7 +238,7 @@ def _resumed(session: Session) -> PlanTable:
 
 
 def sentences(answer: MakeUpPlan) -> list[str]:
-    """Return the make-up plan as sentences."""
+    """Return the make-up plan as lines to print: missed, added and lost slots, and the coverage."""
     again = f"; {answer.recovered} missed slots have been made up for" if answer.recovered else ""
     if not answer.missed:
         return [f"no slot is missing; the plan is unchanged{again}"]

@@ -48,7 +48,7 @@ def html(
 ) -> str:
     """Return one self-contained page of HTML: room and coverage plots, then a sheet for every day.
 
-    notes: texts to print on it; weather: for a second coverage plot.
+    cost: of one slot; weather: for a second coverage plot, by irradiance; notes: texts to print.
     """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
@@ -167,9 +167,9 @@ def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
 
 
 def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
-    """Return an SVG of the sun's path on this day, at solstices and at the equinox.
+    """Return an SVG sky chart (north up, east right) of the sun's path on `day`.
 
-    It also shows the day's slots and the view directions.
+    It also has the paths of the solstices and the equinox, the slots, and the camera's headings.
     """
     site, middle = setup.site, SIZE_PX / 2
     parts = [

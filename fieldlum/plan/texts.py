@@ -19,8 +19,10 @@ from fieldlum.session import Session
 class PlanSummary:
     """The object that `plan --json` prints; its keys are a contract.
 
-    solar_noon: local time on the first day. frames: of all slots, at every heading. tags: number of
-    slots with each tag.
+    days: number with slots; first, last: ids of slots; solar_noon: local time on the first day, ""
+    if unknown; frames: of all slots, at every heading; megabytes: of all slots; tags: number of
+    slots with each tag; variance_left_percent: of the prior variance over the year, None without
+    weather; month: only for the set `month` with weather.
     """
 
     session: str
@@ -42,7 +44,11 @@ class PlanSummary:
 def plan_warnings(
     days: Sequence[date], hours: DaylightHours, site: Site, request: Request
 ) -> list[str]:
-    """Return warnings about the days and hours of a plan, one sentence each."""
+    """Return warnings about the days and hours of a plan, one sentence each; none is an empty list.
+
+    They are about polar night, midnight sun, fewer hours than `count`, clock changes, UTC as the
+    time zone of a distant site, and a plan that begins in the past.
+    """
     texts: list[str] = []
     all_year = request.set in ("even", "best")
     dark = [] if all_year else dark_days(days, hours, site)
@@ -91,7 +97,7 @@ def _per_day(hours: DaylightHours, site: Site) -> dict[date, int]:
 
 
 def clock_texts(days: Sequence[date], site: Site) -> list[str]:
-    """Return one sentence for every daylight-saving change on a planned day."""
+    """Return one sentence for every daylight-saving change on one of `days` (in time order)."""
     texts, zone = [], ZoneInfo(site.timezone)
     for moment, change in sun.clock_changes(days[0], days[-1], site.timezone):
         if sun.standard_date(moment, site.timezone) in set(days):
@@ -104,7 +110,7 @@ def clock_texts(days: Sequence[date], site: Site) -> list[str]:
 
 
 def summary(session: Session, plan: Plan) -> PlanSummary:
-    """Return the summary of a plan."""
+    """Return counts, dates, cost, coverage and warnings of a plan, as `plan --json` prints."""
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)
     tags = sorted({tag for slot in slots for tag in slot.tags})
@@ -137,7 +143,7 @@ def _solar_noon(t_utc: datetime, site: Site) -> str:
 
 
 def sentences(summary: PlanSummary) -> list[str]:
-    """Return the summary as sentences."""
+    """Return the summary as sentences to print; the warnings are not among them."""
     slots, tags = summary.slots, summary.tags
     texts = [
         f"{slots} slots on {summary.days} days, {summary.first} to {summary.last}, in "

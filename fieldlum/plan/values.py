@@ -13,10 +13,11 @@ from fieldlum.session.tables import PlanTable
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """The options of a plan, as the command `plan` has them.
+    """The options of the command `plan`.
 
-    today: the local date; days: of the sets month, even and best; count: of the sets even and best;
-    seed: for even.
+    set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
+    of the equinoxes and solstices, or of a first date on 1 January; days: number for month, even
+    and best; count: of hours, for even and best; seed: for even.
     """
 
     set: str
@@ -30,9 +31,11 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Months:
-    """Expected squared error of a capture month, relative to the best calendar month.
+    """Expected squared error of a capture month, relative to the best month.
 
-    The error is the variance that the month's captures leave, by the kernel.
+    The error is the variance that the month's captures leave, by the kernel. best: name of the
+    calendar month with the least; times_best: error of the planned month over the least, 1 or more;
+    by_month: that of each calendar month over the least, January first.
     """
 
     best: str  # name of the best month
@@ -42,7 +45,12 @@ class Months:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The slots of a set, their cost and coverage, and the warnings."""
+    """The slots of a set, their cost and coverage, and the warnings.
+
+    days: all days of the set, also those without slots; variance_left: share of the prior variance
+    over the year that the captures leave, None without weather; months: only for the set `month`
+    with weather.
+    """
 
     slots: tuple[Slot, ...]
     days: tuple[date, ...]  # all days of the set, including days without daylight
@@ -57,11 +65,11 @@ class Plan:
 
     @property
     def hours(self) -> DaylightHours:
-        """Times and suns of the slots."""
+        """Times of the slots, and the sun's angles at these times."""
         return hours_of(self.slots)
 
     def about(self, request: Request) -> PlanTable:
-        """Return the table [plan] of session.toml."""
+        """Return the table [plan] of session.toml, with the options that are set and revision 0."""
         asked: PlanTable = {"set": request.set}
         if request.start is not None:
             asked["start"] = request.start

@@ -16,9 +16,10 @@ GRID = 6  # test points across and up a window; chosen, not measured
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask [n]: whether the sun at these angles [deg] shines through a window.
+    """Return a mask [n]: True where the sun at these angles [deg] shines through a window.
 
-    Reveals and obstructions are considered, window bars are not. Raises InputError for an
+    It shines through if one of 6 x 6 points of the window is lit past reveals and obstructions;
+    window bars are ignored. azimuth_deg: clockwise from true north. Raises InputError for an
     impossible room.
     """
     scene = build(room)
@@ -34,9 +35,10 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> N
 
 
 def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask [n]: whether the camera sees some of the sun disc at these angles [deg].
+    """Return a mask [n]: True where the camera sees at least a part of the sun disc.
 
-    Raises InputError for an impossible room.
+    altitude_deg, azimuth_deg: of the sun [n], clockwise from true north. Raises InputError for an
+    impossible room.
     """
     scene = build(room)
     return disc_visibility(scene, scene.to_room(sun.direction(altitude_deg, azimuth_deg)))[0] > 0

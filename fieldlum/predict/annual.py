@@ -27,10 +27,11 @@ from fieldlum.session.files.predict_json import PredictFile
 
 @dataclass(frozen=True, slots=True)
 class Annual:
-    """A predicted year.
+    """A predicted year: figures of n daylight hours in d view directions, as read from `folder`.
 
-    hours, views: the columns of hourly.csv for the hours [n] and for their directions [n, d];
-    summary: predict.json.
+    summary: content of predict.json; t_utc: middles of the hours [n]; azimuths_deg: view
+    directions, clockwise from true north [d]; hours: columns of hourly.csv without a direction, by
+    name, [n] each; views: those for each direction, [n, d] each, NaN where undefined.
     """
 
     folder: Path
@@ -45,26 +46,27 @@ class Annual:
 
     @property
     def about(self) -> JsonTable:
-        """Return the object of predict.json without its format."""
+        """Return the content of predict.json as plain values, without the key `format`."""
         return self.summary.table()
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
-        """Mask [n] of the hours in which the room is used."""
+        """Mask [n]: True for hours in which the room is used."""
         return self.hours["occupied"] > 0
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Mask [d] of the directions with figures; False for directions that no lens saw."""
+        """Mask [d]: True for directions with a DGP; False if lenses saw less than half of them."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """Maps of k typical hours, without the sun's disc [k, H, W].
+    """Maps of k hours for the report, [k, H, W] cd/m2, without the sun's disc.
 
-    rows: row of each hour in the year [k]; kinds: why each hour was chosen [k]; disc_lx:
-    illuminance of the disc at the lens [k] lx.
+    kinds: why each hour was chosen, such as "clear day" [k]; rows: index of each hour in
+    hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to the sun
+    [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
     """
 
     kinds: tuple[str, ...]
@@ -75,7 +77,7 @@ class Pictures:
 
 
 def write_pictures(path: Path, pictures: Pictures) -> None:
-    """Write pictures.npz."""
+    """Write `pictures` to the npz file `path`, with luminances rounded to 0.01 %."""
     with replacing(path) as file:
         np.savez_compressed(
             file,
@@ -88,9 +90,9 @@ def write_pictures(path: Path, pictures: Pictures) -> None:
 
 
 def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return float32 values with 12 bits of mantissa (0.01 %), because the rest is noise.
+    """Return float32 values rounded to 12 bits of mantissa (0.01 %), which compress better.
 
-    values: any shape.
+    values: any shape. The bits that are lost are noise.
     """
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     return ((bits + np.uint32(1 << 10)) & np.uint32(0xFFFFF800)).view(np.float32)
@@ -101,14 +103,17 @@ def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_annual(folder: Path) -> Annual:
-    """Read a predicted year. Raises InputError if `folder` has none, or a damaged one."""
+    """Read predict.json and hourly.csv of the predicted year in `folder`.
+
+    Raises InputError if one of them is missing, damaged, or of a newer format.
+    """
     summary = PredictFile.read(folder)
     rows = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
     return Annual(folder, summary, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
 
 
 def read_pictures(folder: Path) -> Pictures:
-    """Read pictures.npz. Raises InputError if the file is missing or damaged."""
+    """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as found:

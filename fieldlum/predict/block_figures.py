@@ -26,11 +26,11 @@ def unseen_bounds(
     coverage: ViewCoverage,
     found: dict[str, NDArray[np.float64]],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return DGP with the least and the most light in the unseen part of each view, [k, d] each.
+    """Return the least and the largest DGP that unseen parts of the views allow, [k, d] each.
 
-    found: the result of `view_figures`. The least is 0 cd/m2. The most is the sky's mean luminance,
-    as through a window, or the luminance of the brightest hundredth of the seen pixels, whichever
-    is larger.
+    An unseen part gets one luminance between 0 and the larger of the sky's mean luminance and the
+    luminance exceeded in the brightest hundredth of the seen solid angle. For views without unseen
+    pixels both results are the DGP itself. found: the result of `view_figures`.
     """
     most = block.light.diffuse_lx / np.pi
     if room.seen is not None and coverage.partly.any():
@@ -39,9 +39,9 @@ def unseen_bounds(
 
 
 def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
-    """Return the `HOUR_COLUMNS` of a block, [k] each, without disturbed_share.
+    """Return the figures of k hours that have no direction, by column of hourly.csv, [k] each.
 
-    `occupied` is 0, because the hours of use are not known here.
+    `disturbed_share` is missing, and `occupied` is 0, because they need more than the block.
     """
     light, predicted = block.light, block.prediction
     return {
@@ -59,9 +59,10 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
 def view_figures(
     block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the `VIEW_COLUMNS` of a block without dgp_low and dgp_high, [k, d] each.
+    """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
-    The contrast sums behind DGP are added.
+    `dgp_low` and `dgp_high` are missing; `u_dgp` has only the errors of the maps and of the visible
+    disc's illuminance. All further keys of `glare_directions` are included.
     """
     maps = block.prediction.luminance_cdm2
     found = glare_directions(
@@ -84,9 +85,9 @@ def relative_uncertainty(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the relative standard uncertainty of Ev and of the sources' luminance, [k, d] each.
 
-    They are NaN if the model states none. Errors of the pixels of one picture count as fully
-    correlated, because a model is often too bright or too dark on a complete wall. The disc has its
-    own uncertainty.
+    They are NaN where the model does not state its error. Errors of the pixels of one picture count
+    as fully correlated, because a model is often too bright or too dark on a complete wall. The
+    disc has 5 %. found: the result of `glare_directions`.
     """
     map_ev, map_source = _relative_of_map(block, views)
     share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)

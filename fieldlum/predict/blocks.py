@@ -27,11 +27,11 @@ BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 
 @dataclass(frozen=True, slots=True)
 class HourBlock:
-    """Some hours: the model's prediction with its uncertainty, and the sun's disc at the lens.
+    """Consecutive hours of a year: the model's prediction with its uncertainty, and the sun.
 
-    prediction: its maps have no disc [k, H, W] cd/m2; disc_lx: illuminance of the visible disc on a
-    plane normal to the sun [k] lx; images: of the sun in each mirror, with direction and
-    illuminance.
+    rows: the k hours in the light given to `blocks`; prediction: its maps [k, H, W] cd/m2 have no
+    sun disc; disc_lx: illuminance of the disc as visible at the lens, on a plane normal to the sun
+    [k] lx; images: of the sun, for each mirror of the room.
     """
 
     rows: slice
@@ -41,7 +41,11 @@ class HourBlock:
     images: tuple[MirroredSun, ...] = ()
 
     def pictures_cdm2(self, heading_deg: float) -> NDArray[np.float32]:
-        """Return the maps with the images of the sun, each in one pixel [k, H, W]."""
+        """Return the maps with the predicted mirror images of the sun, [k, H, W] cd/m2.
+
+        Each image is one pixel; the sun's disc is not in the maps. heading_deg: azimuth of the
+        centre column, clockwise from true north.
+        """
         maps = self.prediction.luminance_cdm2
         for image in self.images:
             maps = add_source(maps, image.place_deg, image.shown_lx, heading_deg)
@@ -49,9 +53,10 @@ class HourBlock:
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
-        """Mask [k] of the trusted hours.
+        """Mask [k]: True for hours whose maps are trusted.
 
-        An hour is not trusted if the captures do not decide whether a mirror shows the sun.
+        These are hours for which the model vouches, with an expected error factor of at most 1.2
+        (or an unknown one), unless the captures do not decide whether a mirror shows the sun.
         """
         trusted = trusted_hours(self.prediction)
         for image in self.images:
@@ -61,9 +66,10 @@ class HourBlock:
 
 @dataclass(frozen=True, slots=True)
 class ModelRoom:
-    """Place, room, size and heading of a model's pictures, and the mirrors of the sun.
+    """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
-    seen [H, W]: pixels with values.
+    heading_deg: azimuth of the maps' centre column, clockwise from true north; needs_patch: whether
+    the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw.
     """
 
     setup: SiteFile
@@ -77,7 +83,7 @@ class ModelRoom:
 
     @property
     def disc_from(self) -> str:
-        """Text that states how the visibility of the sun's disc is known."""
+        """Text on whether the disc's visibility is from the room's geometry or guessed."""
         return (
             "the room's geometry"
             if self.setup.room
@@ -86,9 +92,10 @@ class ModelRoom:
 
 
 def wants_patch(config: ModelConfig) -> bool:
-    """Return whether the model in a config.json needs sun patches.
+    """Return whether the model in a config.json needs maps of sun patches.
 
-    Models state this as `with_patch`; transport models of 0.1.0 as a patchwork, others as `patch`.
+    Without the key `with_patch`: a transport model (of 0.1.0) needs them if it has a patchwork,
+    another model unless its `patch` is absent or "none".
     """
     state = config.state
     if "with_patch" in state:
@@ -99,10 +106,10 @@ def wants_patch(config: ModelConfig) -> bool:
 
 
 def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
-    """Return the room of a model.
+    """Return the room of the model in `folder`.
 
-    Raises InputError if the config lacks place, size or heading, or if the model needs patches and
-    the site has no room.
+    Raises InputError if the config lacks the site, size or heading, if the site or the mirrors are
+    damaged, or if the model needs sun patches and the site has no room.
     """
     from fieldlum.site_toml import site_from_table
 
@@ -133,10 +140,10 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
 def blocks(
     fitted: Fitted, room: ModelRoom, light: Light, *, progress: Progress = quiet
 ) -> Iterator[HourBlock]:
-    """Predict all hours of `light`, block by block.
+    """Predict all hours of `light`, and yield them in blocks of 64; the last may be shorter.
 
     Raises InputError if the size of the maps differs from that in config.json, FloatingPointError
-    for values that are not finite.
+    for luminances that are not finite.
     """
     count = len(light)
     for patch, known_disc_lx, rows in _patches(room, light):

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 
 def default_folder(model_folder: Path) -> Path:
-    """Return SESSION/annual/NAME for SESSION/models/NAME, else `annual` in the model's folder."""
+    """Return where a model's predicted year is stored by default.
+
+    This is SESSION/annual/NAME for a model in SESSION/models/NAME, else `annual` in the model's
+    folder.
+    """
     if _session_folder(model_folder) is None:
         return model_folder / "annual"
     return model_folder.parent.parent / "annual" / model_folder.resolve().name
@@ -38,10 +42,12 @@ def _session_folder(model_folder: Path) -> Path | None:
 
 
 def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
-    """Raise InputError if a model's place, camera, room or pictures differ from its session's.
+    """Raise InputError if a model was trained for another place, camera, room or picture format.
 
-    scene: the fitted scene in the model's config.json, if any; then the room as stated before the
-    fit is compared.
+    It is compared with the session whose folder `models` contains it; a model elsewhere is not
+    checked. The place may differ by 0.01 degrees, the heading of the first panorama by 0.1 degrees;
+    its size in pixels must be equal. scene: the fitted scene in the model's config.json, if any;
+    then the room and heading as stated before the fit are compared.
     """
     root = _session_folder(model_folder)
     if root is None:
@@ -92,9 +98,9 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
 
 
 def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
-    """Return the uncertainty of the model's room by the draws of its scene fit.
+    """Return the uncertainty of a fitted room, from the random draws stored by its scene fit.
 
-    None without a fitted scene or a room: then the uncertainty of a tape measure applies.
+    None without a room or without such draws: then use the uncertainty of a tape measure.
     """
     draws = config.scene.get("room_draws") if config.scene else None
     if not draws or room.setup.room is None:
@@ -126,9 +132,10 @@ def inputs_of(
     seed: int,
     label_shift_min: float = 0.0,
 ) -> dict[str, object]:
-    """Return what a predicted year depends on, as plain values, without lamps and maps_to.
+    """Return what a predicted year depends on, as plain values: options and digests of the files.
 
-    Raises InputError for a missing weather file.
+    model: its folder; weather: a file, or "synthetic"; views: number of view directions. Lamps and
+    the URL of maps are not included. Raises InputError for a missing weather file.
     """
     from fieldlum.weather import SYNTHETIC
 
@@ -155,7 +162,8 @@ def inputs_of(
 def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     """Return the year in `folder` if the same version computed it from the same inputs, else None.
 
-    A stored year with maps is also returned to a request without maps.
+    inputs: the result of `inputs_of`, and `lamps` and `maps_to` if used. A damaged year counts as
+    missing. A stored year with maps is also returned to a request without maps.
     """
     note, maps = folder / "predict.json", folder / "maps.zarr"
     more = [] if inputs["maps"] else [{**inputs, "maps": True}]
@@ -175,7 +183,7 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
 
 
 def delete_earlier_year(folder: Path) -> None:
-    """Delete predict.json and maps.zarr of an earlier year, so that the folder is incomplete.
+    """Delete predict.json and maps.zarr, if any, so that `folder` no longer holds a complete year.
 
     Otherwise an interruption could leave the hours of one weather file with the classes of another.
     """

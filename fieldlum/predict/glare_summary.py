@@ -57,10 +57,12 @@ def judge(
     occupied_hours: int,
     seed: int,
 ) -> Protection:
-    """Return the classes of EN 17037 for each direction over the occupied hours.
+    """Return the EN 17037 glare protection of d view directions over the occupied hours.
 
-    u_of_maps: standard uncertainty of DGP due to the model's maps, [n, d]. doubt: the uncertainty
-    due to the sun's disc and to unseen parts.
+    u_of_maps: standard uncertainty of DGP due to the model's maps, [n, d]. doubt: possible DGP due
+    to the sun's disc and to unseen parts of views. occupied_hours: their number, with those in the
+    dark, which have no glare. The intervals are None if an uncertainty is unknown. seed: for the
+    random draws.
     """
     used = annual.occupied
     u_dgp = u_of_maps[used]
@@ -73,8 +75,9 @@ def judge(
 def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[SkyToCapture]:
     """Return up to twelve occupied hours whose uncertainty keeps a class open, most useful first.
 
-    Each day has at most one hour. Directions that were not fully seen are ignored, because captures
-    with the same lens cannot settle them. zone: time zone of the dates.
+    Each day has at most one hour. Only fully seen directions count: captures with the same lens
+    cannot settle the others. The list is empty if all these are settled or the model states no
+    uncertainty. found: the result of `judge`; zone: time zone of the dates and hours.
     """
     undecided = ~found.certain & np.array([word == SEEN for word in found.seen])
     if found.low is None or not undecided.any():
@@ -112,7 +115,11 @@ def summary_of_year(
     found: Protection,
     days: int,
 ) -> PredictFile:
-    """Return the content of predict.json: settings, classes, notes and hours to capture."""
+    """Return the content of predict.json: settings, classes, notes and hours to capture.
+
+    inputs: the result of `inputs_of`, and further options; found: the result of `judge`; days:
+    number of days in the weather file.
+    """
     used = annual.occupied
     untrusted = float((annual.hours["trusted"][used] < 1).mean()) if used.any() else 0.0
     return PredictFile(
@@ -144,7 +151,7 @@ def summary_of_year(
 
 
 def poor(config: ModelConfig) -> bool:
-    """Return whether training found that no single map of the model is trustworthy."""
+    """Return whether the training warned that no single map of the model is trustworthy."""
     return any(POOR_WORDS in text for text in config.state.get("warnings", ()))
 
 
@@ -216,7 +223,11 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
 
 
 def protection_of(found: Protection) -> tuple[DirectionYear, ...]:
-    """Return one record for each direction; figures of an unseen direction are None."""
+    """Return one record for each direction, in the order of `found`.
+
+    The DGP and the hours of an unseen direction are None, and so is an interval without
+    uncertainty.
+    """
     rows = []
     for i, over in enumerate(found.hours_over):
         judged = bool(found.judged[i])
@@ -242,11 +253,11 @@ def protection_of(found: Protection) -> tuple[DirectionYear, ...]:
 def best_and_worst(
     rows: Sequence[DirectionYear],
 ) -> tuple[DirectionYear, DirectionYear] | None:
-    """Return the directions with the least and the most glare; None if no direction was seen.
+    """Return the directions with the least and with the most glare; None if none has a class.
 
-    A partly seen direction is ranked by the upper end of its interval for the least, and by
-    `dgp_exceeded` (the unseen part dark) for the most glare: an unseen part never makes a direction
-    a recommendation.
+    The order is by the DGP exceeded in 5 % of the occupied hours, then by the hours above the
+    limits. To be the best, a partly seen direction counts with the upper end of its interval (1 if
+    unknown), so that an unseen part never makes a direction a recommendation.
     """
     judged = [row for row in rows if row.glare_class != NOT_SEEN]
     if not judged:

@@ -47,11 +47,12 @@ class _HoursJob:
 
 @dataclass(frozen=True, slots=True)
 class HourFigures:
-    """Figures of the n hours `rows` (first, end) of a year, in d view directions.
+    """Figures of n consecutive hours of a year, in d view directions.
 
-    hours: as `hour_figures` returns them, [n] each; views: as `view_figures` returns them, [n, d]
-    each; least, most: bounds of DGP by unseen parts of the view [n, d]; drawn: DGP in k drawn rooms
-    [k, n, d].
+    rows: index in the year of the first hour, from 0, and of the hour after the last; hours: as
+    `hour_figures` returns them, [n] each; views: as `view_figures`, [n, d] each; least, most:
+    bounds of DGP by unseen parts of the view [n, d]; drawn: DGP with the sun's disc as k randomly
+    drawn rooms show it [k, n, d].
     """
 
     rows: tuple[int, int]
@@ -81,9 +82,10 @@ def hour_units(
 ) -> list[WorkUnit]:
     """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
 
-    discs_lx: illuminance of the disc in k drawn rooms [k, n], None without a room; turns_deg: k
-    displacements of the sun, used without a room [k, 2]. maps: folder or URL of the maps, "" for
-    none.
+    azimuths_deg: view directions, clockwise from true north; discs_lx: illuminance of the sun's
+    disc in k randomly drawn rooms [k, n], None without a room; turns_deg: k random shifts of the
+    sun in azimuth and altitude, used only without a room [k, 2]; maps: folder or URL of the Zarr
+    store of maps, "" to write none.
     """
     model = model_folder.resolve()
     local = Path(maps).resolve() if maps and "://" not in maps else None
@@ -108,7 +110,10 @@ def hour_units(
 
 
 def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
-    """Predict the hours of a unit and judge their glare; write the maps if `job.maps` is set."""
+    """Predict the hours of a unit and compute their glare; write the maps if `job.maps` is set.
+
+    folder: that of the unit, to which the paths in `job` are relative.
+    """
     ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     room = ready.room
     (block,) = blocks(ready.fitted, room, job.light)
@@ -128,9 +133,10 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
 
 
 def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
-    """Return for each mirror what 1 lx of its image adds, and its illuminance [count, n] in draws.
+    """Return what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
 
-    A draw is a quantile: its images are visible in all hours whose chance exceeds it.
+    The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)
+    shows it in the hours whose chance of a visible image exceeds (i + 0.5) / count.
     """
     draws = (np.arange(count)[:, None] + 0.5) / count
     return [

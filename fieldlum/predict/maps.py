@@ -22,9 +22,9 @@ MAPS = "luminance_cdm2"
 class MapStore(Protocol):
     """A Zarr store of predicted maps: luminance_cdm2 (time, y, x), and disc_lx and trusted (time).
 
-    disc_lx: illuminance of the visible sun disc; trusted: whether similar light was captured and
-    the expected error is not large (`models.trusted_hours`).
-    Parallel jobs write into `target`, a path or a URL. The store is complete after `finish`.
+    Units of work write maps in parallel into `target`, with `write_maps`. The store is complete
+    after `finish`. disc_lx: illuminance of the visible sun disc on a plane normal to it; trusted: 1
+    if the map of the hour is trusted, else 0.
     """
 
     @property
@@ -33,19 +33,19 @@ class MapStore(Protocol):
         ...
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Begin a new store in `target`: write the coordinates and the description of the maps.
+        """Begin a new store in `target`: write coordinates, and an array of maps without values.
 
-        What `target` already holds is deleted.
+        t_utc: middle of each hour. What `target` already holds is deleted.
         """
         ...
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write `disc_lx` and `trusted` of the n hours, which completes the store."""
+        """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, which completes the store."""
         ...
 
 
 class FolderMapStore:
-    """A store `maps.zarr` in a folder; it gets its name by a rename when it is complete."""
+    """A store of maps in a local folder, which is renamed to `path` when it is complete."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -53,19 +53,22 @@ class FolderMapStore:
 
     @property
     def target(self) -> str:
-        """Return the folder into which units write."""
+        """Return the temporary folder, `.NAME.tmp` for a store NAME, where units of work write."""
         return str(self._work)
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Begin a new store: write the coordinates and the description of the maps to `target`.
+        """Begin a new store in `target`: write coordinates, and an array of maps without values.
 
-        A complete store under the final name remains until `finish`.
+        t_utc: middle of each hour. An earlier complete store remains until `finish`.
         """
         shutil.rmtree(self._work, ignore_errors=True)
         describe(self._work, t_utc, room, {"site": site_name})
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write `disc_lx` and `trusted` of the n hours; rename the store to its final name."""
+        """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, and rename the store.
+
+        An earlier store of the final name is deleted.
+        """
         add_hours(self._work, disc_lx, trusted)
         shutil.rmtree(self._path, ignore_errors=True)
         self._work.rename(self._path)
@@ -74,9 +77,9 @@ class FolderMapStore:
 def describe(
     folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]
 ) -> None:
-    """Write a store without maps: the coordinates, and the description of the maps.
+    """Write a store in `folder`: time, altitude and azimuth, and an array of maps without values.
 
-    about: further attributes of the store.
+    The maps are NaN until `write_maps`. t_utc: middle of each hour; about: further attributes.
     """
     import xarray as xr
     import zarr
@@ -128,7 +131,11 @@ def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.fl
 
 
 def write_maps(target: str, start: int, maps: NDArray[np.float32]) -> None:
-    """Write the maps [n, H, W] of the hours from `start` on, as a complete shard."""
+    """Write maps [n, H, W] cd/m2 into the store at a path or URL, rounded to 0.01 %.
+
+    start: index of the first of these hours in the year, from 0; a multiple of 64, because each
+    shard has 64 hours.
+    """
     import zarr
 
     array: Any = zarr.open_array(f"{target}/{MAPS}", mode="r+", zarr_format=3)

@@ -19,10 +19,10 @@ _NAME = "maps.zarr"
 
 
 class BucketMapStore:
-    """`maps.zarr` below a URL, which can be opened when it is complete.
+    """A store `maps.zarr` of predicted maps below a URL; it can be opened when it is complete.
 
-    inputs: what the year depends on; the store records its digest. draft: local folder in which
-    the description of the store is written.
+    inputs: what the year depends on; the store records its digest. draft: local folder for the
+    coordinates and descriptions before their upload.
     """
 
     def __init__(self, url: str, inputs: Mapping[str, object], draft: Path) -> None:
@@ -36,15 +36,18 @@ class BucketMapStore:
         return self._store.target
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Upload the coordinates and the description of the maps; delete an earlier store.
+        """Delete an earlier store, and upload the coordinates and an array of maps without values.
 
-        Raises InputError for a URL that cannot be written to.
+        t_utc: middle of each hour. Raises InputError for a URL that cannot be written to.
         """
         describe(self._draft, t_utc, room, {"site": site_name})
         self._store.begin(self._draft)
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Upload `disc_lx` and `trusted` of the n hours, then the root's zarr.json."""
+        """Upload `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, then the root's zarr.json.
+
+        This completes the store; the local draft is deleted.
+        """
         add_hours(self._draft, disc_lx, trusted)
         for name in ("disc_lx", "trusted"):
             self._store.upload(self._draft, name)
@@ -53,5 +56,5 @@ class BucketMapStore:
 
 
 def is_complete(url: str, inputs: Mapping[str, object]) -> bool:
-    """Return whether a complete maps.zarr with these inputs is below the URL."""
+    """Return whether a complete maps.zarr, computed from these inputs, is below `url`."""
     return BucketStore(f"{url.rstrip('/')}/{_NAME}").is_made_from(digest(inputs))

@@ -26,10 +26,11 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """When the room is used.
+    """When the room is used; `text` describes it.
 
-    periods: weekday (0 is Monday), start and end in local clock time; or hourly: a mask [8760] in
-    local standard time.
+    periods: weekday (0 is Monday), start (included) and end (excluded) in local clock time. hourly,
+    if set, replaces them: a mask [8760], True if used, from 1 January 00:00 in local standard time,
+    without 29 February.
     """
 
     text: str
@@ -37,7 +38,10 @@ class Occupancy:
     hourly: NDArray[np.bool_] | None = None
 
     def at(self, times_utc: Sequence[datetime], timezone: str) -> NDArray[np.bool_]:
-        """Return a mask [n] of the times at which the room is used."""
+        """Return a mask [n]: True for the times at which the room is used.
+
+        times_utc: aware times; timezone: IANA name of the room's time zone.
+        """
         if self.hourly is not None:
             rows = [_hour_of_year(t, timezone) for t in times_utc]
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
@@ -51,7 +55,7 @@ class Occupancy:
 
 
 def default_occupancy() -> Occupancy:
-    """Return 08:00 to 18:00 on every day, 3650 hours, the usual reading of EN 17037's annex."""
+    """Return 08:00 to 18:00 local clock time on every day, as EN 17037's annex is usually read."""
     return Occupancy(
         "08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7))
     )
@@ -65,9 +69,10 @@ def _hour_of_year(t_utc: datetime, timezone: str) -> int:
 
 
 def read_occupancy(path: Path) -> Occupancy:
-    """Read a csv of weekly periods or of 8760 hours.
+    """Read a csv of when the room is used.
 
-    Raises InputError for a file that cannot be read, or for other content.
+    Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
+    8760 rows of 0 or 1. Raises InputError for a file that cannot be read, or for other content.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -155,10 +160,11 @@ def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occup
 def occupied_hours(
     occupancy: Occupancy, times_utc: Sequence[datetime], site: Site
 ) -> tuple[int, int]:
-    """Return the numbers of occupied hours and of days, over the weather's local standard dates.
+    """Return the number of occupied hours on the days of a weather file, and the number of days.
 
-    Occupied hours in the dark count. An hour with the sun up but without weather does not count,
-    because it would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
+    times_utc: middles of the hours with weather; days are dates in local standard time. Occupied
+    hours in the dark count. An hour with the sun up but without weather does not count, because it
+    would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 
 def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
-    """Yield the name and the row of each hour to show.
+    """Yield the name of each hour to show in the report, and its index in the year, from 0.
 
-    These are the hours of the median, the 95th percentile and the highest DGP of the occupied
-    hours, for the worst and the best direction, and the hours of one clear day.
+    These are the hours with the median, the 95th percentile and the highest DGP of the occupied
+    hours (all hours if none is occupied), first for the direction with the most glare, then for
+    that with the least; and the hours of one clear day. An hour can occur twice.
     """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
@@ -38,9 +39,10 @@ def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
 
 
 def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
-    """Return the rows of the sunniest day within three weeks of the March equinox, [k].
+    """Return the indices, from 0, of the daylight hours of one sunny day, [k].
 
-    If the year has no hours in these weeks, return those of its sunniest day.
+    It is the day with the most direct normal irradiation among 28 February to 11 April, or among
+    all days if the year has no hours then. zone: time zone, whose standard time separates the days.
     """
     days = np.array([standard_date(t, zone).timetuple().tm_yday for t in annual.t_utc])
     near = np.abs(days - 80) <= 21
@@ -50,9 +52,9 @@ def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
 
 
 def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Return the maps of `telling_hours`, predicted again.
+    """Return the maps of `telling_hours`, in that order, predicted again.
 
-    All maps of a year would need a gigabyte of memory.
+    The maps are not stored before, because all maps of a year would need a gigabyte of memory.
     """
     chosen = list(telling_hours(annual, room.setup.site.timezone))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)

@@ -70,12 +70,18 @@ def run(
 ) -> PredictedYear:
     """Predict all daylight hours of a weather file with a trained model, and write the year.
 
-    A year that exists with the same inputs is returned instead, unless `force`. out: its folder;
-    views: number of view directions; maps_to: URL of a bucket for the maps, for example
-    s3://BUCKET/FOLDER; "" for none. lamps: "" as in the captures; "off"; or a csv as for occupancy,
-    with the hours in which lamps that are marked in the captures are on. Raises InputError for a
-    broken model or weather, or if weather, session or camera do not belong to the model;
-    NotEnoughDataError for weather without daylight.
+    A year with the same inputs that exists in the output folder is returned instead, unless
+    `force`.
+
+    out: output folder; None: `default_folder`. views: number of view directions around the horizon.
+    maps: also write all maps; maps_to: URL of a bucket for them, for example s3://BUCKET/FOLDER; ""
+    for none. lamps: "" as in the captures; "off"; or a csv as for occupancy, with the hours in
+    which lamps that are marked in the captures are on. label_shift_min: minutes added to the times
+    of the weather file.
+
+    Raises InputError for a file, folder, URL or model that cannot be used, or if place, camera,
+    room or pictures of model and session differ; NotEnoughDataError for weather without daylight or
+    without occupied hours; FloatingPointError if a map is not finite.
     """
     from fieldlum.models import load, read_config
     from fieldlum.weather import read_weather
@@ -131,14 +137,18 @@ def run(
 
 
 def light_of(weather: Weather) -> Light:
-    """Return the light of all hours of `weather`, with the sun's position."""
+    """Return the sun's position and the light of all hours of `weather`, in their order."""
     from fieldlum.light import light_at
 
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
 
 
 def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
-    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`."""
+    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`.
+
+    The csv has the form that `read_occupancy` reads, which raises InputError. timezone: of the
+    room.
+    """
     if not lamps:
         return light
     if lamps == "off":
@@ -171,13 +181,16 @@ def measure(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> tuple[Annual, GlareDoubt, NDArray[np.float64]]:
-    """Predict every hour and return the figures, the room's uncertainty, and that of the maps.
+    """Predict every hour, and return the figures, the doubt about unseen parts, and u of the maps.
 
-    The hours are predicted in blocks, which are the units of work. none_trusted: whether `train`
-    warned of the model's single maps. With `maps`, or with a `bucket`, the maps are written too.
-    Figures of directions that no lens saw are NaN. The second result is the uncertainty of DGP due
-    to the room and to unseen parts of views, for all hours. The third is the standard uncertainty
-    of DGP due to the maps, [n, d].
+    The first result has an empty `summary`, `occupied` 0, and NaN in directions of which lenses saw
+    less than half. The second is the range of DGP due to the sun's disc (drawn rooms) and to unseen
+    parts of views. The third is the standard uncertainty of DGP due to the maps, [n, d]; `u_dgp` of
+    the first includes the disc, too.
+
+    none_trusted: mark no hour as trusted, because `train` warned of the model's single maps.
+    uncertainty: of a fitted room; None: of a tape measure. The maps are written to maps.zarr in
+    `folder` with `maps`, or to `bucket`.
     """
     count, d = len(light), len(azimuths_deg)
     coverage = view_coverage(
