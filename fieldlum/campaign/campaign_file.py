@@ -17,9 +17,9 @@ class CampaignRoom:
     """One room of a campaign. Paths are relative to CAMPAIGN.toml.
 
     A value that is absent or "" is replaced by that of [common], else by that of DEFAULTS, where
-    only session and site are "". session: its folder. site and set: from which `plan` creates a
-    missing session. model, seed, budget_min: for `train`. weather and views: for `predict`. size:
-    for `merge`.
+    session and site are "" and seed is 0. session: its folder. site and set: from which `plan`
+    creates a missing session. model, seed, budget_min [minutes]: for `train`. weather and views
+    (number of view directions): for `predict`. size: WIDTHxHEIGHT for `merge`.
     """
 
     session: str = ""
@@ -56,10 +56,11 @@ class CampaignFile:
 
 
 def read_campaign(path: Path) -> CampaignFile:
-    """Read a CAMPAIGN.toml.
+    """Read a CAMPAIGN.toml; without the key `name` the file's name is used.
 
-    Raises InputError for a file that is no TOML, for unknown keys, without a room, for a room
-    without a session, for a session named twice, and unless budget_min and views are above 0.
+    Raises InputError for a missing file or one that is no TOML, for unknown keys or values of a
+    wrong type, without a room, for a room without a session, for a session named twice, and unless
+    budget_min and views are above 0.
     """
     table = read_toml(path)
     unknown = table.keys() - {"name", "common", "room"}

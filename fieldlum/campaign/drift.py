@@ -39,8 +39,10 @@ WINDOW_SHARE = 0.5
 class DriftSeries:
     """One quantity over time: days since the first value [n], values [n], and their change.
 
-    change: of a robust line from the first to the last value, with its 95 % interval; reach: a
-    larger change is significant. NaN with fewer than 20 values or values of fewer than 3 days.
+    kind: k [%], heading [deg] or residual [%]; change: of a robust line from the first to the last
+    value, in the unit of the values; low, high: its 95 % interval; reach: a larger change is
+    significant; start: the line at the first day. NaN with fewer than 20 values or values of fewer
+    than 3 days.
     """
 
     kind: str
@@ -50,11 +52,14 @@ class DriftSeries:
     low: float = np.nan
     high: float = np.nan
     reach: float = np.nan
-    start: float = np.nan  # value of the line at the first day
+    start: float = np.nan
 
     @property
     def drifts(self) -> bool:
-        """Whether the change exceeds its limit and is significant."""
+        """Whether the change is significant and over its limit.
+
+        The limits are 5 % (k), 0.5 deg (heading) and 1 % (residual).
+        """
         return bool(abs(self.change) > max(LIMITS[self.kind], self.reach))
 
     @property
@@ -73,11 +78,11 @@ class DriftSeries:
 def series(
     kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
 ) -> DriftSeries:
-    """Return a series of values with the change of a robust line from the first to the last.
+    """Return a series, in order of time, with the change of a robust line from first to last value.
 
-    kind: "k", "heading" or "residual"; values: at t_utc, [n], NaN is omitted. The captures of one
-    day share its weather. Therefore the interval is computed from the scatter of days, and is wide
-    for few days.
+    kind: "k" [%], "heading" [deg] or "residual" [%]; values: at t_utc, [n], NaN is omitted. The
+    captures of one day share its weather. Therefore the interval is computed from the scatter of
+    days, and is wide for few days.
     """
     data = np.asarray(values, float)
     times = np.array([t.timestamp() for t in t_utc], float) / 86400.0
@@ -123,9 +128,10 @@ def _robust_line(
 
 
 def drifts_of(session: Session) -> dict[str, DriftSeries]:
-    """Return a session's series of k, heading and residual, by name.
+    """Return a session's three series, by the names k, heading and residual.
 
-    A series for which the session has no data is empty.
+    k: the scale factor of luminance, by the sky in the window [%]; heading: of the camera, by the
+    sun [deg]; residual: disagreement of a bracket's frames [%]. A series without data is empty.
     """
     sidecars = readable_sidecars(session.sidecar_files())
     dated = [(note.t_utc, note) for note in sidecars if note.t_utc is not None]
@@ -166,12 +172,13 @@ def _headings(
 
 
 def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
-    """Return (time, how far the window's sky is above its usual luminance [%]) of each capture.
+    """Return (time, how far the window's sky is above its median luminance [%]) of each capture.
 
-    The list is empty without a room or pairs. The value is the ratio of measured to expected
-    luminance, divided by the median of this ratio, minus one. The expected luminance is that of the
-    Perez sky for the logged irradiance. It can be wrong by tens of percent in one hour and is right
-    on average, so only a change over many hours shows a drift of k.
+    The list is empty without a room, pairs or glass in view. The value is the ratio of measured to
+    expected luminance, divided by the median of this ratio, minus one; NaN if no light is expected.
+    The expected luminance is that of the Perez sky for the logged irradiance. It can be wrong by
+    tens of percent in one hour and is right on average, so only a change over many hours shows a
+    drift of the scale factor k.
     """
     from fieldlum.scene import window_fraction
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
-    """Yield the session and the predicted year of each room that has a predicted year.
+    """Yield (session, predicted year) of each room that has a predicted year of its model.
 
-    Rooms that cannot be read are skipped.
+    session: as CAMPAIGN.toml names it. Rooms that cannot be read are skipped.
     """
     from fieldlum.predict import read_annual
 
@@ -48,10 +48,10 @@ def _columns(name: str, annual: Annual) -> dict[str, Any]:
 
 
 def write_csv(campaign: CampaignFile, path: Path) -> int:
-    """Write a csv row for each room, hour and direction; return the number of rows.
+    """Write a csv row for each room, hour and view direction; return the number of rows.
 
-    Only one room is in memory at a time. Without a predicted year the file has no
-    bytes, not even a header.
+    Only one room is in memory at a time. Without a predicted year the file has no bytes, not even a
+    header.
     """
     count = 0
     with replacing(path, "w", newline="", encoding="utf-8") as file:
@@ -73,7 +73,7 @@ def _cell(value: Any) -> str:
 
 
 def write_parquet(campaign: CampaignFile, path: Path) -> int:
-    """Write a Parquet row for each room, hour and direction; return the number of rows.
+    """Write a Parquet row for each room, hour and view direction; return the number of rows.
 
     Each room is a row group. Raises InputError without pyarrow, or without a predicted year.
     """

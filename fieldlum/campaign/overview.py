@@ -36,9 +36,10 @@ _SLOTS = 6
 class RoomOverview:
     """What the page shows about one room.
 
-    broken: why the room could not be read, "" if it could. to_do: slots that can still be captured.
-    usable: rows of pairs.csv that training uses. protection: rows of predict.json. failed: slot and
-    reason.
+    broken: why the room could not be read, "" if it could. captured, planned: numbers of slots.
+    to_do: slots that can still be captured. usable: rows of pairs.csv that training uses.
+    protection: glare by view direction, of the predicted year; empty without one. failed: (slot,
+    reason) of slots without a usable panorama. drifts: by name, as `drifts_of`.
     """
 
     session: str
@@ -84,7 +85,7 @@ def exceeded(row: DirectionYear | None) -> float:
 
 
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
-    """Read one room; for a missing or broken session, the overview states what is wrong."""
+    """Read one room; after any error, the overview's text `broken` states what is wrong."""
     try:
         return _read(open_session(campaign.session_folder(room)), room)
     except (FieldlumError, OSError) as error:
@@ -149,7 +150,10 @@ def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
 def write_overview(
     campaign: CampaignFile, out: Path, *, progress: Progress = quiet
 ) -> tuple[Path, list[RoomOverview]]:
-    """Write out/index.html and overview.json; return the page's path and the overviews."""
+    """Write index.html and overview.json into `out`; return the page's path and the overviews.
+
+    The overviews are in the order of the rooms.
+    """
     rooms = []
     for k, room in enumerate(campaign.rooms):
         progress(k, len(campaign.rooms), room.session)

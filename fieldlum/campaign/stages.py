@@ -56,9 +56,10 @@ def run_stage(
     force: bool = False,
     progress: Progress = quiet,
 ) -> Iterator[RoomResult]:
-    """Run `stage` for each room and yield its result.
+    """Run `stage` for each room and yield its result; a failed room does not stop the others.
 
-    merge and predict have units of work of one room at a time; train has one unit per room.
+    force: predict again even if nothing changed. merge and predict run one room at a time, in
+    several units of work each; train has one unit per room, and its results come as they end.
     """
     if stage == "train":
         yield from _train(campaign, scheduler, progress)
@@ -70,7 +71,7 @@ def run_stage(
 
 
 def guarded(name: str, work: Callable[[], str]) -> RoomResult:
-    """Run the work of the room `name`; return its text as "done", or any error as "failed"."""
+    """Run the work of the room `name`; return its text as "done", or any error's as "failed"."""
     try:
         return RoomResult(name, "done", work())
     except (FieldlumError, OSError) as error:
@@ -164,8 +165,8 @@ def without_pairs(room: CampaignRoom, folder: Path) -> RoomResult | None:
 def train_room(folder: Path, job: _TrainJob) -> str:
     """Train one room's model from the session in `folder`; return a line about the result.
 
-    A fitted scene in the session is used, as by `fieldlum train`. Runs as a unit of work. Raises
-    NotEnoughDataError for too few hours.
+    A fitted scene in the session is used, as by `fieldlum train`. job: model, seed and time limit.
+    Raises NotEnoughDataError for too few hours, InputError for pairs that cannot be used.
     """
     from fieldlum import train
     from fieldlum.models.data import load_pairs

@@ -27,10 +27,11 @@ def run_sweep(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> tuple[list[RoomResult], str]:
-    """Score models with seeds on held-out days of every room; write sweep.csv and sweep.md.
+    """Score models with seeds on held-out days of every room.
 
-    Return the failed units, and the Markdown table of means over seeds. Raises InputError for a
-    text that is no model's name.
+    Write sweep.csv and sweep.md to `out`; return the failed units, and the Markdown table of means
+    over seeds. seeds: number of them, for each model and room; budget_min: time limit of each fit
+    [min]. Raises InputError for a text that is no model's name.
     """
     units, failed = _units(campaign, models, seeds, budget_min)
     rows: dict[str, list[BenchRow]] = {room.session: [] for room in campaign.rooms}

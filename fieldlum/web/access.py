@@ -44,7 +44,10 @@ class Ruling:
 
 
 class Access:
-    """The token of one run of the server, and the names that the server has."""
+    """The token of one run of the server, its cookie, and the host names that the server has.
+
+    names: without the port. After the first request with the token the browser uses the cookie.
+    """
 
     def __init__(self, port: int, names: Iterable[str]) -> None:
         """names: host names and addresses without a port, an IPv6 address in brackets."""
@@ -56,13 +59,13 @@ class Access:
 
     @property
     def set_cookie(self) -> str:
-        """Value of the Set-Cookie header that replaces the token."""
+        """Value of the Set-Cookie header whose cookie replaces the token."""
         return f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
 
     def rule(self, method: str, path: str, query: str, headers: Mapping[str, str]) -> Ruling:
         """Decide about one request by its names, origin, method, and token or cookie.
 
-        Header names are in lower case.
+        method: in capitals; query: without the question mark; headers: by name in lower case.
         """
         if headers.get("host", "").lower() not in self.hosts:
             return Ruling(421, "This server does not have that name.")

@@ -55,16 +55,18 @@ class Moment:
 
     @property
     def is_quiet(self) -> bool:
-        """Return whether there is time to compute: no bracket is running and no slot is near."""
+        """Whether there is time to compute: no bracket is running, and none begins within 90 s."""
         far = self.seconds_to_slot is None or self.seconds_to_slot > QUIET_BEFORE_S
         return far and not self.busy
 
 
 @dataclass(slots=True)
 class Worker:
-    """Runs the commands of the answer in a thread.
+    """Runs merge, pair, train and predict of a session in a thread, while no slot is near.
 
-    moment: returns the present state of the capture. weather: a file, or "synthetic".
+    moment: returns the present state of the capture. weather: a file, or "synthetic". program:
+    starts fieldlum; look_every_s: pause between two looks for work; problem: error of the last
+    step, or ""; step: what is computed now, or "".
     """
 
     session: Session
@@ -72,8 +74,8 @@ class Worker:
     weather: str = "synthetic"
     program: Sequence[str] = PROGRAM
     look_every_s: float = _LOOK_EVERY_S
-    problem: str = ""  # of the last step that failed
-    step: str = ""  # what is being computed now
+    problem: str = ""
+    step: str = ""
     _stop: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
     _merged_at: int = -1
@@ -103,8 +105,8 @@ class Worker:
     def work(self) -> None:
         """Merge and pair new brackets if no slot is near; then train and predict if it is time.
 
-        It is time if 8 or more slots are captured, and if there is no answer yet, or it is 6 or
-        more hours old and slots were captured since.
+        It is time if 8 or more slots are captured, slots were captured since the last training of
+        this process, and the last answer (predicted year) is 6 or more hours old or missing.
         """
         now = self.moment()
         if not now.is_quiet or now.captured == 0:
@@ -235,7 +237,11 @@ def _signal(process: subprocess.Popen[bytes], name: str) -> None:
 
 
 def read_answers(session: Session) -> list[JsonTable]:
-    """Return the answers so far, oldest first; none for a missing or damaged file."""
+    """Return the stored answers (rows of watch/answers.json), oldest first.
+
+    An answer has the glare classes that `Worker` predicted at one time. The list is empty for a
+    missing or damaged file.
+    """
     try:
         rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -244,7 +250,10 @@ def read_answers(session: Session) -> list[JsonTable]:
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
-    """Return the last answer, the DGP of each direction in all answers, and the present step."""
+    """Return the last answer, the DGP of each direction in all answers, and the present step.
+
+    The last answer is None without one; worker: None if nothing is computed here.
+    """
     rows = read_answers(session)
     history = [
         {

@@ -37,7 +37,7 @@ _NUMBERS_KEPT = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "
 
 @dataclass(frozen=True, slots=True)
 class ClickedPicture:
-    """The panorama that is clicked on."""
+    """The panorama whose corners the user clicks; slot: its id; grid: its pixels and heading."""
 
     session: Session
     slot: str
@@ -45,7 +45,10 @@ class ClickedPicture:
 
     @classmethod
     def of(cls, session: Session, slot: str = "") -> ClickedPicture:
-        """Return the panorama of a slot, or the newest. Raises InputError without one."""
+        """Return the panorama of a slot, or of "" the newest.
+
+        Raises InputError if it does not exist.
+        """
         files = session.panorama_files()
         chosen = next((path for path in files if path.stem == slot), None) if slot else None
         if not files:
@@ -69,7 +72,10 @@ class ClickedPicture:
 
 
 def clicked_table(found: ClickedRoom) -> JsonTable:
-    """Return the lengths of a room with their uncertainties, and the azimuth of the south wall."""
+    """Return a room's lengths [m] and azimuth [deg], with their uncertainties, as JSON.
+
+    Further keys: faces (where the south wall faces), walls of the windows, misfit_px and notes.
+    """
     room = found.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
     for place, window in enumerate(room.window):
@@ -85,10 +91,11 @@ def clicked_table(found: ClickedRoom) -> JsonTable:
 
 
 def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
-    """Write scene/clicked.toml, a complete SITE.toml.
+    """Write scene/clicked.toml, a complete SITE.toml with the clicked room.
 
     Also write the room into the session if it has none, or if `replace_room`. Return the file, and
-    whether the session now has this room.
+    whether the room was written into the session. A box that the session has keeps what clicks do
+    not measure, such as reflectances.
     """
     setup = session.site_file()
     room = found.room
@@ -109,7 +116,7 @@ def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tu
 
 
 def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]:
-    """Return the routes of the page; camera_height_m: the page's first value of it."""
+    """Return the web routes of the page; camera_height_m: initial camera height on the page [m]."""
     session = picture.session
 
     def about(request: Request) -> Response:

@@ -31,7 +31,7 @@ _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 class Control:
     """Changes of one session, carried out one at a time.
 
-    state: returns the page's current table.
+    state: returns the page's present state, as `Snapshots.state`.
     """
 
     session: Session
@@ -39,10 +39,11 @@ class Control:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def do(self, action: str, asked: Mapping[str, object]) -> str:
-        """Carry out a note, mark, extra bracket or pause; return what was done, as a sentence.
+        """Carry out `action`: note, mark, extra or pause; return what was done, as a sentence.
 
-        Raises InputError for what cannot be done now; KeyError, TypeError, ValueError for a
-        malformed request.
+        asked: text for a note; slot and state for a mark; minutes for a pause (0 ends it); extra
+        plans a bracket now. Raises InputError for what cannot be done now; KeyError, TypeError,
+        ValueError or OverflowError for a malformed request.
         """
         with self._lock:
             if action == "note":
@@ -105,7 +106,10 @@ def _text(asked: Mapping[str, object], key: str) -> str:
 
 
 def control_routes(control: Control) -> list[Route]:
-    """Return one POST route for each change; the answer has the key `text` or `error`."""
+    """Return the POST route /control/ACTION; its JSON answer has the key `text` or `error`.
+
+    A malformed request gets status 400.
+    """
 
     async def change(request: Request) -> Response:
         asked = await json_body(request, _MAX_BODY)

@@ -16,7 +16,9 @@ from fieldlum.web.follow import BIN_S, IrradianceFollower
 def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
     """Return the irradiance of a local day in bins of 2 min [W/m2], and which bins are flagged.
 
-    Flagged are impossible values and errors that the instrument reported.
+    Flagged are values that are impossible for the sun's altitude, and bins with an error that the
+    instrument reported. Bins at night without a reading are omitted; a missing value is None.
+    followed: the session's day files.
     """
     zone = ZoneInfo(site.timezone)
     start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)

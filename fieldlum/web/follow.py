@@ -28,7 +28,7 @@ _EVENTS_KEPT = 60  # in memory; more than a page shows; chosen
 
 
 class LineTail:
-    """Lines of a growing file that are new since the last reading."""
+    """Reads the lines of a growing file that are new since the last reading."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._inode = path, 0, 0
@@ -57,8 +57,9 @@ class LineTail:
 class JournalState:
     """State that follows from the journal so far.
 
-    events: the latest ones for the page. away: devices that do not answer now, with the time since
-    when. opened: the last `open` event without a `close`, or None.
+    ledger: state of each slot. events: the latest 60 for the page, without frames, starts of
+    brackets and illuminances. away: devices that do not answer now, with the time since when.
+    opened: the last `open` event (start of a capture) without a `close`, or None.
     """
 
     ledger: Ledger = field(default_factory=Ledger)
@@ -83,7 +84,7 @@ class JournalState:
 
 
 class JournalFollower:
-    """Keep a `JournalState` up to date with the file."""
+    """Keeps a `JournalState` up to date with the file; `update` reads what is new."""
 
     def __init__(self, session: Session) -> None:
         self._tail, self.state = LineTail(session.journal), JournalState()
@@ -100,7 +101,11 @@ class JournalFollower:
 
 
 class DayBins:
-    """Mean irradiances in bins of two minutes, from the logger's file of one UTC day."""
+    """Mean irradiances in 720 bins of two minutes, from the logger's file of one UTC day.
+
+    flagged: mask of bins, True with an error that the instrument reported; status: number of rows
+    by such an error; last: time and global irradiance of the last row, or None.
+    """
 
     def __init__(self, path: Path) -> None:
         self._tail = LineTail(path)
@@ -136,12 +141,12 @@ class DayBins:
 
     @property
     def means(self) -> NDArray[np.float64]:
-        """GHI, DNI and DHI [bins, 3] in W/m2; NaN without a reading."""
+        """GHI, DNI and DHI, in this order, [720, 3] in W/m2; NaN without a reading."""
         return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
 
 
 class IrradianceFollower:
-    """Irradiance of the UTC days that the page shows; the last six are stored."""
+    """Irradiance of UTC days, read when requested; the last six requested days stay in memory."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -159,7 +164,10 @@ class IrradianceFollower:
         return self._days[day_utc]
 
     def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
-        """Return time and global irradiance of the last row of today or yesterday (UTC)."""
+        """Return time and global irradiance of the last row of today or yesterday (UTC).
+
+        None without a row; the irradiance [W/m2] is None if the row has none.
+        """
         for day in (now.date(), now.date() - timedelta(days=1)):
             if (last := self.day(day).last) is not None:
                 return last

@@ -37,7 +37,10 @@ def _ends(path: Path, stamp: int) -> tuple[float, float]:
 
 
 def scale_of(paths: list[Path]) -> tuple[float, float]:
-    """Return the ends of one scale for several panoramas [cd/m2], rounded outwards to one digit."""
+    """Return the ends of one scale for several panoramas [cd/m2], rounded outwards to one digit.
+
+    They are from the lowest 1 % to the highest 99.9 % percentile; 1 to 1000 without panoramas.
+    """
     ends = [luminance_ends(path) for path in paths] or [(1.0, 1000.0)]
     return rounded_scale(min(low for low, _ in ends), max(high for _, high in ends))
 
@@ -64,7 +67,10 @@ def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
 
 
 def coloured(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
-    """Return RGB [H, W, 3] of luminances, log scale from low to high [cd/m2]; grey for NaN."""
+    """Return RGB [H, W, 3] of luminances, log scale from low to high [cd/m2]; grey if not finite.
+
+    Values outside the scale get the colour of its nearer end.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.log(np.maximum(values, 1e-9) / low) / np.log(high / low)
     index = np.nan_to_num(np.clip(share * 255.0 + 0.5, 0, 255)).astype(np.uint8)
@@ -74,7 +80,7 @@ def coloured(values: NDArray[np.float32], low: float, high: float) -> NDArray[np
 
 
 def scale_png() -> bytes:
-    """Return the colours of the scale from low to high as a picture of 256 x 1."""
+    """Return the colours of the scale from low to high as a PNG of 256 x 1 pixels."""
     return _encoded(_colours()[None])
 
 

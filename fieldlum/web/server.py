@@ -32,7 +32,10 @@ _YEAR_S = 31_536_000  # 365 days
 
 
 class Guard:
-    """ASGI layer: apply the access rules to requests, add the security headers to answers."""
+    """ASGI layer: refuse requests that `Access` does not allow; add security headers.
+
+    Refused requests get the headers too.
+    """
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
@@ -80,7 +83,7 @@ def _page(scripts: Sequence[str]) -> Route:
 
 
 def picture_routes(session: Session) -> list[Route]:
-    """Return routes for the panoramas of a session in false colour, and for the scale's colours."""
+    """Return the web routes of a session's panoramas in false colour, and of their scale."""
 
     def picture(request: Request) -> Response:
         slot = request.path_params["slot"]
@@ -114,10 +117,10 @@ def watch_routes(
     worker: Worker | None = None,
     control: Control | None = None,
 ) -> list[Route]:
-    """Return the routes of the page of `fieldlum watch`.
+    """Return the web routes of the page of `fieldlum watch`.
 
-    worker: computes the answer, or None. control: changes the session on request, or None for a
-    page that only reads.
+    worker: computes the glare classes so far, or None. control: changes the session on request, or
+    None for a page that only reads.
     """
 
     def state() -> Mapping[str, object]:
@@ -150,7 +153,7 @@ def watch_routes(
 
 
 def table(make: Callable[[], Mapping[str, object]]) -> Response:
-    """Return a table as JSON, or status 503 if the session cannot be read now."""
+    """Return the table of `make` as JSON; status 503 if the session cannot be read now."""
     try:
         return JSONResponse(make())
     except (InputError, OSError) as error:
@@ -159,7 +162,10 @@ def table(make: Callable[[], Mapping[str, object]]) -> Response:
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A server that is ready to run. address: with the token."""
+    """A server that is ready to run.
+
+    app: the routes with the access rules; socket: which listens already; address: with the token.
+    """
 
     app: ASGIApp
     socket: socket.socket
@@ -183,7 +189,7 @@ class Served:
 def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
     """Listen on loopback, or on all interfaces for `lan`; return the server of `routes`.
 
-    Port 0 is any free port. Raises DeviceError if the port cannot be used.
+    Port 0 chooses a free port. Raises DeviceError if the port cannot be used.
     """
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -206,7 +212,7 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
 
 
 def lan_address() -> str:
-    """Return this computer's address in its network; empty without one. Nothing is sent."""
+    """Return this computer's IPv4 address in its network, "" without one. Nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # RFC 5737: an address for documentation

@@ -48,9 +48,9 @@ class _Present(NamedTuple):
 
 
 class Snapshots:
-    """Tables of one session, usable from several threads.
+    """Tables of one session for the page of `fieldlum watch`, usable from several threads.
 
-    wall_clock: returns the present moment (UTC).
+    wall_clock: returns the present moment (UTC). Raises InputError for a bad session.toml.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Snapshots:
             }
 
     def moment(self) -> Moment:
-        """Return the time to the next slot, whether a capture is busy, and the captured slots."""
+        """Return the time to the next slot, whether a capture is busy, and how many are done."""
         with self._lock:
             journal, slots, now, rehearsal, states = self._present()
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]
@@ -112,7 +112,11 @@ class Snapshots:
             )
 
     def calendar(self) -> JsonTable:
-        """Return the days of the plan with the state of each slot, and what the captures cover."""
+        """Return the local days of the plan with the state of each slot, and their coverage.
+
+        The states are done, missed, aborted, made up (by another slot), running and owed. Coverage:
+        shares of the sun's positions in a year that plan and captures reach [%].
+        """
         with self._lock:
             _, slots, _, _, states = self._present()
             merged = self._merged()

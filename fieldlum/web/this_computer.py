@@ -12,9 +12,10 @@ from fieldlum.web.follow import JournalState
 
 
 def is_running(journal: JournalState) -> bool | None:
-    """Return whether the capture of the last `open` event runs on this computer.
+    """Return whether the capture that the journal shows as open runs on this computer.
 
-    Return None if that cannot be determined.
+    False without an open one, or if it began before this boot or on another computer. None if that
+    cannot be determined.
     """
     if journal.opened is None:
         return False
@@ -32,7 +33,10 @@ def is_running(journal: JournalState) -> bool | None:
 
 
 def battery() -> JsonTable | None:
-    """Return charge and source of this computer's power (Linux); None where there is no battery."""
+    """Return {"percent", "mains"} of this computer's battery (Linux); None where there is none.
+
+    mains: whether it has external power; the key is absent where that is unknown.
+    """
     percent: int | None = None
     mains: bool | None = None
     for supply in sorted(Path("/sys/class/power_supply").glob("*")):

@@ -37,9 +37,10 @@ _WORDS: dict[str, tuple[Level, str]] = {
 
 
 def event_words(event: JournalEvent) -> tuple[Level, str] | None:
-    """Return the level and the sentence of an event; None for an event that needs no attention.
+    """Return the level ("info", "warn" ...) and the sentence of an event of the journal.
 
-    The sentence of an unknown kind of event is the name of the kind.
+    None for an event that needs no attention, such as a bracket done without a doubt. The sentence
+    of an unknown kind of event is the name of the kind, its level "info".
     """
     kind, why = event["event"], event.get("why", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
