@@ -39,7 +39,10 @@ class SessionArtefacts:
 
 
 def find(session: Session) -> SessionArtefacts:
-    """Return the newest predicted year, and the model that predicted it, else the newest model."""
+    """Return the newest predicted year, and the model that predicted it, else the newest model.
+
+    Newest is by the time of the files. Raises InputError for a damaged year or model.
+    """
     from fieldlum.models import read_config
     from fieldlum.predict import read_annual
 
@@ -184,7 +187,8 @@ def _spoken(warning: str) -> str:
 def run(session: Session, out: Path | None = None, *, progress: Progress = quiet) -> Path:
     """Write index.html and report.json into `out`, by default report/; return the page's path.
 
-    Raises NotEnoughDataError if the session has no pairs.csv yet.
+    Raises NotEnoughDataError if the session has no pairs.csv yet, InputError for results that
+    cannot be read.
     """
     from fieldlum.report.page import render
 

@@ -52,7 +52,10 @@ CLASS_WORDS = {
 
 
 def answer(annual: Annual) -> tuple[str, str]:
-    """Return the direction to sit in, and the reason, in words."""
+    """Return the view direction to sit in, and the reason, as text of the page.
+
+    If no direction was seen enough, both state this and what to capture.
+    """
     rows = annual.summary.protection
     ends = best_and_worst(rows)
     if ends is None:
@@ -93,7 +96,7 @@ def _class_words(row: DirectionYear) -> str:
 
 
 def polar(annual: Annual) -> Figure:
-    """Return the polar plot of the DGP exceeded in 5 % of the occupied hours, by view direction."""
+    """Return the polar plot, north up, of the DGP exceeded in 5 % of the occupied hours."""
     rows = annual.summary.protection
     azimuths = np.array([row.azimuth_deg for row in rows])
     exceeded, *bounds = (
@@ -142,7 +145,7 @@ def _direction_table(annual: Annual) -> Table:
 
 
 def directions_section(annual: Annual) -> Section:
-    """Return the section on the view directions."""
+    """Return the section with the class of each view direction, and hours that would decide it."""
     tables = [_direction_table(annual)]
     wanted = annual.summary.capture_next
     if wanted:
@@ -189,7 +192,10 @@ def _local_day_and_hour(
 
 
 def when_section(annual: Annual, zone: str) -> Section:
-    """Return the section with the heat map of hours."""
+    """Return the section with the heat map: days by hours of standard time of the zone `zone`.
+
+    Its layers are DGP, vertical illuminance and hours that are not trusted, for each direction.
+    """
     day, hour, year = _local_day_and_hour(annual, zone)
     days = max(365, int(day.max()))
     dgp = day_hour_grid(day, hour, annual.views["dgp"], days)

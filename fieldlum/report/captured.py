@@ -18,7 +18,7 @@ from fieldlum.session.files.quality_csv import read_quality
 
 
 def column(rows: Sequence[PairRow], name: str) -> NDArray[np.float64]:
-    """Return the field `name` of each row as a number, [n]."""
+    """Return the numeric field `name` of each row, in their order, [n]."""
     return np.array([getattr(row, name) for row in rows], float)
 
 
@@ -35,9 +35,9 @@ def year_of_sun(site: Site, year: int) -> sun.SunPosition:
 def section(
     session: Session, site: Site, pairs: PairsFile, year_dni: NDArray, year_dhi: NDArray
 ) -> Section:
-    """Return the section on the captures.
+    """Return the section on suns, skies, quality and refusals of the captures.
 
-    year_dni, year_dhi: irradiance [W/m2] of the hours of a weather year; empty without one.
+    year_dni, year_dhi: irradiance [W/m2] of the predicted year's hours; empty without one.
     """
     used = pairs.usable
     year = used[0].t_utc.year if used else 2027

@@ -148,7 +148,8 @@ def section(
 ) -> Section:
     """Return the section on accuracy, from held-out maps and the scores of `train`.
 
-    names: name of a slot in the session by its name in `held`, the middle of its bracket.
+    Without maps or scores their parts are left out, and the text states it. names: the slot's id in
+    the session by its id in `held`, which is from the middle of its bracket.
     """
     table = _score_table(scores)
     rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()

@@ -81,9 +81,11 @@ def luminance_scale_svg() -> str:
 
 
 def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
-    """Return a PNG with a row for each of n maps: measured, predicted, and their log10 ratio.
+    """Return a PNG with a row for each of n maps: measured, predicted, and their ratio.
 
-    measured, predicted: [n, H, W] cd/m2 (as Liu, Colburn and Inanici 2020, Figures 9 and 23).
+    measured, predicted: [n, H, W] cd/m2; labels: [n]. The ratio is predicted over measured, red
+    above 1, on a logarithmic scale from 1/2 to 2; values below 1 cd/m2 count as 1. As Liu, Colburn
+    and Inanici 2020, Figures 9 and 23.
     """
     n = len(measured)
     with styled():
@@ -126,7 +128,7 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
 def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
     """Return a PNG of labelled fisheye views in several directions at one hour.
 
-    views: [d, N, N], NaN outside the circle; azimuths_deg, dgp: [d].
+    views: [d, N, N] cd/m2, NaN outside the circle; azimuths_deg, dgp: for the labels, [d].
     """
     n = len(views)
     columns = min(n, 5)
@@ -171,7 +173,10 @@ def sun_path_svg(
     captured_azimuth_deg: Float,
     captured_altitude_deg: Float,
 ) -> str:
-    """Plot sun positions: the hours of a year [n], and the captures [k]; return SVG text."""
+    """Plot altitude over azimuth [deg] of the sun: hours of a year [n], and captures [k].
+
+    Return SVG text.
+    """
     return _captured_svg(
         (year_azimuth_deg, year_altitude_deg),
         (captured_azimuth_deg, captured_altitude_deg),
@@ -308,7 +313,8 @@ def exceedance_svg(
 def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
     """Plot predicted against measured values of the same shape, with the 1:1 line and r2.
 
-    quantity: its name and unit, for the axes. r2: squared correlation. Return SVG text.
+    quantity: its name and unit, for the axes. r2: squared correlation, NaN for under three values
+    or constant ones. Return SVG text.
     """
     x, y = np.ravel(measured), np.ravel(predicted)
     r2 = (
@@ -328,7 +334,10 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
 
 
 def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
-    """Plot each hour's error [n] of a quantity against the sun's altitude and azimuth, as SVG."""
+    """Plot each hour's error [n] against the sun's altitude and azimuth [n], as SVG text.
+
+    error: predicted minus measured; quantity: its name, for the axis.
+    """
     with styled():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)

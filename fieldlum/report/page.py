@@ -20,7 +20,7 @@ NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with its alternative text and caption; either svg or png is set."""
+    """A picture with its alternative text and caption: either SVG text, or a PNG in base64."""
 
     alt: str
     caption: str
@@ -29,7 +29,7 @@ class Figure:
 
 
 def named(azimuth_deg: float) -> str:
-    """Return the name of a direction with its degrees."""
+    """Return the compass name of a direction with its degrees, such as "S (180°)"."""
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
@@ -39,7 +39,7 @@ def svg_figure(svg: str, alt: str, caption: str) -> Figure:
 
 
 def png_figure(data: bytes, alt: str, caption: str) -> Figure:
-    """Return a figure from PNG bytes."""
+    """Return a figure from PNG bytes, which it stores in base64."""
     return Figure(alt, caption, png=base64.b64encode(data).decode())
 
 
@@ -55,7 +55,8 @@ class Row:
 class Table:
     """A table with an optional title.
 
-    folded: shown after a click; words: cells are words, aligned left.
+    rows: cells of each row, as many as `head`; folded: shown after a click; words: cells are words,
+    aligned left.
     """
 
     head: tuple[str, ...]
@@ -69,7 +70,8 @@ class Table:
 class HeatMap:
     """Day x hour grids of several quantities and directions, as JSON for the page's script.
 
-    start: index of the direction shown first; used: first and last hour of use.
+    quantities: settings of each; start: index, from 0, of the direction shown first; used: hours of
+    the day at which lines are drawn, the begin and the end of use, or empty.
     """
 
     json: str
@@ -82,7 +84,7 @@ class HeatMap:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section of the page."""
+    """One section of the page: text, rows of figures, tables and a heat map, where it has them."""
 
     id: str
     title: str
@@ -94,7 +96,10 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """All content of the page."""
+    """All content of the page.
+
+    answer, why: the direction to sit in, and the reason; facts: (name, value) pairs.
+    """
 
     title: str
     answer: str
@@ -108,7 +113,11 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One layer of the heat map. values: [days, 24, directions], NaN where there is no value."""
+    """One layer of the heat map. values: [days, 24, directions], NaN where there is no value.
+
+    step: resolution of the stored values; edges: values at which the colour changes; colours: one
+    more than edges; dark: True for colours that need white text; digits: decimals shown.
+    """
 
     name: str
     unit: str
@@ -141,10 +150,10 @@ def heat_map(
     start: int,
     used: tuple[int, ...] = (),
 ) -> HeatMap:
-    """Return the heat map's data.
+    """Return the heat map of `quantities`, all with the same days and directions.
 
-    start: index of the direction shown first. used: hours of the day, 0 to 24, at which lines are
-    drawn; year: for the dates of the days; alt: text instead of the picture.
+    start: index, from 0, of the direction shown first; used: hours of the day, 0 to 24, at which
+    lines are drawn; year: for the dates of the days; alt: text instead of the picture.
     """
     names = ("name", "unit", "step", "edges", "colours", "dark", "digits")
     shown = tuple({name: getattr(q, name) for name in names} for q in quantities)
@@ -164,9 +173,9 @@ def heat_map(
 def day_hour_grid(
     day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Float, days: int
 ) -> Float:
-    """Return hourly rows [n, d] as [days, 24, d] of local standard time.
+    """Return the values [n, d] of n hours as a grid [days, 24, d].
 
-    Days count from 1. Hours without a row are NaN.
+    day_of_year: of each value, from 1; hour: 0 to 23. Hours without a value are NaN.
     """
     grid = np.full((days, 24, values.shape[1]), np.nan)
     grid[day_of_year - 1, hour] = values

@@ -37,10 +37,10 @@ from fieldlum.weather.files import NEAR_KM, distance_km
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Counts of a run, and the name of the weather.
+    """Numbers of slots of a run, and the name of the weather.
 
-    rendered, kept : slots rendered now and before; dark : slots without light in the weather, which
-    are in pairs.csv with ok = 0.
+    rendered: by this run; kept: by an earlier run; dark: without light in the weather or with the
+    sun down, which are in pairs.csv with ok = 0 and are not rendered.
     """
 
     rendered: int
@@ -65,9 +65,10 @@ def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Wea
 def sample_slots(
     setup: SiteFile, weather: Weather, count: int, seed: int, without: Sequence[datetime] = ()
 ) -> list[Slot]:
-    """Draw `count` daylight hours of a weather year at random, in time order.
+    """Draw `count` daylight hours of a weather year at random; return them as slots in time order.
 
-    without : hours that are not drawn. Raises NotEnoughDataError if the year has fewer hours.
+    The slots have no exposures and no tags. without : times of hours that are not drawn. Raises
+    NotEnoughDataError if the year has fewer other hours.
     """
     day = weather.daylight()
     taken = set(without)
@@ -150,7 +151,10 @@ def run(
 
 
 def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
-    """Create a session of given slots. Raises InputError if `out` is a session already."""
+    """Create the session folder `out` with `slots`, in time order, as its plan.
+
+    about: further keys of the table [plan]. Raises InputError if `out` is a session already.
+    """
     return create_session(
         out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)}
     )
@@ -225,9 +229,9 @@ def _write_irradiance(
 def write_pairs(
     session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
 ) -> None:
-    """Write the pairs of the truth itself; their irradiance counts as measured.
+    """Write a pair of rendered panorama and light for each slot; irradiance counts as measured.
 
-    lit: whether a slot has any light [len(slots)]; light: of all slots.
+    light: of all slots; lit: True for slots that were rendered [len(slots)]; the others get ok = 0.
     """
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
     rows = [

@@ -65,12 +65,12 @@ class Pieces:
 
     @property
     def free(self) -> NDArray[np.intp]:
-        """Indices [k] of the pieces that are not completely inside another box."""
+        """Indices [k], ascending, of the pieces that are not completely inside another box."""
         return np.flatnonzero(np.isfinite(self.middle[:, 0]))
 
     @cached_property
     def axis(self) -> NDArray[np.int8]:
-        """Axis of the normal of each piece, as index 0 to 2, [p]."""
+        """Axis of the normal of each piece in the room's frame: 0 for x, 1 for y, 2 for z, [p]."""
         return np.array([f.axis for f in self.faces], np.int8)[self.face]
 
     @cached_property
@@ -87,7 +87,10 @@ class Pieces:
 
 
 def cut(scene: BoxScene, piece_m: float) -> Pieces:
-    """Cut the faces of all boxes into pieces with edges of about `piece_m`, longer outdoors."""
+    """Cut the faces of all boxes into pieces with edges of about `piece_m` metres.
+
+    Outside the room edges are up to 2 m, or 4 m on the ground.
+    """
     visible = tuple(faces(scene))
     counts = np.array([_count(scene, f, piece_m) for f in visible], np.int32)
     first = np.concatenate([[0], np.cumsum(counts.prod(axis=1))]).astype(np.int32)
@@ -255,8 +258,8 @@ def representatives(
 ) -> tuple[NDArray[np.intp], Array]:
     """Group points by equal keys; return one point of each group and the group's total weight.
 
-    The point is the index of the member nearest to the group's middle, [groups]. keys : [m] each;
-    position : [m, 3]; weight : [m].
+    The point is the index, from 0, of the member nearest to the group's middle, [groups]. Groups
+    are in ascending order of their keys. keys : integers [m] each; position : [m, 3]; weight : [m].
     """
     code = np.zeros(len(position), np.int64)
     for key in keys:

@@ -51,10 +51,11 @@ def truth_units(
     quality: str,
     troubles: Troubles,
 ) -> list[WorkUnit]:
-    """Return units of work, 16 slots each, that render the slots with indices `owed`.
+    """Return units of work, 16 slots each (the last may have fewer), that render some slots.
 
-    light: as stated, for the sun patches; shining: as the room receives it; cache: folder of the
-    Radiance coefficients.
+    owed: indices into `slots` of those to render, from 0; light: as stated, for the sun patches;
+    shining: as the room receives it; cache: folder of the Radiance coefficients; height: rows of
+    the panoramas; quality: a key of `QUALITIES`.
     """
     root, coefficients = session.root.resolve(), cache.resolve()
     folder = Path(os.path.commonpath([root, coefficients]))
@@ -94,7 +95,11 @@ def truth_units(
 
 
 def render_slots(folder: Path, job: _TruthJob) -> None:
-    """Render a unit's slots from the stored coefficients; write panoramas and sun patches."""
+    """Render the slots of `job`; write a panorama and a panorama of sun patches for each.
+
+    folder: that of the unit, to which the paths in `job` are relative. The stored Radiance
+    coefficients are used, or computed if there are none.
+    """
     session, wrong = Session(folder / job.session), job.troubles
     truth = _stored_truth(session.root, folder / job.cache, job.key, job.height, job.quality)
     made = truth.render(job.shining)

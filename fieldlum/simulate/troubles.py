@@ -91,7 +91,7 @@ class Troubles:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The troubles that are present."""
+        """Names of the troubles that are present, in the order of the fields."""
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
     @property
@@ -134,9 +134,10 @@ _SIGNED = ("instrument_drift", "north", "clock_drift", "knock")  # the smallest 
 
 
 def load_troubles(path: Path) -> Troubles:
-    """Read troubles from TOML: a table for each, with `size` and `seed`.
+    """Read troubles from TOML: a table for each, with `size` and, if not 1, `seed`.
 
-    Raises InputError for an unknown trouble or key, and for a size outside `LIMITS`.
+    Raises InputError for a file that cannot be read, an unknown trouble or key, a value of another
+    type, and a size outside `LIMITS`.
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -209,7 +210,7 @@ def _cloud_field(
 def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
     """Return `light` as the room receives it with the troubles of clock, north and clouds.
 
-    The result's sun azimuths are relative to the stated north.
+    The result's sun azimuths are relative to the stated north; its times are still the stated ones.
     """
     altitude, azimuth = light.sun_altitude_deg, light.sun_azimuth_deg
     if troubles.clock_drift is not None:
@@ -237,7 +238,8 @@ def measured_irradiance(
 ) -> tuple[Array, Array]:
     """Return the DNI and DHI that the instrument reports with its troubles, [n] each, in W/m2.
 
-    dni_wm2, dhi_wm2: the true ones, [n].
+    dni_wm2, dhi_wm2: the true ones, [n]; altitude_deg: of the sun, [n]. Troubles of the instrument
+    are its distance, its horizon and its drift.
     """
     dni, dhi = np.array(dni_wm2, float), np.array(dhi_wm2, float)
     rise = np.maximum(np.sin(np.radians(altitude_deg)), 0.02)
@@ -274,9 +276,9 @@ def troubled_pictures(
     all_slots: Sequence[datetime],
     troubles: Troubles,
 ) -> Rendering:
-    """Return the rendering of `slots` with the troubles of room and camera.
+    """Return the rendering of `slots` with the troubles of room and camera in its luminances.
 
-    all_slots : of the complete plan, by which days are counted.
+    made: rendering of `slots`; all_slots : times of the complete plan, by which days are counted.
     """
     zone = truth.setup.site.timezone
     days = sorted({sun.standard_date(t, zone) for t in all_slots})

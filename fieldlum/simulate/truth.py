@@ -163,7 +163,10 @@ class GroundTruth:
         return np.concatenate((outdoors, pieces))
 
     def pixels_cdm2(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the luminance of pixels' surfaces without direct sun, [H W, n], by `columns`."""
+        """Return the luminance of surfaces in the pixels without direct sun, [H W, n] cd/m2.
+
+        columns: the result of `columns`.
+        """
         return self.to_pixels @ (self.from_points @ columns)
 
     @cached_property
@@ -197,7 +200,7 @@ class GroundTruth:
         return self.as_panorama(made, 0)
 
     def as_panorama(self, made: Rendering, k: int) -> Panorama:
-        """Return one moment of a rendering as a panorama."""
+        """Return moment `k` (from 0) of a rendering as a panorama, with its visible sun apart."""
         about = {"made_by": "fieldlum simulate", "room": self.setup.site.name}
         return Panorama(
             made.luminance_cdm2[k],
@@ -236,9 +239,10 @@ def ground_truth(
 ) -> GroundTruth:
     """Compute the Radiance coefficients of a box room, or read them from `cache` (a folder).
 
-    They are stored under a hash of room, size and quality. of_pieces: `GroundTruth.from_pieces` of
-    the same room and quality at another height, which is not computed again. Raises InputError for
-    a setup without a box room.
+    They are stored there under a hash of room, heading, size and quality; None stores nothing.
+    of_pieces: `GroundTruth.from_pieces` of the same room and quality at another height, which is
+    not computed again. Raises InputError without a box room or for an impossible one, KeyError for
+    a quality not in `QUALITIES`, RuntimeError if Radiance fails.
     """
     room = box_room(setup)
     how = QUALITIES[quality]
