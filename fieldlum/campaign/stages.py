@@ -155,7 +155,7 @@ def _train(
 
 
 def without_pairs(room: CampaignRoom, folder: Path) -> RoomResult | None:
-    """Return the failed result of a room without pairs; None for a room with pairs."""
+    """Return the failed result of a room without pairs.csv in its session `folder`, else None."""
     if (folder / "pairs.csv").is_file():
         return None
     text = f"{folder}: no pairs.csv; run fieldlum campaign merge first"

@@ -17,7 +17,7 @@ def withdraw(
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
-    matched: the new matches, each with its clock offset; a time differs if by over two minutes. The
+    matched: the new matches, each with its clock offset; times over two minutes apart differ. The
     brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
     are then without a bracket again.
     """

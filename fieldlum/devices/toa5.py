@@ -52,7 +52,7 @@ class Toa5:
 
 
 def is_toa5(text: str) -> bool:
-    """Return whether a text begins as a TOA5 table does."""
+    """Return whether a text begins with the word TOA5, quoted or not, and a comma."""
     return text.startswith(('"TOA5",', "TOA5,"))
 
 

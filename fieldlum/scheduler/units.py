@@ -60,7 +60,10 @@ class WorkUnit:
 
 @dataclass(frozen=True, slots=True)
 class UnitOutcome:
-    """How a unit ended: with a value, with an error of its call, or with trouble of its workers."""
+    """How a unit of work ended: with a value, or with an error of its call, or with trouble.
+
+    trouble: what went wrong at its workers, "" if nothing did.
+    """
 
     unit: WorkUnit
     value: Any = None
@@ -142,7 +145,10 @@ def task_of(unit: WorkUnit) -> Task:
 
 
 def perform(task: Task) -> Answer:
-    """Run a task on a worker: check its inputs, call it, and report trouble of this computer."""
+    """Run a task on a worker: check its inputs, call it, and report trouble of this computer.
+
+    Raises the call's other errors, and ValueError for a path that leads out of its folder.
+    """
     folder = shared_folder() / _inside(task.folder)
     try:
         for name, digest in task.inputs:

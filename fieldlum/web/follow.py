@@ -68,7 +68,7 @@ class JournalState:
     opened: JournalEvent | None = None
 
     def add(self, event: JournalEvent) -> None:
-        """Add one event to the state."""
+        """Update all fields by one event of the journal."""
         kind = event["event"]
         fold((event,), self.ledger)
         if kind == "open":
@@ -119,7 +119,7 @@ class DayBins:
         self.last: tuple[datetime, float | None] | None = None
 
     def update(self) -> None:
-        """Add the new rows of the file."""
+        """Add the new rows of the file; begin again if it was replaced or shortened."""
         again, lines = self._tail.read()
         if again:
             self._clear()

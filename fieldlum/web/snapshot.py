@@ -99,7 +99,10 @@ class Snapshots:
             }
 
     def moment(self) -> Moment:
-        """Return the time to the next slot, whether a capture is busy, and how many are done."""
+        """Return the time to the next slot, whether a capture is busy, and the captured slots.
+
+        seconds_to_slot is None without a capture on this computer; captured is their number.
+        """
         with self._lock:
             journal, slots, now, rehearsal, states = self._present()
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]

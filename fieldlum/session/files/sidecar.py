@@ -91,7 +91,10 @@ class Sidecar:
 
     @property
     def command_options(self) -> tuple[str, ...]:
-        """Options of `fieldlum merge` that merge another bracket in the same way as this one."""
+        """Options of `fieldlum merge` that merge another bracket in the same way as this one.
+
+        They are --size, --fit or --no-fit, and --drop-moved, as far as the file records them.
+        """
         height, fit = self.inputs.get("height"), self.inputs.get("fit")
         size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
         fitted = () if fit is None else ("--fit" if fit else "--no-fit",)
