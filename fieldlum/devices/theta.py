@@ -125,7 +125,7 @@ class ThetaCamera:
 
     @property
     def bracket_shots(self) -> range:
-        """The possible numbers of frames in a bracket."""
+        """The possible numbers of frames in a bracket: 2 to 13."""
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:

@@ -70,7 +70,10 @@ def parse_uri(text: str) -> DeviceUri:
 
 
 def one_of(*choices: str) -> Callable[[str], str]:
-    """Return a function that returns a text in `choices`, and raises ValueError for others."""
+    """Return a function that returns a text unchanged if it is one of `choices`.
+
+    It raises ValueError for any other text.
+    """
 
     def reader(value: str) -> str:
         if value not in choices:

@@ -101,7 +101,7 @@ class Snapshots:
     def moment(self) -> Moment:
         """Return the time to the next slot, whether a capture is busy, and the captured slots.
 
-        seconds_to_slot is None without a capture on this computer; captured is their number.
+        See `Moment`; the time is None unless a capture may be running on this computer.
         """
         with self._lock:
             journal, slots, now, rehearsal, states = self._present()
@@ -134,7 +134,10 @@ class Snapshots:
             }
 
     def day(self, day: date) -> JsonTable:
-        """Return the slots of one local day with their verdicts, and its irradiance."""
+        """Return a local day's slots with verdicts and pictures, and its irradiance.
+
+        The scale is one for all pictures of the day [cd/m2].
+        """
         with self._lock:
             journal, slots, _, _, states = self._present()
             merged = self._merged()
