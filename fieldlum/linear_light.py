@@ -131,11 +131,11 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
     for nd in profile.nd:
         if nd.name == name:
             return nd.factor_rgb
-    names = ", ".join(nd.name for nd in profile.nd) or "no filter"
+    names = ", ".join(nd.name for nd in profile.nd)
     raise InputError(
         profile.camera.name,
         f"the filter '{name}' is not in the profile",
-        f"one of its filters: {names}",
+        f"one of its filters: {names}" if names else "an exposure without a filter: it has none",
         "add the filter to the profile under [[nd]]",
     )
 

@@ -16,12 +16,15 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import click
 import numpy as np
 import pytest
 from browser import CHROMIUM, chromium
+from click.testing import CliRunner
 from places import SEATTLE
 from tiny_field import LADDER, T0, Field, make_session
 
+from fieldlum.cli import watch_
 from fieldlum.devices.clock import FastClock
 from fieldlum.images import write_panorama
 from fieldlum.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
@@ -239,6 +242,12 @@ def test_the_code_in_the_terminal_reads_as_the_address() -> None:
         rows += [[blocks[sign][half] for sign in line] for half in (0, 1)]
     picture = np.kron(np.array(rows, np.uint8), np.ones((8, 8), np.uint8))
     assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == text
+
+
+@pytest.mark.contract
+def test_the_code_is_white_on_black_in_every_terminal() -> None:
+    shown = click.command()(lambda: watch_._show_lan("http://192.168.178.40:8765/"))
+    assert "\x1b[38;5;231m\x1b[48;5;16m██" in CliRunner().invoke(shown, color=True).stderr
 
 
 # ----------------------------------------------------------------------------------------------

@@ -112,7 +112,9 @@ def command(
         "rows of irradiance"
     ]
     if report.withdrawn:
-        parts.append(f"{report.withdrawn} rows of an earlier import of this file were removed")
+        parts.append(
+            f"rows of an earlier import of this file that were removed: {report.withdrawn}"
+        )
     if report.known:
         parts.append(f"{report.known} brackets were already imported")
     click.echo("; ".join(parts))

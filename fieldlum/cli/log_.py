@@ -9,6 +9,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
+from fieldlum.records import counted
 
 
 @click.command("log")
@@ -49,7 +50,7 @@ def command(session_folder: Path, uri: str, every_s: float, rows: int | None) ->
             written = log(
                 session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say
             )
-        message = f"{written} rows"
+        message = counted(written, "row")
     except KeyboardInterrupt:
         message = "stopped"
     with suppress(OSError):  # the terminal may be closed by now

@@ -103,4 +103,5 @@ def _show_lan(address: str) -> None:
     terminal.say("note: --lan is plain HTTP without encryption: use it in a network that you trust")
 
     for line in qr_lines(address):
-        terminal.say(line)
+        # 231 is white and 16 black in every theme: scanners need light modules lighter
+        click.echo(click.style(line, fg=231, bg=16), err=True)

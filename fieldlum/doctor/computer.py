@@ -129,8 +129,8 @@ def check_writing(folder: Path) -> list[Finding]:
     findings = [Finding("writing", verdict, text)]
     if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
         text = (
-            "the folder is synchronised by a cloud service, which can lock files: move it to a "
-            "local disk"
+            "the folder's path has the name of a cloud service, which can lock files that it "
+            "synchronises: if it does, move the session to a local folder"
         )
         findings.append(Finding("writing", "warn", text))
     return findings

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fieldlum.model_registry import MODELS
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, by_day
+from fieldlum.records import counted
 from fieldlum.statistics import is_no_worse, standard_error
 
 
@@ -87,7 +88,7 @@ def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSele
         for trial in sorted(trials, key=lambda t: _size(t.name))
         if is_no_worse(daily[trial.name], daily[best])
     )
-    spread = f"{means[best]:.2e} over {len(daily[best])} held-out days"
+    spread = f"{means[best]:.2e} over {counted(len(daily[best]), 'held-out day')}"
     if chosen.name == best:
         return chosen, ModelSelection(
             best,

@@ -25,8 +25,11 @@ class MeasuredPicture:
     """A picture with its figures.
 
     luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr : [H, W] of complete pixels, 0
-    where the view has no direction. u_cdm2 : [H, W] or None. view : None for a panorama.
-    outlines : pixels (x, y) around the strongest glare sources of a fisheye.
+    where the view has no direction. u_cdm2 : standard uncertainty [H, W], None if unknown. view :
+    None for a panorama. heading_deg : azimuth of the centre column, clockwise from true north.
+    ev_lx, dgp : in the view direction, None if unknown. outlines : pixels (x, y) from the top left,
+    around the strongest glare sources of a fisheye; none for a panorama. notes : warnings of the
+    glare figures.
     """
 
     name: str

@@ -42,7 +42,10 @@ def encode_luminance(luminance_cdm2: NDArray[np.float32]) -> str:
 
 
 def encode_uncertainty(picture: MeasuredPicture) -> str:
-    """Return u over luminance at every fourth pixel, as codes in base64; "" without u."""
+    """Return u over luminance at every fourth row and column, as text; "" without u.
+
+    The text is base64 of deflated bytes: 4 per percent, 1 to 255; 0 where unknown.
+    """
     if picture.u_cdm2 is None:
         return ""
     some = (slice(None, None, _U_STEP), slice(None, None, _U_STEP))

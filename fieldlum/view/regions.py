@@ -28,10 +28,10 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A region of a picture.
+    """A region of a picture; `text` is as the user wrote it.
 
-    kind rect, circle and polygon: in pixels from the top left corner; cone: azimuth, altitude and
-    radius [deg]. text : as the user wrote it.
+    values by kind, in pixels from the top left corner: rect left, top, width, height; circle x, y,
+    radius; polygon x, y of each corner; in deg: cone azimuth, altitude, radius (half its width).
     """
 
     kind: str
@@ -40,9 +40,9 @@ class Region:
 
 
 def parse_region(text: str) -> Region:
-    """Parse a region such as ``rect:10,20,100,50`` (see `FORMS`).
+    """Parse a region such as ``rect:10,20,100,50``; the forms are in `FORMS`.
 
-    Raises ValueError, with the valid forms, for any other text.
+    Raises ValueError for any other text, and for a radius or height that is not above 0.
     """
     kind, _, rest = text.partition(":")
     try:
@@ -58,7 +58,7 @@ def parse_region(text: str) -> Region:
 
 
 def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
-    """Return a mask of the pixels whose centres are in the region, [H, W]."""
+    """Return a mask [H, W]: True for pixels whose centres are in the region."""
     height, width = picture.luminance_cdm2.shape
     y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]
     if region.kind == "rect":
@@ -77,10 +77,10 @@ def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
 
 
 def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
-    """Return the row of `COLUMNS` of a region; without a pixel its statistics are None.
+    """Return the row of `COLUMNS` of a region; `pixels` is the number of pixels that count.
 
     Mean and standard deviation are weighted by solid angle, the median by pixels. Pixels that no
-    lens saw do not count.
+    lens saw do not count. Without a pixel the other figures are None.
     """
     mask = region_mask(region, picture) & np.isfinite(picture.luminance_cdm2)
     mask &= picture.solid_angle_sr > 0
@@ -102,9 +102,11 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
 
 
 def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
-    """Return the ends of a scale [cd/m2]: the pictures' lowest 1 % and highest 99.9 % percentile.
+    """Return the ends of a scale [cd/m2] for all pictures together.
 
-    They are rounded outwards to one digit, and at least a factor of ten apart.
+    They are the lowest 1 % and the highest 99.9 % percentile of a picture's luminances above 0,
+    rounded outwards to one digit, and at least a factor of ten apart; 1 and 1000 without such
+    luminances.
     """
     lows, highs = [], []
     for picture in pictures:

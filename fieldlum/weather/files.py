@@ -95,9 +95,9 @@ SHIPPED_SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 
 
 def shipped_seattle(site: Site | None = None) -> Weather:
-    """Return the typical year of Seattle of Liu, Colburn, Inanici 2020, which is shipped.
+    """Return the shipped typical year of Seattle of Liu, Colburn and Inanici 2020.
 
-    site : the place to compute the sun for; Seattle by default.
+    site : the site of the result, for which the file is checked; None: Seattle.
     """
     return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", site or SHIPPED_SITE)
 

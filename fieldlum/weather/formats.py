@@ -29,7 +29,11 @@ _LARGEST_ZONE_OFFSET_H = 3.5
 
 @dataclass(frozen=True, slots=True)
 class WeatherRow:
-    """One hour of a file; irradiances in W/m2, NaN where missing."""
+    """One hour of a file; irradiances in W/m2, NaN where missing.
+
+    line: number in the file, from 1, or of the row if pvlib read it; when: middle of the hour in
+    UTC, with the year of the file.
+    """
 
     line: int
     when: datetime  # middle of the hour, UTC; with the year of the file
@@ -40,7 +44,10 @@ class WeatherRow:
 
 @dataclass(frozen=True, slots=True)
 class WeatherTable:
-    """The content of a file: rows, whether they are a typical year, and the place of the header."""
+    """The content of a file: rows, whether they are a typical year, and its name.
+
+    place: that of the header, None without one; notes: choices of the reader, one sentence each.
+    """
 
     rows: list[WeatherRow]
     typical: bool
@@ -87,9 +94,10 @@ def _pvgis_epw(file: WeatherTable, place: Site, offset: timedelta, zone: timedel
 
 
 def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the content of a file whose `lines` were read, by the reader of its format.
+    """Return the content of a weather file by the reader of its format, which is recognised.
 
-    Raises InputError for a header or row that the format does not allow.
+    lines: of the file; site: for formats that state no place or zone. Raises InputError for a
+    header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
     if (year := read_provider(path, lines)) is not None:
         return _of_provider(path, year)

@@ -50,15 +50,16 @@ class Weather:
         )
 
     def daylight(self, least_altitude_deg: float = 0.0) -> Weather:
-        """Return the hours with irradiance above 0 and with the sun above `least_altitude_deg`."""
+        """Return the hours with DNI or DHI above 0 and the sun above `least_altitude_deg`."""
         up = sun.position(self.t_utc, self.site).altitude_deg > least_altitude_deg
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime], *, steady: bool = True) -> sun.Irradiance:
-        """Return the irradiance at any moments, [n], W/m2; NaN where there is no weather.
+        """Return GHI, DNI and DHI at any moments, [n] each, W/m2; NaN where there is no weather.
 
-        steady : the value of the moment's hour; else linear between hour centres. A typical year
-        serves for every year; 29 February has the weather of the 28th.
+        steady : True for the value of the hour around the moment; False for linear interpolation
+        between the middles of hours. A typical year serves for every year; 29 February has the
+        weather of the 28th.
         """
         moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
         seconds = np.array([t.timestamp() for t in moments])

@@ -8,7 +8,7 @@ import numpy as np
 def qr_lines(text: str) -> list[str]:
     """Return a QR code as lines of half blocks, with the required margin.
 
-    Light modules are drawn, for a terminal with a dark background.
+    Light modules are drawn: print the lines in white on black.
     """
     import cv2
 
