@@ -26,7 +26,7 @@ SAME_SETTING_EV = 1 / 6
 
 
 def ev_between(a: Exposure, b: Exposure) -> tuple[float, float, float]:
-    """Return by how many EV the shutter, the aperture and the ISO of two exposures differ."""
+    """Return the absolute differences [EV] of two exposures in shutter, aperture and ISO."""
     return (
         abs(math.log2(a.shutter_s / b.shutter_s)),
         abs(2.0 * math.log2(a.f_number / b.f_number)),
@@ -35,7 +35,7 @@ def ev_between(a: Exposure, b: Exposure) -> tuple[float, float, float]:
 
 
 def same_exposure(a: Exposure, b: Exposure) -> bool:
-    """Return whether shutter, aperture and ISO each agree within 1/6 EV.
+    """Return whether shutter, aperture and ISO each differ by at most 1/6 EV.
 
     Filters are not compared, because cameras do not record them.
     """
@@ -68,8 +68,8 @@ def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | 
 
     counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
     below that white level. The spike is the run of counts up to the highest count (without a few
-    hot pixels), if that is at least half of white_dn, and the run has 0.02 % of all pixels and ten
-    times the average of equal runs below it.
+    hot pixels), if that is at least half of white_dn, and the run has at least 8 pixels, 0.02 % of
+    all pixels and ten times the average of equal runs below it. The result is its mean count.
     """
     flat = np.maximum(counts.ravel(), 0)
     of_count = np.bincount(flat, minlength=1)

@@ -55,9 +55,10 @@ def illuminance_lx(
 ) -> float:
     """Return the illuminance [lx] of a plane whose normal has the stated altitude and azimuth.
 
-    luminance_cdm2: panorama [H, W] with its centre column at azimuth heading_deg; pixels that are
-    not finite count as 0. sun: a sun that is not in the panorama; None adds nothing. E = sum L
-    cos(angle) solid angle over the hemisphere in front of the plane.
+    luminance_cdm2: panorama [H, W], row 0 at the zenith, with its middle at azimuth heading_deg;
+    pixels that are not finite count as 0. Azimuths are clockwise from north. sun: a sun that is not
+    in the panorama; None adds nothing. E = sum L cos(angle) solid angle over the hemisphere in
+    front of the plane.
     """
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape
@@ -72,9 +73,10 @@ def illuminance_lx(
 def vertical_illuminance_lx(
     luminance_cdm2: Float, heading_deg: float, azimuth_deg: float, sun: SunSource | None = None
 ) -> float:
-    """Return Ev at an eye that looks horizontally towards `azimuth_deg`, in lx.
+    """Return the illuminance [lx] of a vertical plane that faces `azimuth_deg`, as at an eye.
 
-    luminance_cdm2 : panorama [H, W] in cd/m2, with the centre column at `heading_deg`.
+    luminance_cdm2 : panorama [H, W] in cd/m2, row 0 at the zenith, with its middle at azimuth
+    `heading_deg`; azimuths clockwise from north. sun : a sun that is not in the panorama, or None.
     """
     return illuminance_lx(luminance_cdm2, heading_deg, 0.0, azimuth_deg, sun)
 
@@ -82,8 +84,8 @@ def vertical_illuminance_lx(
 def illuminance_verdict(image_lx: float, meter_lx: float) -> Literal["pass", "warn", "reject"]:
     """Return the verdict on a picture's illuminance, compared with a meter's.
 
-    Up to 10 % difference is "pass", up to 25 % "warn", more is "reject" (Pierson et al., LEUKOS
-    2021, step 11).
+    The difference is relative to the meter: up to 10 % is "pass", up to 25 % "warn", more, or a
+    meter at 0 or below, "reject" (Pierson et al., LEUKOS 2021, step 11).
     """
     difference = abs(image_lx / meter_lx - 1.0) if meter_lx > 0 else np.inf
     if difference <= _PASS:

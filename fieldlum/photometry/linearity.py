@@ -12,10 +12,10 @@ T = TypeVar("T", bound=np.floating)
 
 
 def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
-    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x2 + ...
+    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x^2 + ...
 
-    share: x, counts above black over those of the full scale, any shape, limited to 0 to 1. The
-    factor of dark counts, and of noise below zero, is 1.
+    coefficients: a1 first; empty gives 1. share: x, counts above black over those of the
+    full scale, any shape, limited to 0 to 1. The factor at x = 0 and below is 1.
     """
     x = np.clip(share, 0.0, 1.0)
     factor: NDArray[T] = np.zeros_like(x)
@@ -25,6 +25,9 @@ def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArra
 
 
 def rises(coefficients: Sequence[float]) -> bool:
-    """Return whether corrected counts increase with raw counts over the full scale."""
+    """Return whether counts corrected by `linearity_factor` increase strictly with raw counts.
+
+    coefficients: a1 first. 201 points from 0 to full scale are tested.
+    """
     x = np.linspace(0.0, 1.0, 201)
     return bool((np.diff(x * linearity_factor(x, coefficients)) > 0).all())

@@ -32,8 +32,9 @@ _HUBER_SIGMA = 2.5
 class PairRatio:
     """The measured exposure ratio of two frames.
 
-    log_ratio: ln(true / assumed exposure) of frame `short` minus that of frame `long`; u_log: its
-    standard uncertainty; pixels: number of pixels used.
+    long, short: indices of the frames, from 0. log_ratio: ln(true / assumed exposure) of frame
+    `short` minus that of frame `long`; u_log: standard uncertainty of log_ratio; pixels: number of
+    pixels used.
     """
 
     long: int
@@ -47,8 +48,8 @@ class PairRatio:
 class RatioFit:
     """Corrections of the exposures of a bracket, and their covariance.
 
-    correction[i]: factor on the assumed exposure of frame i; covariance [frames, frames]: of its
-    natural logarithm.
+    correction [frames]: factors on the assumed exposures; covariance [frames, frames]: of their
+    natural logarithms; pairs: the measured ratios that were fitted.
     """
 
     correction: NDArray[np.float64]
@@ -71,14 +72,13 @@ def pair_ratio(
     long: int = 0,
     short: int = 1,
 ) -> PairRatio | None:
-    """Return by what factor the exposure ratio of two frames differs from the assumed one.
+    """Return the measured exposure ratio of two frames over the assumed ratio, as a logarithm.
 
-    The result has the factor's logarithm, from sampled pixels; it is None with under 50 usable
-    pixels, or if the factor is not positive. Arrays are [n]; assumed_ratio: short over long
-    exposure, a number or [n]. short_variance must be the variance of the signal predicted from the
-    long frame (long_signal * assumed_ratio), not of the noisy value.
-    Huber weights at 2.5 sigma reduce the weight of motion and hot pixels. long, short: numbers of
-    the frames, for the result.
+    None with under 50 usable pixels, or if the measured ratio is not positive. Arrays are [n];
+    usable: True for pixels to use; assumed_ratio: short over long exposure, a number or [n].
+    short_variance must be the variance of the signal predicted from the long frame (long_signal *
+    assumed_ratio), not of the noisy value. Huber weights at 2.5 sigma reduce the weight of motion
+    and hot pixels. long, short: indices of the frames, only copied to the result.
     """
     y_long, y_short = (np.asarray(s, np.float64)[usable] for s in (long_signal, short_signal))
     ratio = np.broadcast_to(np.asarray(assumed_ratio, np.float64), np.shape(long_signal))[usable]
@@ -108,9 +108,9 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 
 def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the prior relative uncertainty of shutter times on the grid, [n].
+    """Return the relative standard uncertainty of shutter times that were not measured, [n].
 
-    It is 0.3 %, but 3 % for times below 1/1000 s; shutter_s : [n], s.
+    0.003 from 1/1000 s on, 0.03 for shorter times. shutter_s : [n], s.
     """
     return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
@@ -118,8 +118,9 @@ def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
 def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -> RatioFit:
     """Return the corrections of all frames that fit the pairs and the priors best.
 
-    The sum (d - delta_s + delta_l)^2 / u^2 plus the priors is minimised. prior_covariance [frames,
-    frames] is that of the log exposures: two frames with one shutter time have a common error.
+    With delta the ln correction of a frame, the sum over pairs of (log_ratio - delta_short +
+    delta_long)^2 / u_log^2 plus the priors (delta = 0) is minimised. prior_covariance [frames,
+    frames] is that of ln exposure: two frames with one shutter time have a common error.
     Pairs that contradict the rest (because a cloud passed) lose weight by Huber's rule. If the
     corrections contradict the priors (because the light changed, or the shutter deviates from its
     nominal times), the common level is less certain: the priors of the covariance are then widened

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 
 def srgb_table() -> NDArray[np.float64]:
-    """Return the sRGB response of IEC 61966-2-1, z in [0, 1], [256]."""
+    """Return linear z in [0, 1] of the codes 0 to 255 by sRGB (IEC 61966-2-1), [256]."""
     c = np.arange(256) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
-    """Return z = sum c_k (code / 255)^k, made monotone and at least 0, [256].
+    """Return z = sum c_k (code / 255)^k of codes 0 to 255, made non-decreasing and >= 0, [256].
 
     coefficients : c_0 first; the .rsp file of hdrgen has c_0 last.
     """
@@ -22,11 +22,11 @@ def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
 
 
 def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64]:
-    """Return the response table of a profile, z, [256].
+    """Return the linear signal z of the JPEG codes 0 to 255, [256].
 
     kind : linear, srgb, polynomial (curve: coefficients, c_0 first) or table (curve: 256 values).
-    Raises ValueError for a table that has another length, decreases or ends at 0, and for a
-    polynomial with under two or infinite coefficients.
+    Raises ValueError for a table that has another length, is not finite, decreases or does not end
+    above 0, and for a polynomial with under two coefficients or one that is not finite.
     """
     if kind == "table":
         z = np.asarray(curve, float)
@@ -57,11 +57,11 @@ _FLOOR_SEARCHED = 64  # a black level above this code is not searched; chosen, n
 
 
 def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> int:
-    """Return the lowest code that follows the light; lower codes are black level or stray light.
+    """Return the lowest code that follows the light, 3 to 63; lower codes are black level or haze.
 
-    codes : [places, frames], 0 where a frame has no code; log_exposure : [frames], natural log. A
-    code is compared with the code of the same place in the longest frame of at most half the
-    exposure: above a black level the latter is clearly lower.
+    codes : [places, frames], one scene point a row, 0 where a frame has no code; log_exposure :
+    [frames], natural log. A code is compared with the code of the same place in the longest frame
+    of at most half the exposure: above a black level the latter is clearly lower.
     """
     order = np.argsort(-np.asarray(log_exposure, float))
     log_e = np.asarray(log_exposure, float)[order]
@@ -93,7 +93,7 @@ def fit_response(
 ) -> tuple[NDArray[np.float64], float]:
     """Fit a monotone response to codes of the same places in all frames, with known exposures.
 
-    codes : [places, frames]; log_exposure : [frames], natural log; smooth : weight of the prior.
+    codes : [places, frames]; log_exposure : [frames], natural log; smooth : weight of smoothness.
     Codes below `low` (default: the `dark_floor` of these codes) are omitted, because a black level
     that counts as light would bend the complete curve.
 

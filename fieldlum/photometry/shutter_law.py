@@ -35,9 +35,9 @@ _NEAR = 0.5
 class ShutterLaw:
     """The law of a bracket's shutter times.
 
-    law : "third-stops", "half-stops" or "exact"; decided_by : "profile", "labels" or "frames";
-    misfit_percent : rms difference of the measured ratios from each law, empty without measured
-    ratios.
+    law : "third-stops", "half-stops" or "exact"; decided_by : "profile", "labels" or "frames"
+    ("": not stated); misfit_percent : for each law, the rms difference of the measured exposure
+    ratios from it, in %; empty without measured ratios.
     """
 
     law: str
@@ -46,9 +46,10 @@ class ShutterLaw:
 
 
 def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the times [n] in s that nominal times [n] mean under a law of `ShutterLaw`.
+    """Return the true times [n] in s of nominal times [n] in s.
 
-    A time far from the law's grid is not a rounded label and is returned unchanged.
+    law : "exact" changes nothing; "third-stops" and "half-stops" round to powers of 2^(1/3) and
+    2^(1/2) s, but a time over 7 % or 12 % away from them is returned unchanged.
     """
     nominal = np.asarray(nominal_s, np.float64)
     if law == EXACT:
@@ -59,9 +60,10 @@ def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def time_under(law: str, nominal_s: float) -> float:
-    """Return the time [s] that a nominal time means under a law of `ShutterLaw`, or "auto".
+    """Return the true time [s] of a nominal time [s].
 
-    "auto" uses the nearer grid, of third or half stops.
+    law : "exact", "third-stops" or "half-stops" as in `times_under`; "auto" rounds to the nearer of
+    the third and half stops, unless that is over 7 % away.
     """
     return snap_shutter_s(nominal_s) if law == AUTO else float(times_under(law, nominal_s))
 
@@ -69,8 +71,8 @@ def time_under(law: str, nominal_s: float) -> float:
 def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
     """Return the law, half or third stops, that fits a bracket's nominal times [n] in s best.
 
-    If both fit equally, it is third stops. model : of the camera; labels of a Theta are exact times
-    (theta-web-api-v2.1, shutterSpeed).
+    If both fit equally, it is third stops. model : name of the camera; if it contains "theta" the
+    law is "exact" (theta-web-api-v2.1, shutterSpeed).
     """
     if "theta" in model.casefold():
         return ShutterLaw(EXACT, "labels")
@@ -88,12 +90,12 @@ def law_of_frames(
     of_labels: ShutterLaw,
     pairs: Sequence[PairRatio],
 ) -> ShutterLaw:
-    """Return the law that the frames support, or `of_labels` if they cannot decide.
+    """Return the law that measured ratios support; the law of `of_labels` if they cannot decide.
 
-    times_s : times under each law, [frames], s; pairs : measured relative to the times of
-    `of_labels`. Only under the correct law do equal nominal steps change codes equally. A wrong
-    response, or changing light, stretches all steps by one factor; that factor is estimated from
-    pairs for which the laws agree.
+    times_s : for each law, the times [frames] in s; pairs : ratios measured relative to the times
+    under the law of `of_labels`; without pairs `of_labels` is returned. Only under the correct law
+    do equal nominal steps change codes equally. A wrong response, or changing light, stretches all
+    steps by one factor; that factor is estimated from pairs for which the laws agree.
     """
     if not pairs:
         return of_labels

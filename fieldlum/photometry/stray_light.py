@@ -26,10 +26,10 @@ _BLOCK = 512  # grid directions processed at a time; chosen, only limits memory
 
 
 def kernel_per_sr(angle_rad: Array, nodes_deg: Array, values_per_sr: Array) -> Array:
-    """Return K at some angles: linear in ln(angle) between nodes, constant outside them.
+    """Return the stray-light kernel K [1/sr]: linear in ln(angle) between nodes, constant outside.
 
-    nodes_deg, values_per_sr : [k], ascending angles and K there. The result has the shape of
-    angle_rad.
+    nodes_deg, values_per_sr : [k], ascending angles above 0 and K there. The result has the shape
+    of angle_rad.
     """
     smallest = np.radians(nodes_deg[0])
     place = np.log(np.maximum(angle_rad, smallest))
@@ -45,9 +45,10 @@ def stray_cdm2(
 ) -> Array:
     """Return the stray light at each pixel [n], in cd/m2, from the recorded luminances.
 
-    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit. The
-    recorded light is used in place of the true light: an error of second order in K, which the fit
-    of K makes in the same way.
+    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit;
+    nodes_deg, values_per_sr : [k], the kernel K as in `kernel_per_sr`. The recorded light is used
+    in place of the true light: an error of second order in K, which the fit of K makes in the same
+    way.
     """
     flux = luminance_cdm2 * solid_angle_sr
     cells, rows, columns = _cells_of(rays)

@@ -5,9 +5,10 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray[np.float64]:
-    """Return V at relative radii (1 at the edge of the full angle), in the shape of `radius`.
+    """Return the vignetting V = sum c_k radius^k, in the shape of `radius`.
 
-    Beyond the edge V is as at the edge. Without coefficients V is 1.
+    coefficients : c_0 first; none give 1. radius : angle from the axis over half of the full angle,
+    limited to 0 to 1.
     """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
     return np.asarray(
@@ -18,8 +19,8 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
     """Return what is wrong with a vignetting curve V(r), or "".
 
-    V(0) must be 1, 0 < V <= 1.05, and V at most 1 at the edge. A curve that rises towards the edge
-    is a common error of sign: it darkens where it should brighten.
+    V must be finite, V(0) within 0.01 of 1, 0 < V <= 1.05, and V at most 1 at the edge. A curve
+    that rises towards the edge is a common error of sign: it darkens where it should brighten.
     """
     v = vignetting_at(coefficients, np.linspace(0, 1, 201))
     if not np.isfinite(v).all() or abs(v[0] - 1) > 0.01:

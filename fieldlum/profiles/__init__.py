@@ -36,7 +36,7 @@ def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
 
 
 def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
-    """Return which view directions these lenses and headings can judge; "" if all.
+    """Return one sentence on the view directions that lenses and headings see; "" if all.
 
     If the heading and its opposite would see all directions, the text names these two.
     """
@@ -58,9 +58,10 @@ DEFAULT_CAMERA = "sim-dual-fisheye"
 
 
 def find_camera_profile(name: str) -> Path:
-    """Return the path of a profile: `name` as a path, or a file of the shipped calibration/.
+    """Return the path of a profile: `name` as a path, or else a file that is shipped.
 
-    An empty name is that of sim-dual-fisheye. Raises InputError with the list of profiles.
+    A shipped name may omit .toml; "" means sim-dual-fisheye. Raises InputError, with the shipped
+    names, if no file fits.
     """
     path = Path(name or DEFAULT_CAMERA)
     for candidate in (
@@ -91,7 +92,7 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:
-    """Write a profile as TOML; the file appears complete or not at all."""
+    """Write a profile as TOML, over an existing file; the file appears complete or not at all."""
     import tomli_w
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -101,7 +102,7 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def bracket_exposures(bracket: Bracket) -> tuple[Exposure, ...]:
-    """Return the exposures of a bracket: longest first, then those with each filter."""
+    """Return exposures without a filter, then with each filter; each group longest time first."""
     open_frames = [
         Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)
     ]

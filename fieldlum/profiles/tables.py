@@ -63,7 +63,7 @@ class Bracket:
 
 @dataclass(frozen=True, slots=True)
 class ShutterTime:
-    """A measured shutter time."""
+    """The measured true time of a nominal shutter time, and its relative standard uncertainty."""
 
     nominal_s: float
     true_s: float
@@ -74,7 +74,7 @@ class ShutterTime:
 class Vignetting:
     """Vignetting V in powers of r = angle / (full angle / 2): V = sum c_k r^k.
 
-    c_0 is first, V(0) = 1.
+    c_0 is first, V(0) = 1; valid at f_number. u_rel: relative standard uncertainty.
     """
 
     f_number: float
@@ -162,7 +162,7 @@ class StrayLight:
 
 @dataclass(frozen=True, slots=True)
 class NeutralDensity:
-    """A neutral-density filter of the lens."""
+    """A neutral-density filter: its name, its factor by colour, and the relative uncertainty."""
 
     name: str
     factor_rgb: tuple[float, float, float]  # luminance without over luminance with the filter
@@ -171,7 +171,7 @@ class NeutralDensity:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """The origin of a profile's values."""
+    """The origin of a profile's values: source, who fitted them, frames' hashes, log."""
 
     source: str = ""
     fitted_by: str = ""

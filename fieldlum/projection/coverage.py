@@ -29,9 +29,10 @@ NOT_SEEN = "not seen"
 def seen_shares(
     seen: NDArray[np.bool_], heading_deg: float, azimuths_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the share of the vertical illuminance of a uniform field that was seen, [d].
+    """Return the share, 0 to 1, of a uniform field's vertical illuminance that was seen, [d].
 
-    seen : [H, W] pixels of a panorama that a lens saw; azimuths_deg : [d] view directions, deg.
+    seen : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the panorama's
+    middle; azimuths_deg : [d], horizontal view directions, clockwise from north.
     """
     height, width = seen.shape
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
@@ -42,7 +43,7 @@ def seen_shares(
 
 
 def seen_words(shares: NDArray[np.floating]) -> tuple[str, ...]:
-    """Return "seen" (from 98 %), "partly seen" (from 50 %) or "not seen" for each share, [d]."""
+    """Return "seen" (from 0.98), "partly seen" (from 0.5) or "not seen" for each share, [d]."""
     return tuple(
         SEEN if s >= FULLY_SEEN_SHARE else PARTLY_SEEN if s >= LEAST_SEEN_SHARE else NOT_SEEN
         for s in shares
@@ -52,9 +53,10 @@ def seen_words(shares: NDArray[np.floating]) -> tuple[str, ...]:
 def seen_by_lenses(
     lenses: Sequence[LensGeometry], turns_deg: Sequence[float], height: int = 90
 ) -> NDArray[np.bool_]:
-    """Return which pixels of a panorama the lenses see, [H, 2H].
+    """Return True for panorama pixels whose centre at least one lens sees, [height, 2 height].
 
-    turns_deg : headings of the turned camera minus the panorama's heading; (0,) for a fixed camera.
+    The middle of the panorama is at its heading. turns_deg : headings of the turned camera minus
+    the panorama's heading; (0,) for a fixed camera.
     """
     rays = equirect_rays(height, 2 * height, 0.0)
     out = np.zeros(rays.shape[:2], bool)
@@ -71,7 +73,7 @@ def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
 
     Directions are rounded to degrees, clockwise from north, with points of the compass.
 
-    seen : [H, W] pixels of a panorama that a lens saw.
+    seen : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of its middle.
     """
     azimuths = np.arange(360.0)
     words = seen_words(seen_shares(seen, heading_deg, azimuths))

@@ -11,13 +11,16 @@ from fieldlum.projection.panorama import direction, equirect_solid_angles
 
 @dataclass(frozen=True, slots=True)
 class Equirect:
-    """A panorama grid of `height` rows, in a frame whose north is the heading."""
+    """A panorama grid of `height` rows, zenith first, and 2 `height` columns.
+
+    Its vectors are x right, y ahead (the heading, at the middle column), z up.
+    """
 
     height: int
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Number of rows and of columns."""
         return self.height, 2 * self.height
 
     @property
@@ -28,7 +31,10 @@ class Equirect:
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return unit vectors at continuous rows and columns, [rows, columns, 3]; y is ahead."""
+        """Return unit vectors at each continuous row and column, [rows, columns, 3].
+
+        rows : 0 at the zenith to `height`; columns : 0 to 2 `height`. x right, y ahead, z up.
+        """
         altitude = 90.0 - rows / self.height * 180.0
         azimuth = (columns / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
@@ -36,7 +42,7 @@ class Equirect:
     def weight(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the relative solid angle at continuous rows and columns, [rows, columns]."""
+        """Return the sine of the zenith angle at continuous rows and columns, [rows, columns]."""
         return np.broadcast_to(
             np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
         )
@@ -48,7 +54,10 @@ class Equirect:
 
 @dataclass(frozen=True, slots=True)
 class Fisheye:
-    """A square equidistant picture (Radiance -vta) of `full_angle_deg` along the axis of `pose`."""
+    """A square equidistant picture (Radiance -vta) of `size` x `size` pixels.
+
+    Only azimuth, tilt and roll of `pose` are used; `full_angle_deg` spans the width.
+    """
 
     size: int
     full_angle_deg: float
@@ -56,12 +65,12 @@ class Fisheye:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Number of rows and of columns."""
         return self.size, self.size
 
     @property
     def pixel_rad(self) -> float:
-        """Angle across one pixel, in rad."""
+        """Angle across one pixel in the radial direction, in rad."""
         return float(np.radians(self.full_angle_deg) / self.size)
 
     @property
@@ -94,7 +103,10 @@ class Fisheye:
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return unit vectors at continuous rows and columns, [rows, columns, 3]."""
+        """Return unit vectors at each continuous row and column, [rows, columns, 3].
+
+        (0, 0) is the top left corner. x right, y ahead (the panorama's heading), z up.
+        """
         return lens_rays(self.geometry, columns[None, :], rows[:, None])
 
     def angles(
@@ -107,14 +119,14 @@ class Fisheye:
     def weight(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the relative solid angle at [rows, columns] coordinates, 0 outside the circle."""
+        """Return sin(a) / a, a the angle from the axis, [rows, columns]; 0 outside the circle."""
         angle = self.angles(rows, columns)
         return np.where(
             angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0
         )
 
     def solid_angles(self) -> NDArray[np.float64]:
-        """Return the solid angle of each pixel, in sr, [size, size]."""
+        """Return the solid angle of each pixel, in sr, [size, size]; 0 outside the circle."""
         centre = np.arange(self.size) + 0.5
         return self.weight(centre, centre) * self.pixel_rad**2
 

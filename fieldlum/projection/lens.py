@@ -20,7 +20,9 @@ Mapping = Literal["equidistant", "equisolid", "polynomial"]
 class LensGeometry:
     """The mapping and pose of a lens on a sensor.
 
-    Angles are relative to the panorama's heading; see `fieldlum.profiles.Lens`.
+    centre_px: x right, y down, (0, 0) the sensor's top left corner. coefficients: of the polynomial
+    r / radius_px = sum c_k (angle / half angle)^(k + 1). azimuth_deg: clockwise from the panorama's
+    heading; tilt_deg: up; roll_deg: clockwise seen from behind the camera.
     """
 
     centre_px: tuple[float, float]
@@ -40,7 +42,7 @@ class LensGeometry:
     def axes(self) -> NDArray[np.float64]:
         """Return the camera's axes right, up and forward as rows, [3, 3].
 
-        They are unit vectors in the frame of the panorama, whose north is the heading.
+        They are unit vectors, x right of the panorama's heading, y along it, z up.
         """
         forward = direction(self.tilt_deg, self.azimuth_deg)
         right = direction(0.0, self.azimuth_deg + 90.0)
@@ -58,7 +60,7 @@ class LensGeometry:
 def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.float64]:
     """Return the distance from the image centre over radius_px, in the shape of the angles.
 
-    angle_rad : from the optical axis. The distance is 1 at half of the full angle.
+    angle_rad : from the optical axis. The result is 1 at half of the full angle.
     """
     angle = np.asarray(angle_rad, float)
     half = lens.half_angle_rad
@@ -89,7 +91,9 @@ def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.
 def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64]:
     """Return the angle of radii, in rad: the inverse of `radius_of_angle`, in the same shape.
 
-    A radius beyond the reach of a polynomial or equisolid mapping gives the largest angle.
+    radius : distance from the image centre over radius_px. Beyond the reach of a polynomial or
+    equisolid mapping the largest angle is returned. Raises ValueError for a polynomial that does
+    not rise up to half of the full angle.
     """
     r = np.asarray(radius, float)
     if lens.mapping == "equisolid":
@@ -104,7 +108,7 @@ def lens_pixels(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return sensor x, y [px] and angle from the axis [rad] of unit vectors, [...] each.
 
-    rays : [..., 3] in the panorama's frame.
+    rays : [..., 3], y along the panorama's heading, z up. (0, 0) is the sensor's top left corner.
     """
     right, up, forward = np.moveaxis(np.asarray(rays, float) @ lens.axes().T, -1, 0)
     across = np.hypot(right, up)
@@ -116,7 +120,8 @@ def lens_pixels(
 def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> NDArray[np.float64]:
     """Return the unit vectors [..., 3] of sensor coordinates [...]; the inverse of `lens_pixels`.
 
-    The vectors are in the panorama's frame.
+    The vectors have y along the panorama's heading and z up. Raises ValueError as
+    `angle_of_radius` does.
     """
     dx = np.asarray(x_px, float) - lens.centre_px[0]
     dy = lens.centre_px[1] - np.asarray(y_px, float)

@@ -21,22 +21,28 @@ def equirect_solid_angles(height: int, width: int) -> NDArray[np.float64]:
 
 
 def column_azimuths_deg(width: int, heading_deg: float) -> NDArray[np.float64]:
-    """Return the azimuth of each column's centre, in deg from north, in [0, 360), [W]."""
+    """Return the azimuth of each column's centre, clockwise from north, in [0, 360) deg, [W].
+
+    heading_deg : azimuth of the panorama's middle.
+    """
     return (heading_deg + ((np.arange(width) + 0.5) / width - 0.5) * 360.0) % 360.0
 
 
 def row_altitudes_deg(height: int) -> NDArray[np.float64]:
-    """Return the altitude of each row's centre, in deg, [H]."""
+    """Return the altitude of each row's centre, from the zenith down, in deg, [H]."""
     return 90.0 - (np.arange(height) + 0.5) / height * 180.0
 
 
 def signed_angle_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
-    """Return angles in [-180, 180) deg, [...]: a difference of two azimuths as a signed turn."""
+    """Return angles plus or minus full turns, in [-180, 180) deg, in the same shape."""
     return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
 
 
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
-    """Return the unit vectors (x east, y north, z up) of directions in deg, [..., 3]."""
+    """Return unit vectors (x east, y north, z up), [..., 3]; azimuth clockwise from north.
+
+    altitude_deg, azimuth_deg : shapes that broadcast to [...].
+    """
     alt, az = np.radians(altitude_deg), np.radians(azimuth_deg)
     return np.stack(
         np.broadcast_arrays(np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt)),
@@ -45,7 +51,10 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.flo
 
 
 def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:
-    """Return the unit vector of each pixel's centre, [H, W, 3]."""
+    """Return the unit vector (x east, y north, z up) of each panorama pixel's centre, [H, W, 3].
+
+    Row 0 is at the zenith; heading_deg : azimuth of the middle, clockwise from north.
+    """
     return direction(
         row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :]
     )
@@ -56,8 +65,7 @@ def equirect_pixel(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the continuous (row, column) of directions in deg, [...] each.
 
-    Pixel (i, j) covers [i, i + 1) x [j, j + 1).
-
+    Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column W / 2 the heading.
     Columns wrap into [0, W).
     """
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
@@ -69,5 +77,5 @@ _COMPASS = tuple("N NNE NE ENE E ESE SE SSE S SSW SW WSW W WNW NW NNW".split()) 
 
 
 def compass_name(azimuth_deg: float) -> str:
-    """Return the nearest of the sixteen points of the compass, such as N, NNE, NE."""
+    """Return the nearest of the sixteen points of the compass, such as NNE, of any azimuth."""
     return _COMPASS[round(azimuth_deg / 22.5) % 16]

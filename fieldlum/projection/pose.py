@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def turned(direction: ArrayLike, clockwise_deg: float) -> Array:
-    """Return directions [..., 3] turned about the vertical, clockwise seen from above."""
+    """Return vectors [..., 3] (x east, y north, z up) turned clockwise, seen from above."""
     d = np.asarray(direction, float)
     angle = np.radians(clockwise_deg)
     x = d[..., 0] * np.cos(angle) + d[..., 1] * np.sin(angle)
@@ -20,8 +20,9 @@ def turned(direction: ArrayLike, clockwise_deg: float) -> Array:
 def rotation(heading_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Array:
     """Return the matrix from a camera's stated axes to the true ones, [3, 3].
 
-    heading_deg: clockwise turn about the vertical; tilt_deg: the view axis at azimuth `axis_deg`
-    goes up; roll_deg: the right-hand side goes down. All in world axes (x east, y north, z up).
+    Roll is applied first, then tilt, then heading. heading_deg: clockwise turn about the vertical;
+    tilt_deg: the view axis at azimuth `axis_deg` goes up; roll_deg: the right-hand side goes down.
+    All in world axes (x east, y north, z up).
     """
     a = np.radians(axis_deg)
     ahead, right = np.array([np.sin(a), np.cos(a), 0.0]), np.array([np.cos(a), -np.sin(a), 0.0])

@@ -35,7 +35,7 @@ def _old_names() -> Iterator[None]:
 def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
     """Return the irradiance on a plane normal to the sun above the atmosphere, [n], in W/m2.
 
-    Spencer 1971, through pvlib.
+    Spencer 1971, through pvlib. Raises ValueError for naive times.
     """
     from pvlib.irradiance import get_extra_radiation
 
@@ -56,7 +56,8 @@ class Irradiance(NamedTuple):
 def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     """Return the irradiance of a cloudless sky, [n] each, in W/m2.
 
-    Ineichen and Perez 2002 with pvlib's monthly turbidity, which needs no network.
+    Ineichen and Perez 2002 with pvlib's monthly turbidity, which needs no network. Raises
+    ValueError for naive times.
     """
     from pvlib.location import Location
 
@@ -74,7 +75,7 @@ def dirint_dni(
     Perez et al. 1992, through pvlib: the best of pvlib's decompositions on BSRN Payerne, June 2016,
     with RMSE 92 W/m2 (38 %) by the minute and 70 (30 %) by the hour. It uses neighbours: the series
     must be complete, sorted and evenly spaced. Zero with the sun under 3 degrees; NaN where the
-    global is NaN.
+    global is NaN. Raises ValueError for naive times.
     """
     from pvlib.atmosphere import alt2pres
     from pvlib.irradiance import dirint
@@ -98,7 +99,10 @@ def dirint_dni(
 def dhi_by_closure(
     ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2."""
+    """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2.
+
+    With the sun below the horizon it is the global.
+    """
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
 
@@ -108,8 +112,8 @@ def dni_by_closure(
 ) -> NDArray[np.float64]:
     """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
 
-    Negative where noise makes it so: a mean over rows is then without bias. Zero under 2 degrees,
-    where it cannot be determined.
+    Noise can make it negative: values are not clipped, so that a mean has no bias. Zero at
+    altitudes up to 2 degrees, where it cannot be determined.
     """
     altitude = np.asarray(altitude_deg, float)
     sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
@@ -151,9 +155,10 @@ def bsrn_limits(
 def too_weak(
     ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Return a mask [n] of global light below what any sky transmits; False for sun under 10 deg.
+    """Return True where global is under 0.5 % of extraterrestrial sin(altitude), [n].
 
-    Then the instrument is covered or dead, or the unit is kW/m2.
+    False for a sun up to 10 degrees. Where True, the instrument is covered or dead, or the unit is
+    kW/m2.
     """
     altitude = np.asarray(altitude_deg, float)
     top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
@@ -165,7 +170,7 @@ def closure_ratio(
 ) -> NDArray[np.float64]:
     """Return global over (diffuse + DNI sin altitude), [n].
 
-    NaN (not testable) where that sum is under 50 W/m2.
+    NaN (not testable) where that sum is not over 50 W/m2. Irradiances in W/m2.
     """
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     total = np.asarray(dhi_wm2, float) + beam

@@ -18,7 +18,7 @@ from fieldlum.sun.ephemeris import position
 
 @lru_cache(maxsize=256)
 def standard_offset(timezone: str, year: int) -> timedelta:
-    """Return the UTC offset of local standard time: the smallest of the year's months.
+    """Return the UTC offset of local standard time: the smallest on the 15th of the year's months.
 
     The "dst" field of the time zone data is not used: for Ireland it marks winter as the exception.
     """
@@ -53,7 +53,7 @@ def standard_time(t_utc: datetime, timezone: str) -> datetime:
 
 
 def standard_date(t_utc: datetime, timezone: str) -> date:
-    """Return the local standard date of a moment."""
+    """Return the date of a moment in local standard time. Raises ValueError for a naive time."""
     return standard_time(t_utc, timezone).date()
 
 
@@ -63,9 +63,9 @@ def standard_midnight(day: date, timezone: str) -> datetime:
 
 
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
-    """Return the clock changes from local midnight of `first` to that after `last`.
+    """Return the clock changes from standard midnight at the start of `first` to the end of `last`.
 
-    Each is (moment in UTC, change).
+    Each is (moment in UTC, new minus old UTC offset), in order; found to the half hour.
     """
     zone = ZoneInfo(timezone)
     start, found = standard_midnight(first, timezone), []
@@ -128,9 +128,9 @@ def season(year: int, which: int) -> datetime:
 
 
 def declination_deg(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
-    """Return the sun's declination, [n], in deg, correct to about 0.01 deg.
+    """Return the sun's declination, north positive, [n], in deg, correct to about 0.01 deg.
 
-    It is computed as the true altitude of the sun at the pole.
+    Raises ValueError for naive times. It is computed as the true altitude of the sun at the pole.
     """
     return position(times_utc, Site("pole", 90.0, 0.0)).altitude_deg
 
@@ -152,7 +152,9 @@ RISE_ALTITUDE_DEG = -0.8333
 
 
 def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
-    """Return rise, transit and set of days, by pvlib's SPA, refined with `position`.
+    """Return rise, transit and set of each local standard day, in the order of `days`.
+
+    Computed by pvlib's SPA, refined with `position`.
 
     A polar night or a midnight sun has neither rise nor set. pvlib alone is wrong by up to a day's
     drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun touches the

@@ -27,7 +27,8 @@ _HORIZON_REFRACTION_DEG = (
 class SunPosition(NamedTuple):
     """Sun positions, arrays [n] in deg.
 
-    True altitude (physics), apparent altitude (pictures), azimuth clockwise from north.
+    altitude_deg: without refraction; apparent_altitude_deg: with refraction, as in pictures;
+    azimuth_deg: clockwise from north, in [0, 360).
     """
 
     altitude_deg: NDArray[np.float64]
@@ -36,7 +37,10 @@ class SunPosition(NamedTuple):
 
 
 def pandas_index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
-    """Return times for pvlib. Raises ValueError for naive times, which pvlib would read as UTC."""
+    """Return times as a pandas index in UTC.
+
+    Raises ValueError for naive times, with `who` as the caller's name.
+    """
     import pandas as pd
 
     if any(t.tzinfo is None for t in times_utc):
@@ -47,7 +51,7 @@ def pandas_index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
 def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     """Return the sun position by NREL's SPA (Reda and Andreas 2004, through pvlib).
 
-    Raises ValueError for naive times.
+    Arrays are in the order of times_utc, empty without times. Raises ValueError for naive times.
     """
     from pvlib.solarposition import get_solarposition
 
