@@ -49,13 +49,12 @@ _WINDOW_MARGIN_DEG = 4.0
 class SceneEvidence:
     """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
 
-    log_seen: ln of the captured luminance in cd/m2, and below: estimated luminance without direct
-    sun, cd/m2, both [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the
-    pixels, with sum 1 [m]; rays: 2 x 2 directions in each pixel, x east, y north, z up by the
-    stated heading [r, 3]; pixel: index below m of each ray [r]; days: local dates [n]; clock:
-    altitude and azimuth of the sun, deg, if the stated time were -20, -19 ... 20 min late [41, n,
-    2]; rows: indices of the hours in the captures [n]; pixels: flat indices in the panorama of
-    `shape` (height, width) [m]. view: the median picture of the windows.
+    log_seen: ln of the captured luminance, and below: luminance estimated without direct sun, cd/m2
+    [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1
+    [m]; rays: 2 x 2 in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel: index
+    below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the stated
+    time were -20, -19 ... 20 min late [41, n, 2]; rows: indices of the hours in the captures [n];
+    pixels: flat indices in the panorama of `shape` [m]. view: the median picture of the windows.
     """
 
     log_seen: Array
@@ -101,10 +100,7 @@ class SceneEvidence:
         return self.thinned(max(1, round(len(self.pixels) / COARSE_PIXELS)))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1.
-
-        `view` does not change.
-        """
+        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1."""
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -120,10 +116,7 @@ class SceneEvidence:
         )
 
     def suns_room(self, guess: Guess) -> NDArray[np.float32]:
-        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3].
-
-        Room axes: x along the "south" wall, y away from it, z up.
-        """
+        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
         at = guess.clock_min + _CLOCK_REACH_MIN
         low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
         share = at - low
@@ -132,11 +125,7 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return irradiance of pixels per lx of the sun [n, m], and where their rays end.
-
-        The irradiance is direct sun only, the mean over a pixel's rays; per lx on a plane normal to
-        the sun.
-        """
+        """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end."""
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
@@ -210,11 +199,7 @@ class SceneEvidence:
         return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
 
     def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
-        """Return the mean albedo of the surfaces on which each pixel's rays end, [m].
-
-        Rays through a window do not count; a pixel with no other has 0. albedo: of each surface [6
-        + solids].
-        """
+        """Return the mean albedo of what each pixel's rays end on, [m]; 0 if only outside."""
         value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
         hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)

@@ -78,10 +78,7 @@ SHADE_GAIN = 0.02
 
 @dataclass(frozen=True)
 class Misfits:
-    """Shares of wrong pixels in n held-out hours: without patches, stated and fitted room [n].
-
-    A share is weighted and 0 to 1, see `SceneEvidence.misfit`. days: local date of each hour [n].
-    """
+    """Shares of wrong pixels, 0 to 1, in n held-out hours [n], by geometry; days: local dates."""
 
     none: Array
     stated: Array
@@ -94,11 +91,7 @@ class Misfits:
 
 
 class SceneSearch:
-    """State of one fit: evidence, the hours that count, and the light below the patches.
-
-    fit_hours, kept_out: indices into the hours of `evidence` that the search uses and does not use.
-    The methods `contents`, `box`, `relight` and `furnished` replace evidence or albedos.
-    """
+    """State of one fit: evidence, albedos, hours to fit and to check; methods return guesses."""
 
     def __init__(
         self,
@@ -131,9 +124,8 @@ class SceneSearch:
     def windows(self, guess: Guess) -> list[Guess]:
         """Search edges and bars in the picture of the windows alone; return three guesses.
 
-        Their walls are turned by -2, 0 and 2 degrees against that of `guess`, because the picture
-        and the tape measure leave this angle open; `contents` chooses among them. If the picture
-        shows no edges, the turned guesses are returned without a search.
+        Their walls are turned by -2, 0 and 2 degrees, because the picture and the tape measure
+        leave this open; `contents` chooses. If the picture shows no edges, nothing is searched.
         """
         turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
         starts = [turned(guess, turn_deg) for turn_deg in RESTART_TURNS_DEG]
@@ -161,8 +153,7 @@ class SceneSearch:
         """Search shades and bars from each guess; return the best one with furniture added.
 
         Rooms with differently turned walls cost the same until they have bars. step: called with
-        the number of searches done, 0 to the number of guesses. Evidence and albedos become those
-        of the result.
+        the number of searches done. `evidence` and `albedo` become those of the result.
         """
         given = self.evidence, self.albedo
         rooms: list[tuple[float, Guess, SceneEvidence, Array]] = []
@@ -178,10 +169,7 @@ class SceneSearch:
         return self.furnished(guess, MAX_SOLIDS)
 
     def box(self, guess: Guess) -> Guess:
-        """Search the box, its pose and its shades from several clocks; return the best guess.
-
-        The attribute `albedo` becomes that of the result.
-        """
+        """Search box, pose and shades from several clocks; set `albedo`, return the best guess."""
         coarse = self.objective(self.fit_evidence.coarse())
         starts = [self.stated.at_clock(guess, clock) for clock in self.stated.start_clocks_min]
         tries = [pattern_search(coarse, start, self.parameters, fine=4.0) for start in starts]
@@ -236,8 +224,8 @@ class SceneSearch:
     def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
         """Find bars in each window from its sun patches; search their place, width and depth.
 
-        Bars up to 20 cm wide are replaced, if that lowers the cost; blinds (wider bars) remain.
-        Bars of too little effect are removed. fine: factor on the last steps of the search.
+        They replace those up to 20 cm wide if the cost falls; blinds (wider) remain. Bars of too
+        little effect are removed. fine: factor on the last steps of the search.
         """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
@@ -317,10 +305,7 @@ class SceneSearch:
         return trials
 
     def furnished(self, guess: Guess, most: int) -> Guess:
-        """Add up to `most` solids; after each, search all parameters again.
-
-        It stops at the first solid that does not lower the misfit enough.
-        """
+        """Add up to `most` solids that lower the misfit enough; after each, search again."""
         for _ in range(most):
             more = self.furniture(guess)
             if more is guess:
@@ -333,10 +318,7 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without bars and added solids that do not lower the misfit enough.
-
-        Solids of the stated room remain.
-        """
+        """Return the guess without bars and added solids that lower the misfit too little."""
         guess = self._pruned(guess)
         for solid in list(guess.solids[len(self.start.solids) :]):
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
@@ -345,18 +327,11 @@ class SceneSearch:
         return guess
 
     def albedo_with_solids(self, guess: Guess) -> Array:
-        """Return the albedos of the guess's surfaces, [6 + solids].
-
-        They are the current ones of west, east, south and north wall, floor and ceiling, and the
-        solids' own.
-        """
+        """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
 
     def relight(self, guess: Guess) -> None:
-        """Replace albedos and the light below the patches by estimates with the guess's patches.
-
-        The attributes `albedo` and `evidence` change.
-        """
+        """Set `albedo`, and the light without sun in `evidence`, to estimates with this guess."""
         self.albedo = self.evidence.albedos(guess, self.albedo)
         albedo = self.albedo_with_solids(guess)
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
@@ -364,9 +339,9 @@ class SceneSearch:
     def restarted(self, guess: Guess, seed: int) -> Guess:
         """Return the best of several searches from other clocks and displaced rooms.
 
-        A guess with bars and furniture can leave a valley in which an earlier search stopped. The
-        attribute `valley` becomes the standard deviation of each parameter over results with a cost
-        within 3 % of the best, which the captures cannot separate.
+        A guess with bars and furniture can leave a valley in which an earlier search stopped.
+        `valley` becomes the standard deviation of each parameter over results with a cost within 3
+        % of the best.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.coarse())
@@ -391,10 +366,7 @@ class SceneSearch:
         return pattern_search(objective, guess, self.all_parameters(guess), coarse=0.25)[0]
 
     def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
-        """Search all parameters in small steps, then along principal axes; return the best guess.
-
-        hours: indices of the hours that count [k].
-        """
+        """Search all parameters, then along principal axes, in the hours of indices `hours` [k]."""
         objective = self.objective(self.evidence.hours(hours))
         parameters = self.all_parameters(guess)
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
@@ -409,11 +381,7 @@ class SceneSearch:
         return parameters
 
     def misfits(self, guess: Guess) -> Misfits:
-        """Return three misfits on held-out hours: no sun patch, the stated box, and the guess.
-
-        The stated box has albedos that are fitted to these hours; the guess has those of the
-        search.
-        """
+        """Return three misfits on held-out hours: no sun patch, the stated box, and the guess."""
         evidence = self.evidence.hours(self.kept_out)
         albedo = self.albedo_with_solids(guess)
         stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))
