@@ -43,8 +43,8 @@ class Prediction:
     """Predicted maps without the sun's disc, and their uncertainty.
 
     luminance_cdm2: [n, H, W] float32; log10_sd: standard deviation of log10 L [n, H, W], None if
-    the model gives none; expected_mse: the model's own estimate of each map's weighted log10 MSE
-    [n] (NaN: unknown); trusted: whether the model vouches for each hour [n].
+    the model gives none; expected_mse: the model's own estimate of each map's log10 MSE, weighted
+    by solid angle [n] (NaN: unknown); trusted: True for hours that are like the captured ones [n].
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -57,8 +57,8 @@ class Prediction:
 class ModelState:
     """The content of a model folder.
 
-    config: keys of config.json; after reading, also the keys that all models share. arrays: plain
-    arrays of weights.npz by name.
+    config: keys of config.json; before writing, only the model's own keys, after reading also those
+    that all models share. arrays: plain arrays of weights.npz by name.
     """
 
     config: Mapping[str, Any]
@@ -77,10 +77,11 @@ POOR_WORDS = "do not trust single maps of this model"
 
 
 def trusted_hours(prediction: Prediction) -> NDArray[np.bool_]:
-    """Return a mask [n] of the trusted hours.
+    """Return a mask [n], True for trusted hours.
 
-    These are the hours for which the model vouches (`prediction.trusted`), without those whose
-    expected error (rms over the map) is above a factor of 1.2.
+    These are the hours with `prediction.trusted`, without those whose expected error (root of
+    `expected_mse`) is above a factor of 1.2. An unknown expected error (NaN) does not exclude an
+    hour.
     """
     return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
 
@@ -89,7 +90,9 @@ class Fitted(Protocol):
     """A trained model.
 
     `state` may add a key `with_patch` to config.json: whether `predict` requires sun patches.
-    Without this key they are required unless the model was trained with patch "none".
+    Without this key they are required unless the model was trained with patch "none". parameters:
+    number of fitted values. held_out_mse: log10 MSE of each training map, weighted by solid angle
+    and predicted by a fit without its day [n]; None if not computed.
     """
 
     name: str
@@ -101,20 +104,20 @@ class Fitted(Protocol):
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict maps of the n hours of `light`.
 
-        patch_cdm2: luminance of direct sun only [n, H, W]. Memory grows with the number of hours,
-        so predict in chunks.
+        patch_cdm2: luminance of direct sun only [n, H, W], for models that require it. Memory grows
+        with the number of hours, so predict in chunks.
         """
         ...
 
     def state(self) -> ModelState:
-        """Return what config.json and weights.npz must contain for `from_state`."""
+        """Return what config.json and weights.npz must contain for the model's `from_state`."""
         ...
 
 
 def fit(name: str, data: Dataset, **options: Any) -> Fitted:
     """Fit the model with a name of `MODELS`; options: arguments of that model's fit.
 
-    Raises KeyError for an unknown name.
+    Raises KeyError for an unknown name, and what that model's fit raises.
     """
     kind = MODELS[name]
     return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
@@ -123,7 +126,11 @@ def fit(name: str, data: Dataset, **options: Any) -> Fitted:
 def save(
     folder: Path, fitted: Fitted, data: Dataset, *, mirrors: Sequence[Mirror] = (), **more: Any
 ) -> None:
-    """Write weights.npz, then config.json, each atomically; `more`: further keys of config.json."""
+    """Write weights.npz, then config.json, each atomically, into a folder.
+
+    data: the training data; config.json describes them, and weights.npz has their seen pixels.
+    mirrors: plane mirrors of the sun. more: further keys of config.json.
+    """
     from fieldlum.models.mirrors import arrays_of, table_of
 
     state = fitted.state()
@@ -142,9 +149,9 @@ def save(
 
 
 def read_config(folder: Path) -> ModelConfig:
-    """Read config.json.
+    """Read config.json of a model folder.
 
-    Raises InputError for a folder without a model, or for an unknown model.
+    Raises InputError if the file is missing, damaged or of another format, or for an unknown model.
     """
     config = ModelConfig.read(folder)
     if config.model not in MODELS:
@@ -158,7 +165,7 @@ def read_config(folder: Path) -> ModelConfig:
 
 
 def seen_of(folder: Path) -> NDArray[np.bool_] | None:
-    """Return a mask [H, W] of the pixels that the camera saw.
+    """Return a mask [H, W], True for pixels that the camera saw, from a model's folder.
 
     None if weights.npz does not contain it (models of 0.1.0) or cannot be read.
     """
@@ -171,7 +178,10 @@ def seen_of(folder: Path) -> NDArray[np.bool_] | None:
 
 
 def load(folder: Path) -> Fitted:
-    """Return the model in a folder. Raises InputError for a broken one; never unpickles."""
+    """Return the model in a folder; nothing is unpickled.
+
+    Raises InputError if config.json or weights.npz is missing, damaged or does not fit the other.
+    """
     config = read_config(folder)
     path = folder / "weights.npz"
     try:

@@ -45,12 +45,12 @@ def find_turns(
     heading_deg: float,
     progress: Progress,
 ) -> CameraTurns:
-    """Return how each capture's camera was turned.
+    """Return how each capture's camera was turned, in the order of `pictures`.
 
-    The turns are read from the table next to `pairs` if it matches all maps. Otherwise all turns
-    are estimated by `camera_turns`; with at least 5 captures and 40 rows, a new table is written if
-    the folder is writable. pictures: names as in the csv; maps, has_value: in the order of time [n,
-    H, W].
+    The turns are read from the table next to the csv `pairs` if its names and checksums are those
+    of all maps. Otherwise they are estimated by `camera_turns`; with at least 5 captures and 40
+    rows of pixels, a new table is written if the folder is writable. pictures: names as in the csv
+    [n]; maps, has_value (True for measured pixels): in the order of time [n, H, W].
     """
     path = alignment_path(pairs)
     digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
@@ -88,12 +88,12 @@ def align(
     heading_deg: float,
     turns: CameraTurns,
 ) -> None:
-    """Turn the captures' maps, masks [n, H, W] and counts to the common pose, in place.
+    """Turn maps, masks [n, H, W] and counts of captures to the common pose, in place.
 
-    Captures that were not turned, or that cannot be aligned, do not change. counts: weight of each
-    pixel [H, W] in a capture, None for 1. Interpolation blurs sharp edges, such as a window's: a
-    pixel's weight is multiplied by a factor from this uncertainty, which is 0 instead of less than
-    a half.
+    has_value: True for measured pixels. Captures that were not turned, or that cannot be aligned,
+    do not change. counts: weight of each pixel [H, W] in a capture, None for 1. Interpolation blurs
+    sharp edges, such as a window's: a pixel's weight is multiplied by a factor from this
+    uncertainty, which is 0 instead of less than a half. heading_deg: of the panoramas.
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
@@ -113,7 +113,8 @@ def shown_place(
 ) -> tuple[float, float]:
     """Return altitude and azimuth [deg] at which a turned camera's picture shows a direction.
 
-    heading_deg: of the panorama; angles_deg: the camera's turn in heading, tilt and roll [3].
+    altitude_deg, azimuth_deg: the true direction; heading_deg: of the panorama; angles_deg: the
+    camera's turn in heading (clockwise), tilt (up) and roll (clockwise) [3].
     """
     if not angles_deg.any():
         return altitude_deg, azimuth_deg
@@ -125,7 +126,8 @@ def shown_place(
 def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
     """Return a note on each pose that was corrected, and one on captures that are not used.
 
-    days: local date of each capture [n]; table: name of the file with the turns.
+    The list is empty if no camera was turned. days: local date of each capture [n]; table: name of
+    the file with the turns.
     """
     notes = []
     for pose in np.unique(turns.angles_deg[turns.turned], axis=0):

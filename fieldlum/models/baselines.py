@@ -31,7 +31,10 @@ class MeanFitted:
         self.parameters = log10_mean.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict the mean map for every hour, [n, H, W]."""
+        """Predict the mean map for each of the n hours, [n, H, W]; patch_cdm2 is not used.
+
+        The expected error is NaN; trusted hours have light like that of the captures.
+        """
         n = len(light.dni_wm2)
         maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
         return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
@@ -50,7 +53,7 @@ def fit_mean(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> MeanFitted:
-    """Fit the mean of log10 L of each pixel."""
+    """Fit the mean of log10 L (L at least 1e-3 cd/m2) of each pixel; only `data` is used."""
     log10 = np.zeros(data.shape)
     # one by one, because the logarithm of all maps would double the memory
     for luminance in data.luminance_cdm2:
@@ -61,8 +64,9 @@ def fit_mean(
 class NearestFitted:
     """A model that predicts the captured hour with the most similar sun and sky.
 
-    The map is scaled by horizontal irradiance. If the model was fitted with sun patches in cd/m2
-    (patch "absolute"), the map's sun patch is replaced by that of the predicted hour.
+    That hour's map is scaled by the ratio of global irradiances. If the model was fitted with sun
+    patches in cd/m2 (patch "absolute"), the map's sun patch is replaced by that of the predicted
+    hour.
     """
 
     name = "nearest"
@@ -83,7 +87,9 @@ class NearestFitted:
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
         """Predict scaled maps of the captured hours with the most similar light, [n, H, W].
 
-        Raises ValueError without patch_cdm2 for a model that was fitted with sun patches.
+        patch_cdm2: sun patches [n, H, W], added if the model was fitted with patches. The expected
+        error is NaN; trusted hours have light like that of the captures. Raises ValueError without
+        patch_cdm2 for a model that was fitted with sun patches.
         """
         wanted, scale = light_features(light), outside(light)
         distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
@@ -105,8 +111,8 @@ class NearestFitted:
 def light_features(light: Light) -> NDArray[np.float64]:
     """Return the features by which hours are compared, [n, 5].
 
-    These are the sun's direction (three values, with more weight for a larger beam share), the
-    beam share DNI / (DNI + DHI), and the logarithm of diffuse irradiance.
+    These are the sun's direction (three values, times 0.3 plus the beam share), the beam share DNI
+    / (DNI + DHI), and 0.3 log10 of diffuse irradiance plus 10 W/m2.
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -128,10 +134,10 @@ def fit_nearest(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> NearestFitted:
-    """Return a model that stores the captured hours.
+    """Return a model that stores the captured hours; only `data` and `patch` are used.
 
-    With patch "absolute" the sun patches of `data` are subtracted; at least 2 % of a pixel's light
-    remains.
+    With patch "absolute" the sun patches of `data`, if any, are subtracted; at least 2 % of a
+    pixel's light remains. With "gain" or "none" they stay in the maps.
     """
     with_patch = patch == "absolute" and data.patch_cdm2 is not None
     rest = data.luminance_cdm2
@@ -143,7 +149,10 @@ def fit_nearest(
 
 
 def from_state(state: ModelState) -> Fitted:
-    """Return the baseline that its method `state` described."""
+    """Return the baseline (mean or nearest) that its method `state` described.
+
+    Raises KeyError, TypeError or ValueError for missing or wrong content.
+    """
     config, arrays = state.config, state.arrays
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":

@@ -68,7 +68,7 @@ class CameraTurns:
     """Turn of each capture's camera relative to most captures; zero if it was not turned.
 
     angles_deg: heading (clockwise), tilt (up) and roll (clockwise) [n, 3]; u_deg: standard
-    uncertainties [n, 3]; aligned: whether the capture can be used: its turn is under 10 pixels, and
+    uncertainties [n, 3]; aligned: True if the capture can be used: its turn is under 10 pixels, and
     the picture, turned back, has its edges where the room's edges are [n].
     """
 
@@ -97,7 +97,8 @@ def _axes(heading_deg: float) -> Array:
 def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the directions at which a turned camera's picture shows `rays`, [..., 3].
 
-    heading_deg: of the panorama; angles_deg: the camera's turn in heading, tilt and roll [3].
+    rays: unit vectors, x east, y north, z up; heading_deg: of the panorama; angles_deg: the
+    camera's turn in heading (clockwise), tilt (up) and roll (clockwise) [3].
     """
     vector = -np.radians(angles_deg) @ _axes(heading_deg)
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
@@ -130,8 +131,9 @@ def _at(maps: Array, places: Array) -> Array:
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return a turned camera's map [H, W] as an unturned camera would show it.
 
-    angles_deg: its turn in heading, tilt and roll [3]. Interpolation is linear between pixels. Pass
-    ln L, so that a bright window does not spread over its frame.
+    heading_deg: of the panorama; angles_deg: the camera's turn in heading, tilt and roll [3].
+    Interpolation is linear between pixels. Pass ln L, so that a bright window does not spread over
+    its frame.
     """
     height, width = maps.shape
     return _at(maps, _places((height, width), heading_deg, angles_deg))
@@ -140,8 +142,9 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the uncertainty of `turned_back` by edges between pixels, [H, W], in units of `maps`.
 
-    maps: one map [H, W]. A turn by a fraction f of a pixel mixes neighbours in the picture, and
-    turning it back mixes them again. What remains is f (1 - f) of the contrast of the neighbours.
+    maps: one map [H, W], ln L or another quantity. A turn by a fraction f of a pixel mixes
+    neighbours in the picture, and turning it back mixes them again. What remains is f (1 - f) of
+    the contrast of the neighbours.
     """
     height, width = maps.shape
     places = _places((height, width), heading_deg, angles_deg)
@@ -279,8 +282,10 @@ def camera_turns(
 ) -> CameraTurns:
     """Return how the camera of each capture [n, H, W] was turned; captures in the order of time.
 
-    seen: pixels with a value [H, W]. Consecutive captures of one pose get the median turn; a turn
-    too small to be certain is zero. With fewer than 5 captures or 40 rows all turns are zero.
+    seen: True for pixels with a value [H, W]; heading_deg: of the panoramas. Consecutive captures
+    of one pose get the median turn; a turn too small to be certain is zero. With fewer than 5
+    captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all captures
+    aligned.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))

@@ -24,7 +24,11 @@ MOST_SUN_DEG = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Columns of a pairs.csv, of its n usable rows; angles that the csv does not have are NaN."""
+    """Columns of a pairs.csv, of its n usable rows; angles that the csv does not have are NaN.
+
+    lines: line numbers in the file; panorama: paths of the pictures; altitude_deg, azimuth_deg: of
+    the sun.
+    """
 
     lines: Sequence[int]
     t_utc: Sequence[datetime]
@@ -39,7 +43,8 @@ def check_plausible(path: Path, rows: Stated, site: Site) -> None:
     """Raise InputError, naming the line, for rows that contradict each other or the sun.
 
     It detects a repeated time or picture, a sun position more than 2.5 degrees from that computed
-    for `site`, and irradiance that no sky gives, such as values in kW/m2.
+    for `site`, and irradiance that is too large or too small for any sky, such as values in kW/m2.
+    path: the csv that the error names.
     """
     _check_once(path, rows.lines, rows.t_utc, "have the same t_utc")
     _check_once(

@@ -37,10 +37,12 @@ class Dataset:
     """Captured hours with their light. The maps have no sun disc: disc_lx has its illuminance.
 
     luminance_cdm2: [n, H, W]; patch_cdm2: direct sun only [n, H, W], or None; disc_lx: illuminance
-    of the visible disc at the lens, normal to the sun [n]; days: local standard dates [n]; slots:
-    ids [n]; seen: pixels that the camera saw [H, W]; steadiness: relative change of the light
-    during the bracket (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for
-    the user; counts: weight of each value in training [n, H, W], None if all are 1.
+    of the visible disc at the lens, normal to the sun [n]; heading_deg: azimuth of the maps' centre
+    column; days: local standard dates [n]; slots: UTC start times as ids [n]; seen: True for pixels
+    that the camera saw [H, W]; steadiness: range of the irradiance during the bracket over its mean
+    (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user; counts:
+    weight of each value in training [n, H, W], None if all are 1; scene: what was used of a fitted
+    scene, or None.
     """
 
     light: Light
@@ -77,7 +79,7 @@ class Dataset:
         return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
-        """Return the hours that an index [k] or a boolean array [n] selects."""
+        """Return the hours that indices from 0 [k] or a boolean array [n] select, in that order."""
         rows = np.asarray(index)
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
         return replace(
@@ -93,9 +95,10 @@ class Dataset:
         )
 
     def thin(self, height: int) -> Dataset:
-        """Return the same hours at every f-th pixel, f odd, with at least `height` rows.
+        """Return the same hours at every f-th pixel in both directions, with `height` rows or more.
 
-        Pixels are not averaged, so that noise and sharp edges remain.
+        f is the largest odd divisor of the rows that allows this, or 1. Pixels are not averaged, so
+        that noise and sharp edges remain.
         """
         rows = self.shape[0]
         odd = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
@@ -110,7 +113,11 @@ class Dataset:
         )
 
     def about(self) -> dict[str, object]:
-        """Return what a model's config.json records about its training data."""
+        """Return what a model's config.json records about its training data.
+
+        These are site, heading, height and width, the scene if one was used, and the source, slots
+        and days of the captures.
+        """
         return {
             "setup": site_table(self.setup),
             "heading_deg": self.heading_deg,
@@ -170,11 +177,12 @@ def load_pairs(
 ) -> Dataset:
     """Read the captures of a pairs.csv with their pictures, in the order of time.
 
-    where: the csv, a session or its folder; site: SITE.toml, by default that of the session or next
-    to the csv. Rows with ok = 0, without irradiance, or from a camera that cannot be aligned are
-    not used. The sun's position is that of the csv; an empty one is computed. Raises InputError for
-    a missing file, an unreadable cell or implausible rows; NotEnoughDataError if no row or no pixel
-    is usable.
+    where: the csv, a session or its folder; site: SITE.toml, by default that of the session or
+    site.toml next to the csv. Rows with ok = 0, without irradiance, or from a camera that cannot be
+    aligned are not used. The sun's position is that of the csv; an empty one is computed. Raises
+    InputError for a missing csv, site file or picture, an unreadable cell or picture, pictures that
+    differ in size or heading, or implausible rows; NotEnoughDataError if no row or no pixel is
+    usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():

@@ -86,10 +86,11 @@ class DenseFitted:
             yield torch.cat(parts).float().cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps, [n, H, W].
+        """Predict maps, [n, H, W]; patch_cdm2: sun patches of the same shape.
 
-        The network has no variance, so `trusted` only means that the hour's light is like captured
-        light. Raises ValueError without patch_cdm2 for a network trained with sun patches.
+        The network has no variance: `log10_sd` is None, the expected error NaN, and `trusted` only
+        means that the hour's light is like captured light. Raises ValueError without patch_cdm2 for
+        a network trained with sun patches; others do not use it.
         """
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
@@ -129,7 +130,10 @@ class DenseFitted:
 
 
 def from_state(state: ModelState) -> DenseFitted:
-    """Return the network that `DenseFitted.state` described."""
+    """Return the network that `DenseFitted.state` described.
+
+    Raises KeyError, TypeError or ValueError for missing or wrong content.
+    """
     config, arrays = state.config, state.arrays
     shape = Shape(**config["shape"])
     net = Net(shape)
@@ -158,10 +162,10 @@ def fit(
     progress: Progress = quiet,
     **options: Any,
 ) -> DenseFitted:
-    """Train the network on `data`.
+    """Train the network on `data`; seed: of all random numbers; budget_s: time for training.
 
     options: fields of `Shape`, and other arguments of `dense_training.train`, such as its plan and
-    the path of a checkpoint.
+    the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
     """
     shape = Shape(
         **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}

@@ -36,7 +36,9 @@ DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 class Shape:
     """The form of the network of Liu, Colburn and Inanici (2020).
 
-    The defaults are the paper's final form, other values its ablations (Table 1 and Figure 8).
+    width, depth: of the layers of branch one; patch_width: of branch two; sky_map: whether the sky
+    patch behind a pixel is an input; curve: encoding of luminance. The defaults are the paper's
+    final form, other values its ablations (Table 1 and Figure 8).
     """
 
     width: int = 600
@@ -53,9 +55,10 @@ class Shape:
 
 
 def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Return luminance up to 1.6e9 cd/m2 encoded to 0 to 1; values below 1 cd/m2 count as 1.
+    """Return luminance, floored at 1 cd/m2, encoded so that 1.6e9 cd/m2 is 1; same shape.
 
-    The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L / 1.6e9)^(1/10).
+    The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L / 1.6e9)^(1/10). Larger luminances are
+    above 1.
     """
     floored = np.maximum(luminance_cdm2, 1.0)
     if curve == "gamma":
@@ -66,7 +69,7 @@ def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float
 def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
     """Return the luminance [cd/m2] of encoded values, as the inverse of `encode`.
 
-    Outputs of the network outside [0, 1] are clipped, which bounds every prediction.
+    Values outside [0, 1] are clipped first, which bounds every prediction; the least result is 1.
     """
     inside = np.clip(encoded, 0.0, 1.0)
     if curve == "gamma":
@@ -81,8 +84,8 @@ def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
 class Net(nn.Module):
     """The network of Liu, Colburn and Inanici (2020): two branches that are merged.
 
-    With the default sizes it has 1 688 601 parameters with seven inputs in branch one, and
-    1 689 201 with the sky as the eighth.
+    With the default sizes it has 1 689 201 parameters, or 1 688 601 without the sky as the eighth
+    input of branch one.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -110,7 +113,7 @@ class Net(nn.Module):
 
 
 def parameter_count(net: nn.Module) -> int:
-    """Return the number of trained values."""
+    """Return the number of values in all parameter arrays of a network."""
     return sum(p.numel() for p in net.parameters())
 
 
@@ -122,22 +125,23 @@ def parameter_count(net: nn.Module) -> int:
 class Canvas:
     """Inputs of P pixels that do not depend on the hour.
 
-    fixed: x, y and encoded mean luminance of each pixel, 0 to 1 [P, 3]; sky_patch: index of the
-    nearest sky patch, -1 below the horizon [P].
+    fixed: x, y (0 to 1 from the left and the top) and encoded mean luminance [P, 3]; sky_patch:
+    index from 0 of the nearest of 2305 sky patches, -1 at or below the horizon [P].
     """
 
     fixed: Tensor
     sky_patch: Tensor
 
     def to(self, device: torch.device) -> Canvas:
-        """Return a copy on another device."""
+        """Return a copy whose tensors are on the device."""
         return Canvas(self.fixed.to(device), self.sky_patch.to(device))
 
 
 def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
-    """Return the inputs of all pixels that do not depend on the hour.
+    """Return the inputs of all P = H W pixels, row by row, that do not depend on the hour.
 
-    average_log10: mean of log10 L over training images, at least 0 [H, W].
+    average_log10: mean of log10 L over training images, at least 0 [H, W]; heading_deg: azimuth of
+    the centre column.
     """
     from fieldlum.sky import reinhart_patches
 
@@ -166,12 +170,16 @@ class HourInputs:
     sky: Tensor | None
 
     def to(self, device: torch.device) -> HourInputs:
-        """Return a copy on another device."""
+        """Return a copy whose tensors are on the device."""
         return HourInputs(self.sun.to(device), None if self.sky is None else self.sky.to(device))
 
 
 def hours(light: Light, shape: Shape) -> HourInputs:
-    """Return the network's inputs of the hours of `light`, scaled so that usual ones are 0 to 1."""
+    """Return the network's inputs of the hours of `light`, scaled to about 0 to 1.
+
+    Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2; azimuth is 0 at north, 0.5
+    at south and 0.75 at west. shape: its sky_map and curve are used.
+    """
     from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,
@@ -188,7 +196,8 @@ def hours(light: Light, shape: Shape) -> HourInputs:
 def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor) -> Tensor:
     """Return the input of branch one for b pairs of an hour and a pixel, [b, 7 or 8].
 
-    hour, pixel: indices into `hours` and `canvas` [b].
+    hour, pixel: indices from 0 into `hours` and `canvas` [b]. Columns: x, y, altitude, azimuth,
+    DNI, DHI, mean luminance and, with a sky map, the sky patch.
     """
     fixed, sun = canvas.fixed[pixel], hours.sun[hour]
     columns = [fixed[:, :2], sun, fixed[:, 2:]]

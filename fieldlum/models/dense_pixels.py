@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PixelSampler:
-    """All pairs of an hour and a seen pixel, on the device.
+    """All pairs of one of n hours and one of P seen pixels, on the device.
 
-    The index of a pair is hour * P + index of its pixel in `seen`. weight: solid angle; counts: how
-    much a pixel counts in an hour, None for 1 everywhere.
+    The index of a pair is hour times P plus the index of its pixel in `seen`. target, patch:
+    encoded luminance of map and sun patch [n, P], patch None without patches; weight: relative
+    solid angle [P]; seen: flat pixel indices [P]; counts: how much a pixel counts in an hour [n,
+    P], None for 1.
     """
 
     canvas: Canvas
@@ -37,11 +39,11 @@ class PixelSampler:
         return self.target.numel()
 
     def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return inputs and targets of b values; a value is one pixel in one hour.
+        """Return inputs and targets of b pairs of an hour and a pixel.
 
-        numbers [b]: hour times the number of seen pixels, plus the pixel. The results are the scene
-        inputs [b, 7 or 8], the encoded luminance of the sun patch [b, 1] (0 without patches), the
-        encoded target [b] and the weight [b].
+        numbers [b]: indices of the pairs. The results are the scene inputs [b, 7 or 8], the encoded
+        luminance of the sun patch [b, 1] (0 without patches), the encoded target [b] and the weight
+        [b].
         """
         hour = numbers // len(self.seen)
         place = numbers - hour * len(self.seen)
@@ -58,8 +60,8 @@ def pixels_of(
 ) -> PixelSampler:
     """Return all pairs of an hour of `data` and a seen pixel, encoded, on the device.
 
-    base: inputs of the pixels that do not depend on the hour. patch: how sun patches are used; with
-    "none" they are left out.
+    base: inputs of the pixels that do not depend on the hour. patch: with "none" sun patches are
+    left out, otherwise they are used in cd/m2.
     """
     seen = np.flatnonzero(data.seen)
 

@@ -54,9 +54,10 @@ class TrainingPlan:
 class Run:
     """The progress of a training, which is stored in its checkpoint.
 
-    stage, stage_epoch: of the paper's schedule; stale: epochs without improvement at this learning
-    rate; rate: learning rate, in the short schedule its highest value; best: least validation loss;
-    skipped: updates omitted because the loss was not finite.
+    epoch, step: numbers of completed ones; stage (from 0), stage_epoch: of the paper's schedule;
+    stale: epochs without improvement at this learning rate; rate: learning rate, in the short
+    schedule its highest value; best: least validation loss; elapsed_s, cpu_s: time used; skipped:
+    updates omitted because the loss was not finite.
     """
 
     epoch: int = 0
@@ -76,8 +77,9 @@ def affordable_plan(
 ) -> TrainingPlan:
     """Return the paper's schedule if it fits in the budget, else a short one.
 
-    count: training pixels of all hours. The short schedule has as many steps as the measured speed
-    allows.
+    count: training pixels of all hours, of which the paper's schedule uses each 90 times. The short
+    schedule has as many steps as `pixels_per_s` allows, but at least 25, of 512 to 8192 pixels
+    each.
     """
     affordable = pixels_per_s * budget_s
     if affordable >= TrainingPlan().epochs * count:
@@ -92,9 +94,10 @@ def affordable_plan(
 
 
 def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the indices of images for training [k] and for validation [n - k].
+    """Return the indices from 0 of images for training [k] and for validation [n - k].
 
-    A tenth of the images, but at least one, is for validation; a single image is used for both.
+    A tenth of the n images, but at least one, is drawn for validation; a single image is used for
+    both.
     """
     order = np.random.default_rng(seed).permutation(n)
     cut = max(1, round(VALIDATION_SHARE * n))
@@ -102,10 +105,9 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
-    """Return the indices, below `total`, of the values that validation uses, [b].
+    """Return the indices, below `total`, of the pairs of hour and pixel for validation, [b].
 
-    A value is one pixel in one hour. The paper's schedule uses all of them, the short one at most
-    60 000, which `seed` draws.
+    The paper's schedule uses all of them, the short one at most 60 000, which `seed` draws.
     """
     if plan.schedule == "paper" or total <= SHORT_VALIDATION_PIXELS:
         return torch.arange(total)
@@ -152,7 +154,8 @@ def _all_pixels(group: Tensor, per_image: int) -> Tensor:
 def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
     """Return the learning rate of the short schedule: a warm-up, then a cosine that falls to zero.
 
-    It falls over the steps, or over the time if the time ends first.
+    It falls with the share of steps or of `budget_s` that is used, whichever is larger; budget_s
+    None: no limit.
     """
     warm = min(1.0, (run.step + 1) / (_WARM_SHARE * plan.steps + 1))
     done = min(_done_share(plan, run, budget_s), 1.0)
@@ -160,9 +163,10 @@ def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
 
 
 def update_paper_rate(run: Run, improved: bool) -> None:
-    """Halve the learning rate in `run` after two epochs without improvement.
+    """Update `run` after an epoch: halve the rate after two epochs without improvement.
 
-    Begin the next stage after 30 epochs of a stage, or when the rate is below 1e-10.
+    Begin the next stage after 30 epochs of a stage, or when the rate is below 1e-10. improved:
+    whether this epoch lowered the validation loss.
     """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1
@@ -179,7 +183,10 @@ def passes(plan: TrainingPlan, run: Run, count: int) -> float:
 
 
 def finished(plan: TrainingPlan, run: Run, budget_s: float | None) -> bool:
-    """Return whether the budget, the steps, the epochs or the stages are used up."""
+    """Return whether the budget, the steps, the epochs or the stages are used up.
+
+    budget_s None: no limit.
+    """
     if budget_s and run.elapsed_s >= budget_s:
         return True
     if plan.schedule == "short":

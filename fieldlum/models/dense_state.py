@@ -26,7 +26,10 @@ def keep(
     mark: str,
     best: dict[str, Tensor],
 ) -> None:
-    """Write a checkpoint atomically; mark: digest of the training data, patch mode and seed."""
+    """Write a checkpoint atomically: progress, plan, optimiser, current and best weights.
+
+    best: weights of the least validation loss; mark: digest of training data, patch mode and seed.
+    """
     state = {
         "net": net.state_dict(),
         "best": best,
@@ -45,8 +48,8 @@ def restore(
 ) -> tuple[TrainingPlan, dict[str, Tensor]]:
     """Load a checkpoint into net, optimiser and run; return its plan and its best weights.
 
-    Raises InputError for a checkpoint of another network, other data or another seed, and for one
-    that cannot be read or contains other objects than tensors, numbers and texts.
+    Raises InputError for a checkpoint of another network, of other data, patch mode or seed, and
+    for one that cannot be read or contains other objects than tensors, numbers and texts.
     """
     try:
         with warnings.catch_warnings():

@@ -55,7 +55,12 @@ _ONE_UPDATE_S = 1e-3  # a budget that ends after one update
 
 @dataclass(frozen=True, slots=True)
 class TrainingRecord:
-    """What config.json records of a training, under the key dense_training."""
+    """What config.json records of a training, under the key dense_training.
+
+    seconds, cpu_seconds: time used; pixels_seen_per_pixel: average number of uses of a training
+    pixel; skipped_updates: those whose loss was not finite; bfloat16: whether products were in that
+    precision; validation_slots: slots of the images for validation.
+    """
 
     schedule: str
     epochs: int
@@ -108,7 +113,8 @@ def _loss_parts(
 def loss_value(parts: Tensor) -> float:
     """Return MSE + 10 RER from [S_error, S_target, count].
 
-    S_error, S_target: weighted sums of squared errors and targets over `count` pixels.
+    S_error, S_target: weighted sums of squared errors and targets over `count` pixels. MSE is
+    S_error / count, RER (relative error) is the root of S_error / S_target.
     """
     error, target, count = parts.tolist()
     return error / count + RER_SHARE * math.sqrt(error / max(target, 1e-12))
@@ -162,8 +168,9 @@ def train(
     plan: None uses the paper's schedule if it fits in `budget_s` [s] or there is no budget, else a
     short one by measured speed. least_passes: without a plan, end after one update if the budget
     allows less than half of these passes over the training pixels. checkpoint: written after each
-    epoch; an existing one is continued. stop_after_epochs: end early, as an interruption would.
-    bfloat16: None uses it where it is fast.
+    epoch; an existing one is continued, with its plan. stop_after_epochs: end early, as an
+    interruption would. bfloat16: None uses it where it is fast. Raises InputError for a checkpoint
+    that cannot be used.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()

@@ -31,9 +31,10 @@ DRAWN_ROOMS = 64
 
 
 def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
-    """Return the disc's illuminance at the lens by the stated room [n] lx; None without a room.
+    """Return the disc's illuminance at the lens by the room of `setup`, [n] lx; None without one.
 
-    The illuminance is that of a plane normal to the sun.
+    It is on a plane normal to the sun, 0 where the room hides the sun. Raises InputError for an
+    impossible room or a room file that cannot be traced.
     """
     room = setup.room
     if room is None:
@@ -56,9 +57,10 @@ def drawn_discs_lx(
 ) -> Array | None:
     """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n] lx.
 
-    Return None without a room. uncertainty: that of a fitted room; by default 5 cm and 1 degree, as
-    for a stated room. A room from a file has no parameters: there the sun is shifted at random,
-    with a standard deviation of 1.5 degrees along each axis.
+    It is at the lens, on a plane normal to the sun. Return None without a room. uncertainty: that
+    of a fitted room; by default 5 cm and 1 degree, as for a stated room. A room from a file has no
+    parameters: there the sun is shifted at random, with a standard deviation of 1.5 degrees along
+    each axis.
     """
     room = setup.room
     if room is None:
@@ -94,10 +96,10 @@ def guessed_disc_lx(
 ) -> Array:
     """Return the disc's illuminance guessed from predicted maps, without any geometry, [n] lx.
 
-    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each of them. If
-    the sun's pixel has 0.3 to 1.3 times the luminance of the Perez sky there, it shows sky through
-    glass, and the disc shines through the same glass; otherwise the illuminance is 0. A twig or a
-    blind is not detected.
+    maps: [n, H, W] cd/m2. With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun
+    shifted by each of them. If the sun's pixel has 0.3 to 1.3 times the luminance of the Perez sky
+    there, it shows sky through glass, and the disc shines through with that factor, at most 1;
+    otherwise the illuminance is 0. A twig or a blind is not detected.
     """
     sky = np.array(
         [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]

@@ -13,7 +13,7 @@ from torch import distributed as dist
 
 
 def rank() -> int:
-    """Return the number of this process, 0 without torchrun."""
+    """Return the number of this process from 0; 0 without torchrun."""
     return int(os.environ.get("RANK", "0"))
 
 
@@ -29,7 +29,7 @@ def join(device: torch.device) -> None:
 
 
 def total(tensor: Tensor) -> Tensor:
-    """Return the sum over all ranks in the shape and unit of `tensor`, computed in place."""
+    """Return the sum over all processes in the shape and unit of `tensor`, computed in place."""
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor
