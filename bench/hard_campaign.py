@@ -41,7 +41,8 @@ from fieldlum.records import Slot
 from fieldlum.session import create_session, open_session
 from fieldlum.simulate import Troubles, load_troubles
 from fieldlum.site_toml import load_site
-from fieldlum.train import findings, seen_skies, usable_captures
+from fieldlum.train import findings, usable_captures
+from fieldlum.train.notes import seen_skies
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"
 YEAR_STEP = 5  # every fifth day of the year is rendered
@@ -215,7 +216,7 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     read = data.notes
     data, setting, changes = usable_captures(data, "absolute")
     fitted = fit("transport", data, patch="absolute", seed=0)
-    fitted, found = findings(fitted, data, "absolute", setting)
+    fitted, found = findings(fitted, data, setting)
     notes = [*read, *changes, *seen_skies(fitted, data), *found]
     scores = summary(evaluate(fitted, truth(tests.hours)))
     test = tests.hours

@@ -21,7 +21,7 @@ from fieldlum.models.transport.setting_scan import Setting, SettingFinding, sett
 from fieldlum.models.transport.uncertainty import edge_range, experience, slip_variance
 from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
-from fieldlum.train.setting import settle, warnings_of, with_right_clock
+from fieldlum.train.setting import scan, settle, warnings_of, with_right_clock
 
 ROOM = Room(
     width_m=5.0,
@@ -106,7 +106,7 @@ def found_in(data: Dataset) -> Setting:
 def test_a_right_setting_raises_no_alarm() -> None:
     found = found_in(captured())
     assert found.wrong is None and found.slip_deg == 0.0
-    assert settle(fitted(), captured(), "absolute") == (fitted(), [])
+    assert settle(fitted(), captured(), scan(captured(), "absolute")) == (fitted(), [])
 
 
 @pytest.mark.slow
@@ -174,7 +174,7 @@ def fitted() -> Fitted:
 def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     data = stated_otherwise(2.0)
     model = fit(data)
-    doubting, said = settle(cast(Fitted, model), data, "absolute")
+    doubting, said = settle(cast(Fitted, model), data, scan(data, "absolute"))
     assert said[0].startswith("WARNING") and "north is wrong by +2." in said[0]
     assert "wall_azimuth_deg = 182." in said[1] and "heading_deg = 182." in said[1]
     plain = model.predict(data.light, data.patch_cdm2)
@@ -183,7 +183,7 @@ def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     sunny = data.light.dni_wm2 > 0.0
     assert (wide.expected_mse[sunny] > plain.expected_mse[sunny]).mean() > 0.8
     assert np.allclose(wide.expected_mse[~sunny], plain.expected_mse[~sunny])
-    assert settle(fitted(), captured(), "none") == (fitted(), [])
+    assert settle(fitted(), captured(), scan(captured(), "none")) == (fitted(), [])
 
 
 @pytest.mark.slow

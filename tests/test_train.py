@@ -23,6 +23,7 @@ from fieldlum.records import quiet
 from fieldlum.train import fit_and_score, run, year_of
 from fieldlum.train.captures import how_many, order_of_use
 from fieldlum.train.folds import day_folds, one_day_only
+from fieldlum.train.notes import notes_of
 from fieldlum.train.selection import Trial, choose
 from fieldlum.train.trials import evaluate_folds
 
@@ -166,8 +167,7 @@ def test_only_captures_without_a_scene_are_advised_to_get_a_room() -> None:
     bare = replace(DATA, patch_cdm2=None)
     chosen = replace(bare, scene={"chosen": "none"})
     advice = [
-        any("add a [room]" in n for n in train._notes(d, "none", "mean", ()))
-        for d in (bare, chosen)
+        any("add a [room]" in n for n in notes_of(d, "none", "mean", ())) for d in (bare, chosen)
     ]
     assert advice == [True, False]
 

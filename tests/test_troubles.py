@@ -30,7 +30,7 @@ from fieldlum.simulate.troubles import (
 )
 from fieldlum.site_toml import load_site
 from fieldlum.train.consistency_warnings import doubts
-from fieldlum.train.setting import settle
+from fieldlum.train.setting import scan, settle
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
 HARD = load_troubles(shipped("capture_plans") / "troubles" / "hard.toml")
@@ -182,5 +182,5 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     assert fitted.sky_field is not None and fitted.response.pixels.computed.any()
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
-    text = " ".join((*doubts(fitted, data), *settle(fitted, data, "absolute")[1]))
+    text = " ".join((*doubts(fitted, data), *settle(fitted, data, scan(data, "absolute"))[1]))
     assert "check clock" not in text and "north is wrong" not in text

@@ -28,7 +28,7 @@ from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.apply import with_patches
 from fieldlum.train import patch_mode
 from fieldlum.train.consistency_warnings import doubts
-from fieldlum.train.setting import settle
+from fieldlum.train.setting import scan, settle
 from fieldlum.train.trials import fit_timed
 
 SEEDS = 5  # number of fits of the normal case, which differ only by chance; chosen
@@ -282,7 +282,7 @@ def run(
         fitted, spent = fit_timed(
             spec.name, train, patch=patch_mode(train, spec.patch), seed=case.seed, budget_s=budget_s
         )
-        fitted, wrong = settle(fitted, case.train, patch_mode(train, spec.patch))
+        fitted, wrong = settle(fitted, case.train, scan(case.train, patch_mode(train, spec.patch)))
         warned = bool(doubts(fitted, train) or wrong)
         scores = evaluate(fitted, truth(asked, glare=False))
         row = _row(spec.label, case, scores, spent.cpu_s, warned)

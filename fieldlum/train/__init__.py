@@ -29,6 +29,7 @@ from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
+from fieldlum.train.notes import notes_of, seen_skies
 from fieldlum.train.room_changes import without_changes
 from fieldlum.train.selection import ModelSelection, Trial, choose
 from fieldlum.train.setting import scan, settle, with_right_clock
@@ -179,10 +180,10 @@ def fit_and_score(
         progress=progress,
         **more,
     )
-    fitted, doubted = findings(fitted, data, patch, setting)
+    fitted, doubted = findings(fitted, data, setting)
     skies = seen_skies(fitted, data)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes = (*_notes(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
+    notes = (*notes_of(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
     year = year_of(fitted, data, patch, seed, progress)
     return Result(
         fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year, mirrors
@@ -229,70 +230,14 @@ def usable_captures(
     return data, setting, [*changed, *clock]
 
 
-def findings(
-    fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None
-) -> tuple[Fitted, list[str]]:
+def findings(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
     """Return the model with a larger uncertainty near sun patches, and warnings.
 
     The uncertainty grows only if the captures contradict the computed patches. Warnings are about
-    patches, days and captures. setting: what `scan` returned; None: it is called again.
+    patches, days and captures. setting: what `scan` returned.
     """
-    fitted, warned = settle(fitted, data, patch, setting)
+    fitted, warned = settle(fitted, data, setting)
     return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
-
-
-def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a note, in a list, if the model learnt captures under the skies in their windows."""
-    from fieldlum.models.transport import Transport
-    from fieldlum.models.transport.features import training_arrays_of
-    from fieldlum.models.transport.uncertainty import CLASSES
-    from fieldlum.models.transport.window_sky import scatter_of_skies
-
-    if not isinstance(fitted, Transport) or fitted.sky_field is None:
-        return []
-    with_patch = fitted.response.basis.patches is not None
-    arrays = training_arrays_of(data, with_patch=with_patch)
-    beam = arrays.features.beam
-    groups = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
-    kinds = ("overcast", "partly sunny", "sunny")
-    sizes = [
-        f"{math.expm1(sd):.0%} in {kind} hours"
-        for kind, sd in zip(kinds, scatter_of_skies(arrays, groups), strict=True)
-        if sd is not None
-    ]
-    typical = f" (one standard deviation: {', '.join(sizes)})" if sizes else ""
-    return [
-        f"the skies in the windows differ from the Perez model for the measured "
-        f"irradiance{typical}. The cause is clouds, or an instrument that sees other light than "
-        "the "
-        f"room, mostly in the diffuse irradiance of sunny hours. Each capture was learnt under its "
-        f"own sky. Predicted hours use the Perez model, and their uncertainty includes the "
-        f"difference"
-    ]
-
-
-def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Return notes that a reader of the scores needs."""
-    notes = list(data.notes)
-    if one_day_only(data):
-        notes.append(
-            "all hours are from one day, so held-out hours are close to training hours and "
-            "the scores are too good: capture more days"
-        )
-    # a scene without patches was chosen on purpose and has its own note
-    if patch == "none" and data.patch_cdm2 is None and data.scene is None:
-        notes.append(
-            "no sun patches in the data: add a [room] to SITE.toml, if it has none, and run "
-            "fieldlum pair for a better model"
-        )
-    errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
-    floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
-    if model in errors and not MODELS[model].baseline and errors[model] >= floor:
-        notes.append(
-            f"WARNING: {model} is no better than a baseline on held-out days: do not use it "
-            f"before the cause is found"
-        )
-    return tuple(notes)
 
 
 def default_folder(pairs: Path, model: str) -> Path:

@@ -59,24 +59,21 @@ def with_right_clock(
     return with_clock(data, clock), [warning]
 
 
-def settle(
-    fitted: Fitted, data: Dataset, patch: Patch, setting: Setting | None = None
-) -> tuple[Fitted, list[str]]:
+def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
     """Return the model with a larger uncertainty near sun patches, and warnings.
 
     Both apply only if the captures contradict the computed sun patches; the uncertainty is that of
     patches displaced as far as the captures show, for a transport model only. setting: result of
-    `scan`, which is called if it is None. Nothing is corrected: a wrong north must be corrected in
-    SITE.toml, which all stages read.
+    `scan`. Nothing is corrected: a wrong north must be corrected in SITE.toml, which all stages
+    read.
     """
     from fieldlum.models.transport.model import Transport
 
-    found = setting or scan(data, patch)
-    if found is None or found.slip_deg == 0.0:
+    if setting is None or setting.slip_deg == 0.0:
         return fitted, []
     if isinstance(fitted, Transport):
-        fitted = cast("Fitted", fitted.doubting(found.slip_deg))
-    return fitted, warnings_of(found, data.setup, 360.0 / data.shape[1])
+        fitted = cast("Fitted", fitted.doubting(setting.slip_deg))
+    return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
 
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:

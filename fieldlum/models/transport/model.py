@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, Light
 from fieldlum.models import ModelState, Patch, Prediction
+from fieldlum.models.transport.computed_light import computed_light
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
     TrainingArrays,
-    computed_light,
     training_arrays_of,
 )
 from fieldlum.models.transport.held_out import hold_out_seasons

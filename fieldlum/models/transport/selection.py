@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Features, Kernel
+from fieldlum.models.transport.computed_light import ComputedLight
 from fieldlum.models.transport.features import (
     USUAL,
-    ComputedLight,
     StateColumns,
     TrainingArrays,
 )

@@ -1,0 +1,58 @@
+"""Scale light that was computed for the stated room to the captures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.models.transport.features import pixel_scale
+
+if TYPE_CHECKING:
+    from fieldlum.models.transport.features import TrainingArrays
+
+Array = NDArray[Any]
+
+# Computed light has no meaning below; far under that of any wall by day. Chosen.
+LEAST_COMPUTED_CDM2 = 1e-3
+# Largest gain of a pixel's computed light over the median of all pixels; chosen: black to white
+MOST_GAIN = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class ComputedLight:
+    """Light that was computed for the stated room.
+
+    luminance: of surfaces, without direct sun on them [n, P] cd/m2; gain: each pixel's captured
+    over its computed light, 0 at windows [P]; perez: `luminance` under Perez's skies [n, P], set if
+    `luminance` is under the skies that the windows showed.
+    """
+
+    luminance: NDArray[np.float32]
+    gain: Array
+    perez: NDArray[np.float32] | None = None
+
+    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> ComputedLight:
+        perez = None if self.perez is None else self.perez[:, pixels]
+        return ComputedLight(self.luminance[:, pixels], self.gain[pixels], perez)
+
+    def under_perez(self) -> ComputedLight:
+        """Return the light under Perez's skies, with the same gains."""
+        return self if self.perez is None else ComputedLight(self.perez, self.gain)
+
+
+def computed_light(
+    arrays: TrainingArrays, open_sky: NDArray[np.intp], luminance: NDArray[np.float32]
+) -> ComputedLight:
+    """Return the computed light of surfaces [n, P] with each pixel's gain.
+
+    open_sky: the pixels that are windows, whose gain is 0. A pixel's gain differs from the median
+    by at most a factor of 20.
+    """
+    gain = pixel_scale(arrays, np.maximum(luminance, np.float32(LEAST_COMPUTED_CDM2)))
+    middle = np.median(gain)
+    gain = np.clip(gain, middle / MOST_GAIN, middle * MOST_GAIN)
+    gain[open_sky] = 0.0
+    return ComputedLight(luminance, gain)

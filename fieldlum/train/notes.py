@@ -1,0 +1,68 @@
+"""Write notes for the reader of a training's scores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from fieldlum.model_registry import MODELS, baselines
+from fieldlum.models import Fitted, Patch
+from fieldlum.train.folds import one_day_only
+from fieldlum.train.selection import Trial
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+
+def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
+    """Return a note, in a list, if the model learnt captures under the skies in their windows."""
+    from fieldlum.models.transport import Transport
+    from fieldlum.models.transport.features import training_arrays_of
+    from fieldlum.models.transport.uncertainty import CLASSES
+    from fieldlum.models.transport.window_sky import scatter_of_skies
+
+    if not isinstance(fitted, Transport) or fitted.sky_field is None:
+        return []
+    with_patch = fitted.response.basis.patches is not None
+    arrays = training_arrays_of(data, with_patch=with_patch)
+    beam = arrays.features.beam
+    groups = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
+    kinds = ("overcast", "partly sunny", "sunny")
+    sizes = [
+        f"{math.expm1(sd):.0%} in {kind} hours"
+        for kind, sd in zip(kinds, scatter_of_skies(arrays, groups), strict=True)
+        if sd is not None
+    ]
+    typical = f" (one standard deviation: {', '.join(sizes)})" if sizes else ""
+    return [
+        f"the skies in the windows differ from the Perez model for the measured "
+        f"irradiance{typical}. The cause is clouds, or an instrument that sees other light than "
+        "the room, mostly in the diffuse irradiance of sunny hours. Each capture was learnt under "
+        "its own sky. Predicted hours use the Perez model, and their uncertainty includes the "
+        "difference"
+    ]
+
+
+def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
+    """Return notes that a reader of the scores needs."""
+    notes = list(data.notes)
+    if one_day_only(data):
+        notes.append(
+            "all hours are from one day, so held-out hours are close to training hours and "
+            "the scores are too good: capture more days"
+        )
+    # a scene without patches was chosen on purpose and has its own note
+    if patch == "none" and data.patch_cdm2 is None and data.scene is None:
+        notes.append(
+            "no sun patches in the data: add a [room] to SITE.toml, if it has none, and run "
+            "fieldlum pair for a better model"
+        )
+    errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
+    floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
+    if model in errors and not MODELS[model].baseline and errors[model] >= floor:
+        notes.append(
+            f"WARNING: {model} is no better than a baseline on held-out days: do not use it "
+            f"before the cause is found"
+        )
+    return tuple(notes)
