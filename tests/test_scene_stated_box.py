@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scene_captures import ROOM, window_captures
 
+from fieldlum.bench import pieces
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.records import Room, Site
 from fieldlum.scene_fit.apply import with_patches
-from fieldlum.scene_fit.stated_box import judge_box, with_judged_box
+from fieldlum.scene_fit.stated_box import judge_box, with_judged_box, with_same_box
 
 HEIGHT = 24
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
@@ -73,3 +75,29 @@ def test_other_captures_do_not_change(captures: Dataset) -> None:
     more = captures.take(np.tile(np.arange(len(captures)), 3))  # twelve clear hours
     assert judge_box(more, ROOM) is None
     assert with_judged_box(more, "absolute")[0] is more
+
+
+@pytest.mark.property
+@pytest.mark.parametrize(("room", "chosen"), [(ROOM, "stated"), (SHIFTED, "none")])
+def test_bench_uses_the_choice_of_train_for_all_its_captures(
+    captures: Dataset, room: Room, chosen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = _stated(captures, room)
+    trained, _ = with_judged_box(given, "absolute")
+    monkeypatch.setattr(pieces, "load_pairs", lambda *_, **__: given)
+    files = pieces.BenchFiles(tmp_path, "pairs.csv", ("mean",), pool="pool.csv")
+    loaded = pieces.load(files)
+    assert loaded.pool is not None and loaded.data.scene is not None
+    assert loaded.data.scene["chosen"] == chosen and loaded.data.notes[-1] == trained.notes[-1]
+    for data in (loaded.data, loaded.pool):
+        if chosen == "none":
+            assert data.patch_cdm2 is None
+        else:
+            assert data.patch_cdm2 is not None and trained.patch_cdm2 is not None
+            np.testing.assert_array_equal(data.patch_cdm2, trained.patch_cdm2)
+
+
+@pytest.mark.property
+def test_captures_to_predict_keep_their_patches_if_train_decided_nothing(captures: Dataset) -> None:
+    own = with_patches(captures)
+    assert with_same_box(own, captures) is own

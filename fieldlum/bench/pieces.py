@@ -24,6 +24,7 @@ from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.models.scores import Truth, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.apply import in_scene
+from fieldlum.scene_fit.stated_box import training_captures, with_same_box
 from fieldlum.scheduler import WorkUnit
 from fieldlum.train.folds import day_folds
 
@@ -113,20 +114,26 @@ class BenchData:
 
 
 def load(files: BenchFiles, progress: Progress = quiet) -> BenchData:
-    """Read the pairs with their sun patches or their scene.
+    """Read the pairs with their sun patches or their scene, as `train` learns them.
 
-    Omit test hours that a model was trained on. Raises InputError for files that cannot be used,
-    NotEnoughDataError if no test hour is left.
+    Without a scene, pairs with few clear hours choose between the stated box and no patch
+    (`training_captures`), also for `test` and `pool`. Test hours that a model was trained on are
+    omitted. Raises InputError for files that cannot be used, NotEnoughDataError if no test hour is
+    left.
     """
     at = files.folder
     scene = files.scene if files.scene in ("", "none") else str(at / files.scene)
     site = at / files.site if files.site else None
 
-    def read(name: str) -> Dataset:
-        captures = load_pairs(at / name, site, progress=progress)
-        return in_scene(captures, at / files.pairs, scene, "absolute", progress=progress)[0]
+    pairs = at / files.pairs
+    captures = load_pairs(pairs, site, progress=progress)
+    data, _ = training_captures(captures, pairs, scene, "absolute", progress=progress)
 
-    data = read(files.pairs)
+    def read(name: str) -> Dataset:
+        others = load_pairs(at / name, site, progress=progress)
+        others, _ = in_scene(others, pairs, scene, "absolute", progress=progress)
+        return with_same_box(others, data, progress=progress)
+
     test = read(files.test) if files.test else None
     pool = read(files.pool) if files.pool else None
     specs = parse_specs(files.models, at)

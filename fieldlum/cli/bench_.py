@@ -81,7 +81,8 @@ def command(
 
     Writes bench.md, scores.csv and scores.png; with enough data also learning_curve and periods;
     with --stress also stress. The fitted scene of PAIRS is used for --test and --pool too. Without
-    a scene, sun patches that a csv lacks are computed from the [room].
+    a scene, sun patches that a csv lacks are computed from the [room]; with few clear hours, PAIRS
+    decide first whether the [room] is used, as in train.
 
     \b
     Example:
@@ -95,6 +96,8 @@ def command(
     files = bench_files(pairs, models.split(","), test=test, pool=pool, site=site, scene=scene)
     with progress("reading pictures") as show:
         loaded = load(files, show)
+    for note in loaded.data.notes:
+        say(note)
     needed_s = _needed_s(loaded, files.models, seeds, budget, render, stress)
     say_if(estimate_text(needed_s, scheduler.processes))
     with progress("benchmark") as show:

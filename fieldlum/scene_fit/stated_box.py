@@ -115,6 +115,24 @@ def with_judged_box(
     return judged, "none" if verdict.chosen == "none" else patch
 
 
+def with_same_box(data: Dataset, trained: Dataset, *, progress: Progress = quiet) -> Dataset:
+    """Return captures to predict with the choice that `with_judged_box` made for training.
+
+    data: captures after `in_scene`; trained: the training captures. If these have no patches by
+    that choice, neither does the result; if they have those of the stated box, it has those of its
+    own box. Captures do not change if they have a scene, if `trained` has none, or, for the stated
+    box, if they have no box with windows. Raises InputError for an impossible room.
+    """
+    if data.scene is not None or trained.scene is None:
+        return data
+    if trained.scene["chosen"] == "none":
+        return replace(data, patch_cdm2=None, scene=trained.scene)
+    room = data.setup.room
+    if room is None or room.kind != "box" or not room.window:
+        return data
+    return with_patches(replace(data, scene=trained.scene), progress=progress)
+
+
 def _has_patches_of_room(data: Dataset) -> bool:
     """Return whether the captures have no patches, or those of their `[room]`."""
     if data.patch_cdm2 is None:
