@@ -23,6 +23,7 @@ from fieldlum.models.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixe
 from fieldlum.models.transport.ridge import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.models.transport.seasons import seasons
 from fieldlum.models.transport.selection import recipes_for
+from fieldlum.models.transport.uncertainty import seen_mse
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.sky import reinhart_patches
@@ -357,6 +358,21 @@ def test_two_captures_are_not_enough() -> None:
 def test_duplicates_change_little() -> None:
     twice = fit(TRAIN.take([*range(len(TRAIN)), *range(len(TRAIN))]))
     assert log_mse(twice.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1.5e-3
+
+
+@pytest.mark.analytic
+def test_captures_with_an_unmeasured_sun_raise_only_hours_like_them() -> None:
+    """A pyranometer in the shade of hills reports no sun, and the camera sees one (decision 28)."""
+    beam = np.array([0.0] * 10 + [0.3] * 6 + [0.8] * 6)
+    errors = np.where(beam > 0.5, 4e-4, 5e-6)
+    errors[:2] = 0.05, 0.12
+    low = np.arange(len(beam)) < 2
+    hours, measured = np.array([0.0, 0.0, 0.8]), np.array([False, True, False])
+    expected = seen_mse(hours, measured, beam, low, errors)
+    assert expected == pytest.approx([5e-6, errors[:10].mean(), 4e-4])
+    clean = seen_mse(hours, measured, beam, np.zeros(len(beam), bool), errors)
+    assert (expected <= clean).all() and clean[0] == expected[1]
+    assert (seen_mse(hours, measured, beam, np.ones(len(beam), bool), errors) == clean).all()
 
 
 @pytest.mark.slow

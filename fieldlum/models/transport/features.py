@@ -309,8 +309,16 @@ def light_variance(data: Dataset) -> Array:
     light = data.light
     altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
     variance = (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
-    unknown = (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (light.dni_wm2 <= 0.0)
+    unknown = sun_is_unmeasured(light, light.dni_wm2)
     return variance + np.where(unknown, UNMEASURED_VARIANCE, 0.0)
+
+
+def sun_is_unmeasured(light: Light, direct: Array) -> NDArray[np.bool_]:
+    """Return a mask [n] of hours whose direct light is zero because nothing measures it.
+
+    The sun is under 3 degrees. direct [n]: irradiance, illuminance or share of light of the sun.
+    """
+    return (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (direct <= 0.0)
 
 
 def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:

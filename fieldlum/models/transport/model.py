@@ -21,6 +21,7 @@ from fieldlum.models.transport.computed_light import computed_light
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
     TrainingArrays,
+    sun_is_unmeasured,
     training_arrays_of,
 )
 from fieldlum.models.transport.held_out import hold_out_seasons
@@ -134,7 +135,13 @@ class Transport:
             expected = experience(light, features.beam, *captured, expected)
         if self.response.pixels.computed.any() and self.held_out_mse is not None:
             # Around computed light the kernel's variance is too small where captures are few.
-            held_out = seen_mse(features.beam, basis.captured.beam, self.held_out_mse)  # [n]
+            held_out = seen_mse(
+                features.beam,
+                sun_is_unmeasured(light, features.beam),
+                basis.captured.beam,
+                sun_is_unmeasured(basis.captured_light, basis.captured.beam),
+                self.held_out_mse,
+            )  # [n]
             wider = np.maximum(np.sqrt(held_out / expected), 1.0).astype(sd.dtype)
             sd, expected = sd * wider[:, None], np.maximum(expected, held_out)
         if patch is None or unsure.slip_deg <= 0.0:

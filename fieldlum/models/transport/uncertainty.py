@@ -214,12 +214,28 @@ def experience(
     return np.maximum((near @ held_out_mse + FEW * guess) / (near.sum(axis=1) + FEW), guess)
 
 
-def seen_mse(beam: Array, train_beam: Array, held_out_mse: Array) -> Array:
+def seen_mse(
+    beam: Array,
+    unmeasured: NDArray[np.bool_],
+    train_beam: Array,
+    train_unmeasured: NDArray[np.bool_],
+    held_out_mse: Array,
+) -> Array:
     """Return the mean held-out error of captures of the same kind of sky, [m].
 
-    beam [m], train_beam [n]: the sun's share of the light; held_out_mse [n].
+    Captures whose sun was not measured (`sun_is_unmeasured`) may show direct sun that the model
+    does not get. They count only for hours of which the same is true. beam [m], train_beam [n]: the
+    sun's share of the light; unmeasured [m], train_unmeasured [n]: masks; held_out_mse [n].
     """
-    return np.interp(beam, MIDDLES, _of_classes(train_beam, lambda rows: held_out_mse[rows].mean()))
+
+    def mean_of(captures: NDArray[np.bool_]) -> Array:
+        errors = held_out_mse[captures]
+        classes = _of_classes(train_beam[captures], lambda rows: errors[rows].mean())
+        return np.interp(beam, MIDDLES, classes)
+
+    every = mean_of(np.ones(len(train_beam), bool))
+    measured = every if train_unmeasured.all() else mean_of(~train_unmeasured)
+    return np.where(unmeasured, np.maximum(every, measured), measured)
 
 
 def log_sd(
