@@ -362,7 +362,7 @@ def test_duplicates_change_little() -> None:
 
 @pytest.mark.analytic
 def test_captures_with_an_unmeasured_sun_raise_only_hours_like_them() -> None:
-    """A pyranometer in the shade of hills reports no sun, and the camera sees one (decision 28)."""
+    """A pyranometer in the shade of hills reports no sun, and the camera sees one (decision 29)."""
     beam = np.array([0.0] * 10 + [0.3] * 6 + [0.8] * 6)
     errors = np.where(beam > 0.5, 4e-4, 5e-6)
     errors[:2] = 0.05, 0.12
