@@ -17,8 +17,8 @@ from fieldlum.scene_fit.exterior import (
     propose_exterior,
 )
 from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.scene_search import SceneSearch
-from fieldlum.scene_fit.search import principal_search
 from fieldlum.scene_fit.stated_room import StatedRoom
 
 HIDDEN_ELEVATION_DEG = 22.0

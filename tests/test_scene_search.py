@@ -31,11 +31,12 @@ from fieldlum.scene_fit.parameters import (
     room_parameters,
     stated_albedo,
 )
+from fieldlum.scene_fit.principal_axes import drawn_search, principal_search
 from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.scene_search import Misfits
-from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search, principal_search
+from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search
 from fieldlum.scene_fit.solid_cost import SolidCost
 from fieldlum.scene_fit.stage import choose_by_misfit
 
@@ -338,6 +339,40 @@ def test_the_albedo_of_a_solid_is_the_searched_one(evidence: SceneEvidence) -> N
     assert cost != pytest.approx(objective(replace(guess, solids=(dark,))), rel=1e-3)
     bare = replace(guess, solids=())
     assert cost == pytest.approx(SolidCost(evidence, bare, albedo[:6], 0.0)(guess), rel=1e-6)
+
+
+@pytest.mark.analytic
+def test_a_wall_without_light_where_patches_are_expected_is_not_black(
+    evidence: SceneEvidence,
+) -> None:
+    guess = guess_of(ROOM)
+    _, ends = evidence.unit(guess)
+    wall = int(np.argmax([(ends.surface == k).sum() for k in range(4)]))
+    on_wall = np.zeros(len(evidence.pixels), bool)
+    on_wall[evidence.pixel[ends.surface == wall]] = True
+    dark = np.where(on_wall, np.log(evidence.below), evidence.log_seen)
+    albedo = replace(evidence, log_seen=dark).albedos(guess, stated_albedo(ROOM))
+    assert albedo[wall] > 0.5 * np.median(albedo[:4])
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_drawn_scenes_improve_a_displaced_one(evidence: SceneEvidence) -> None:
+    parameters = room_parameters(guess_of(ROOM))
+    start = guess_of(ROOM)
+    coarse = evidence.coarse()
+    albedo = stated_albedo(ROOM)
+    objective = Objective(coarse, start, parameters, albedo, 0.0)
+    rng = np.random.default_rng(3)
+    displaced = start
+    for parameter in parameters:
+        step = 0.5 * parameter.first_step * rng.choice([-1.0, 1.0])
+        displaced = parameter.change(displaced, float(step))
+    before = np.random.get_state()[1]  # noqa: NPY002
+    found, cost = drawn_search(objective, displaced, parameters, seed=1)
+    assert cost == objective(found)
+    assert cost - objective(start) < 0.1 * (objective(displaced) - objective(start))
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
 class _Hours:

@@ -17,7 +17,7 @@ from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.light_below import LEAST_CDM2, levelled, light_below
-from fieldlum.scene_fit.renderer import SHELL, Surfaces, lit_entries, surfaces, unit_patches
+from fieldlum.scene_fit.renderer import FLOOR, SHELL, Surfaces, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.window_view import WindowView, window_view
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ SUB = 2  # rays into which a pixel is divided, in each direction
 # least number of sunny hours: with every third held out, four hours are left to fit; chosen
 MIN_SUNNY_HOURS = 6
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; chosen with the study, not varied
+_WALLS_FACTOR = 2.0  # between the albedos of walls; chosen (decision 28)
 _KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
 # share of the strongest direct sun on a window, below which an hour is not sunny; chosen, not
 # measured
@@ -238,7 +239,8 @@ class SceneEvidence:
         Surfaces are west, east, south and north wall, floor, ceiling and the guess's solids. Each
         value is the median over hours and pixels where a patch is bright, clipped to 0.02 ... 0.95.
         With fewer than 30 of these it is that of `start` [6 or more], or the solid's own where
-        `start` is shorter.
+        `start` is shorter. A wall that differs from the median of the walls by over a factor of two
+        gets the median: misplaced patches and furniture before a wall make it look black.
         """
         unit, ends = self.unit(guess)
         first = np.full(len(self.pixels), -1)
@@ -253,6 +255,9 @@ class SceneEvidence:
             use = on & whole & (albedo[surface] * full > 0.2 * self.below)
             if use.sum() >= 30:
                 albedo[surface] = float(np.clip(np.median(excess[use] / full[use]), 0.02, 0.95))
+        usual = float(np.median(albedo[:FLOOR]))
+        off = np.abs(np.log(albedo[:FLOOR] / usual)) > np.log(_WALLS_FACTOR)
+        albedo[:FLOOR][off] = usual
         return albedo
 
 

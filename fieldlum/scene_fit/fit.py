@@ -97,7 +97,7 @@ def fit_scene(
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
     guess = search.polish(guess, search.fit_hours)
     misfits = search.misfits(guess)
-    guess = search.polish(guess, np.arange(len(evidence)))
+    guess = search.polish(search.refined(guess, seed), np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))

@@ -39,6 +39,7 @@ from fieldlum.scene_fit.parameters import (
     shape_parameters,
     stated_albedo,
 )
+from fieldlum.scene_fit.principal_axes import drawn_search, principal_search
 from fieldlum.scene_fit.profile import WALL
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
@@ -48,7 +49,6 @@ from fieldlum.scene_fit.search import (
     aimed,
     along_valley,
     pattern_search,
-    principal_search,
 )
 from fieldlum.scene_fit.solid_cost import SolidCost
 from fieldlum.scene_fit.stated_room import StatedRoom
@@ -74,6 +74,7 @@ MAX_SOLIDS = 8
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SHADE_GAIN = 0.02
+FINAL_VIEW_WEIGHT = 0.2  # of the windows' picture in the last searches (decision 28)
 
 
 @dataclass(frozen=True)
@@ -371,6 +372,27 @@ class SceneSearch:
         parameters = self.all_parameters(guess)
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
         return principal_search(objective, guess, parameters)[0]
+
+    def refined(self, guess: Guess, seed: int) -> Guess:
+        """Search all parameters together by drawn scenes, then furniture again; return the best.
+
+        The windows' picture loses most of its weight: it is one picture with reveals of a rough
+        model, and its error must not exceed that of the patches of all hours.
+        """
+        view = self.evidence.view
+        faint = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
+        self.evidence = replace(self.evidence, view=faint)
+        self.relight(guess)
+        guess = self.pruned(self._drawn(guess, seed))
+        more = self.furnished(guess, MAX_SOLIDS)
+        return guess if more is guess else self.pruned(self._drawn(more, seed))
+
+    def _drawn(self, guess: Guess, seed: int) -> Guess:
+        """Search all parameters together in all hours, at few pixels, by drawn scenes."""
+        objective = self.objective(self.evidence.coarse())
+        guess, _ = drawn_search(objective, guess, self.all_parameters(guess), seed)
+        self.relight(guess)
+        return guess
 
     def all_parameters(self, guess: Guess) -> list[Parameter]:
         """Return the parameters of the room, its windows' shapes, its bars and its solids."""

@@ -23,11 +23,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Chosen, not varied. The first step along a principal axis changes the cost by `_PRINCIPAL_GAIN`,
-# but is at most `_LONGEST_STEPS` first steps of the parameters. After `MAX_MOVES` in one direction
-# the other numbers have their turn. A gain below `MIN_GAIN_SHARE` of the cost is noise.
-_LONGEST_STEPS = 3.0
-_PRINCIPAL_GAIN = 0.02
+# Chosen, not varied. After `MAX_MOVES` in one direction the other numbers have their turn. A gain
+# below `MIN_GAIN_SHARE` of the cost is noise.
 MAX_MOVES = 6
 MIN_GAIN_SHARE = 1e-4
 # Of the stated misfit: what one standard deviation of one number must pay. With a third of it the
@@ -154,56 +151,6 @@ def pattern_search(
     for name, change, first, last in compound_moves(guess, parameters, objective.pose):
         moves.append((name, change, coarse * first, fine * last))
     return search_moves(objective, guess, moves)
-
-
-def principal_search(
-    objective: Objective, guess: Guess, parameters: Sequence[Parameter]
-) -> tuple[Guess, float]:
-    """Return the best guess along the principal axes of the misfit's curvature, and its cost.
-
-    Numbers that compensate for each other, such as a wall's azimuth, a window and the camera, form
-    valleys that steps of single numbers do not follow. The directions are eigenvectors of the
-    Gauss-Newton matrix, from numeric differences at `guess`, with the prior; flat directions have
-    the longest steps.
-    """
-    base = objective.residuals(guess)
-    cost = objective(guess)
-    columns = [
-        2.0 * (objective.residuals(p.change(guess, 0.5 * p.first_step)) - base) for p in parameters
-    ]
-    slopes = np.stack(columns, axis=1)  # [n m + q, p] per first step
-    values, vectors = np.linalg.eigh(slopes.T @ slopes + _prior_curvature(objective, parameters))
-    moves: list[tuple[str, Change, float, float]] = []
-    for k, value in enumerate(values):
-        first = min(np.sqrt(_PRINCIPAL_GAIN * cost / max(value, 1e-12)), _LONGEST_STEPS)
-        change = _along(parameters, vectors[:, k])
-        moves.append((f"axis {k}", change, float(first), float(first) / 8.0))
-    return search_moves(objective, guess, moves)
-
-
-def _prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> Array:
-    """Return half of the prior's second derivatives by the parameters' first steps, [p, p]."""
-    pose = objective.pose
-    names = [p.name for p in parameters]
-    step = np.array([p.first_step for p in parameters])
-    sd = np.array([p.sd for p in parameters])
-    if pose is None:
-        return objective.prior_unit * np.diag((step / sd) ** 2)
-    curvature = np.diag([0.0 if n in POSE_NAMES else s**-2 for n, s in zip(names, sd, strict=True)])
-    at = [names.index(name) for name in POSE_NAMES]
-    curvature[np.ix_(at, at)] = np.linalg.inv(pose.covariance)
-    return objective.prior_unit * curvature * np.outer(step, step)
-
-
-def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
-    """Return a change of all parameters by `direction` [p] times their first steps."""
-
-    def change(guess: Guess, by: float) -> Guess:
-        for p, share in zip(parameters, direction, strict=True):
-            guess = p.change(guess, float(by * share * p.first_step))
-        return guess
-
-    return change
 
 
 def search_moves(
