@@ -319,8 +319,11 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without bars and added solids that lower the misfit too little."""
-        guess = self._pruned(guess)
+        """Return the guess without bars and added solids that do not lower the misfit enough."""
+        return self._cleared(self._pruned(guess))
+
+    def _cleared(self, guess: Guess) -> Guess:
+        """Return the guess without added solids that do not lower the misfit enough."""
         for solid in list(guess.solids[len(self.start.solids) :]):
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
             if not self._pays(without, guess, SOLID_GAIN):
@@ -377,15 +380,16 @@ class SceneSearch:
         """Search all parameters together by drawn scenes, then furniture again; return the best.
 
         The windows' picture loses most of its weight: it is one picture with reveals of a rough
-        model, and its error must not exceed that of the patches of all hours.
+        model, and its error must not exceed that of the patches of all hours. Bars were accepted
+        with its full weight, so they stay.
         """
         view = self.evidence.view
         faint = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
         self.evidence = replace(self.evidence, view=faint)
         self.relight(guess)
-        guess = self.pruned(self._drawn(guess, seed))
+        guess = self._cleared(self._drawn(guess, seed))
         more = self.furnished(guess, MAX_SOLIDS)
-        return guess if more is guess else self.pruned(self._drawn(more, seed))
+        return guess if more is guess else self._cleared(self._drawn(more, seed))
 
     def _drawn(self, guess: Guess, seed: int) -> Guess:
         """Search all parameters together in all hours, at few pixels, by drawn scenes."""
