@@ -16,6 +16,7 @@ from fieldlum.scene_fit.exterior import (
     propose_covers,
     propose_exterior,
 )
+from fieldlum.scene_fit.furniture import lattice, propose_solids
 from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.scene_search import SceneSearch
@@ -61,6 +62,37 @@ def test_a_facade_opposite_is_found_by_the_suns_that_it_hides() -> None:
 def test_a_room_without_a_shade_gets_none() -> None:
     search, start = _search(())
     assert search.shaded(start) == start
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_table_is_found_where_it_is_and_nothing_in_an_empty_room() -> None:
+    table = Obstruction(0.6, 1.3, 0.7, 1.4, 0.8, 0.05, 0.4)
+    search, start = _search((table,))
+    search.relight(start)
+    (found,) = search.furniture(start).solids
+    low, high = np.array(found.low_m), np.array(found.high_m)
+    np.testing.assert_allclose(low[:2], [0.6, 1.3], atol=0.15)
+    np.testing.assert_allclose(high, [2.0, 2.1, 0.75], atol=0.15)
+    search, start = _search(())
+    search.relight(start)
+    assert search.furniture(start) is start
+
+
+@pytest.mark.property
+def test_usual_furniture_is_in_the_room_and_not_around_the_camera() -> None:
+    guess = guess_of(ROOM)
+    solids = lattice(guess)
+    assert len(solids) > 500
+    for solid in solids:
+        assert min(solid.low_m) >= 0.0
+        assert all(high <= size for high, size in zip(solid.high_m, guess.size_m, strict=True))
+        assert all(h > low for low, h in zip(solid.low_m, solid.high_m, strict=True))
+        holds = zip(solid.low_m, guess.camera_m, solid.high_m, strict=True)
+        assert not all(low <= at <= high for low, at, high in holds)
+    best = propose_solids(guess, lambda g: sum(g.solids[-1].low_m), 1.5)
+    assert 1 < len(best) <= 6
+    assert all(sum(solid.low_m) < 1.5 for solid in best)
 
 
 @pytest.mark.property

@@ -1,4 +1,4 @@
-"""Propose furniture: boxes where the light on pixels fits a nearer surface better.
+"""Propose furniture: boxes and table tops of usual sizes all over the room.
 
 The search adds a box only if it lowers the misfit enough.
 """
@@ -6,36 +6,35 @@ The search adds a box only if it lowers the misfit enough.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from fieldlum.scene.geometry import WALLS
-from fieldlum.scene_fit.evidence import SUB, SceneEvidence
 from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.parameters import Parameter
-from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
 
 Array = NDArray[np.floating]
 
-# From the study of the office and one more room (docs/scene.md): depths and albedos tried for each
-# pixel; gain in a pixel's misfit that exceeds noise; cells of the plan in which pixels are grouped;
-# numbers of cells and boxes that are enough; smallest box.
-DEPTHS = 40
-NEAREST_M = 0.3
-ALBEDOS = (0.1, 0.2, 0.35, 0.5, 0.7)
-MIN_PIXEL_GAIN = 0.02
-CELL_M = 0.15
-MIN_CELLS = 2
-MAX_PROPOSALS = 12
-MIN_SIZE_M = 0.08
+# Usual furniture, from which searches start: side in plan, lower and upper end [m]. Columns, boxes
+# up to the ceiling, boxes as high as a desk (EN 527-1: 0.74 m), table tops with thin legs, below
+# which the sun passes. Sizes and distances are chosen, not varied.
+TABLE_TOP_M = 0.05
+USUAL_M = (
+    (0.3, 0.0, np.inf),
+    (0.3, 0.0, 0.75),
+    (0.8, 0.0, np.inf),
+    (0.8, 0.0, 0.75),
+    (0.8, 0.75 - TABLE_TOP_M, 0.75),
+)
+LATTICE_M = 0.4
+SOLID_ALBEDO = 0.4
+CLEAR_M = 0.1
+APART_M = 0.45
+MAX_PROPOSALS = 6
 MIN_SIDE_M = 0.04  # a thinner solid only explains noise; chosen, not measured
-# Chosen, not measured: the sun passes below the top of a table with thin legs.
-MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05
 
 # Chosen: twice the tape's 5 cm; places between window and camera, thickness and albedo (that of
 # walls) from which the search of a column starts.
@@ -43,145 +42,59 @@ MIN_HIDDEN_M = 0.1
 COLUMN_SHARES = (0.2, 0.45, 0.7)
 COLUMN_M, COLUMN_ALBEDO = 0.2, 0.5
 
-# The faces that a pixel can see: axis and sign of the normal.
-FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 
+def lattice(guess: Guess) -> list[Solid]:
+    """Return solids of usual sizes at every 0.4 m of the room's floor.
 
-@dataclass(frozen=True)
-class PixelDepths:
-    """The surface, nearer than the guess's, that explains the light of each of m pixels best.
-
-    position_m: in room axes [m, 3]; face: index in `FACES` (axis and sign of the normal) [m];
-    albedo [m]; gain: decrease of the pixel's mean loss (0 to 1) over the hours [m]. Where no nearer
-    surface is better, the gain is 0 and the position is that of the guess.
+    At each place: a column (0.3 m), a box (0.8 m), both up to the ceiling or up to 0.75 m, and a
+    table top (0.8 m). Walls cut them off. Solids around the camera are left out.
     """
+    width, length, height = guess.size_m
+    solids: list[Solid] = []
+    for side, bottom, top in USUAL_M:
+        for x, y in product(_places(width), _places(length)):
+            low = (max(x - side / 2.0, 0.0), max(y - side / 2.0, 0.0), bottom)
+            high = (min(x + side / 2.0, width), min(y + side / 2.0, length), min(top, height))
+            solids.append(Solid(low, high, SOLID_ALBEDO))
+    return [solid for solid in solids if not _holds_camera(guess, solid)]
 
-    position_m: Array
-    face: NDArray[np.intp]
-    albedo: Array
-    gain: Array
+
+def _places(extent_m: float) -> Array:
+    """Return the lattice's coordinates along one side of the room [k]."""
+    return np.arange(LATTICE_M / 2.0, extent_m, LATTICE_M)
 
 
-def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
-    """Find for each pixel the nearer surface that explains its sunlit and dark hours best.
+def _holds_camera(guess: Guess, solid: Solid) -> bool:
+    """Return whether the camera is in a solid, or less than 0.1 m beside or 0.2 m above it."""
+    x, y, z = guess.camera_m
+    beside = all(
+        low - CLEAR_M < at < high + CLEAR_M
+        for at, low, high in zip((x, y), solid.low_m[:2], solid.high_m[:2], strict=True)
+    )
+    return beside and solid.high_m[2] > z - 2.0 * CLEAR_M
 
-    40 depths along the ray, 5 faces and 5 albedos are tried for each pixel separately. If one is
-    better than the guess, an object is missing in the guess. albedo: of west, east, south and north
-    wall, floor, ceiling and solids [6 + solids].
+
+def propose_solids(guess: Guess, cost: Callable[[Guess], float], least: float) -> list[Solid]:
+    """Return the at most six solids of the lattice with the lowest costs, best first.
+
+    cost: of a guess; least: a cost that each must be below. The middles of all are 0.45 m apart
+    along x or y, so that one missing object is not proposed six times.
     """
-    order = np.argsort(evidence.pixel, kind="stable")
-    first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
-    rays = evidence.rays[order[first + SUB**2 // 2]]
-    ends = surfaces(guess, rays)
-    stated = _loss(evidence, evidence.patches(guess, albedo))  # [m]
-    pixels = len(rays)
-    position, face = ends.position_m.astype(float), np.zeros(pixels, np.intp)
-    tone, gain = np.full(pixels, 0.35), np.zeros(pixels)
-    # No depth can gain more than the pixel's own loss.
-    open_ = np.flatnonzero(stated > MIN_PIXEL_GAIN)
-    few = evidence.at_pixels(open_)
-    suns = evidence.suns_room(guess)
-    eye = np.array(guess.camera_m, np.float32)
-    full_m = np.linalg.norm(ends.position_m[open_] - eye, axis=1)  # [o]
-    room_rays = (ends.position_m[open_] - eye) / np.maximum(full_m, 1e-6)[:, None]
-    spread_m = np.full(len(open_), 1e-9, np.float32)  # a point of the pixel
-    dark = few.dark_loss.ravel()
-    least = stated[open_] - few.dark_loss.mean(axis=0)  # [o] what removing the patch would gain
-    for share in np.linspace(0.0, 1.0, DEPTHS + 1)[:-1]:
-        depth = NEAREST_M + share * np.maximum(full_m - NEAREST_M, 0.0)
-        at = (eye + room_rays * depth[:, None]).astype(np.float32)
-        for number, (axis, sign) in enumerate(FACES):
-            sees = -sign * room_rays[:, axis] > 0.02  # the face looks at the camera
-            if not sees.any():
-                continue
-            point = Surfaces(
-                at,
-                np.full(len(at), axis, np.int8),
-                np.full(len(at), sign, np.float32),
-                np.where(sees, 0, OUTSIDE).astype(np.int16),
-                spread_m,
-            )
-            lit = lit_entries(guess, point, suns)
-            entry = lit.hour * len(at) + lit.ray
-            luminance = evidence.direct_lx[lit.hour] * lit.strength / np.pi
-            for value in ALBEDOS:
-                better = dark[entry] - few.loss(entry, value * luminance)
-                trial = least + np.bincount(lit.ray, better, len(at)) / len(evidence)
-                take = sees & (trial > gain[open_])
-                rows = open_[take]
-                position[rows], face[rows] = at[take], number
-                tone[rows], gain[rows] = value, trial[take]
-    return PixelDepths(position, face, tone, gain)
+    solids = lattice(guess)
+    costs = [cost(replace(guess, solids=(*guess.solids, solid))) for solid in solids]
+    chosen: list[Solid] = []
+    for k in np.argsort(costs):
+        if costs[k] >= least or len(chosen) == MAX_PROPOSALS:
+            break
+        if all(_apart_m(solids[k], other) > APART_M for other in chosen):
+            chosen.append(solids[k])
+    return chosen
 
 
-def _loss(evidence: SceneEvidence, patch: Array) -> Array:
-    """Return the mean misfit over the hours, for each pixel [m]."""
-    lit = np.flatnonzero(patch)
-    loss = evidence.dark_loss.copy()
-    loss.ravel()[lit] = evidence.loss(lit, patch.ravel()[lit])
-    return loss.mean(axis=0)
-
-
-def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
-    """Return at most 12 boxes on the floor or table tops, roughly in order of decreasing gain.
-
-    A box is proposed where pixels that a nearer surface explains better (`found`) are close
-    together in plan. The list is empty if there are none.
-    """
-    use = found.gain > MIN_PIXEL_GAIN
-    inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)
-    use &= inside
-    if not use.any():
-        return []
-    proposals: list[tuple[float, Solid]] = []
-    tops = use & (found.face == 0)
-    sides = use & (found.face != 0)
-    for group in (tops, sides, use):
-        proposals += _clusters(found, group, guess)
-    proposals.sort(key=lambda pair: -pair[0])
-    return _distinct([solid for _, solid in proposals])[:MAX_PROPOSALS]
-
-
-def _clusters(
-    found: PixelDepths, group: NDArray[np.bool_], guess: Guess
-) -> list[tuple[float, Solid]]:
-    rows = np.flatnonzero(group)
-    if not len(rows):
-        return []
-    cells = np.floor(found.position_m[rows, :2] / CELL_M).astype(int)
-    low = cells.min(axis=0)
-    grid = np.zeros(cells.max(axis=0) - low + 1)
-    np.add.at(grid, tuple((cells - low).T), found.gain[rows])
-    labelled: Any = label(grid > 2.0 * MIN_PIXEL_GAIN, np.ones((3, 3)))
-    names, count = labelled
-    of = names[tuple((cells - low).T)]
-    proposals: list[tuple[float, Solid]] = []
-    for number in range(1, count + 1):
-        member = rows[of == number]
-        if (names == number).sum() < MIN_CELLS or len(member) < 5:
-            continue
-        points = found.position_m[member]
-        x0, y0 = np.quantile(points[:, :2], 0.05, axis=0)
-        x1, y1 = np.quantile(points[:, :2], 0.95, axis=0)
-        flat = member[found.face[member] == 0]
-        heights = found.position_m[flat, 2] if len(flat) else points[:, 2]
-        top = float(np.median(heights)) if len(flat) else float(np.quantile(heights, 0.95))
-        albedo = float(np.median(found.albedo[member]))
-        x0, x1 = _at_least(x0, x1)
-        y0, y1 = _at_least(y0, y1)
-        camera = guess.camera_m
-        if x0 < camera[0] < x1 and y0 < camera[1] < y1 and top > camera[2] - 0.2:
-            continue
-        gain = float(found.gain[member].sum())
-        top = max(top, MIN_SIZE_M)
-        proposals.append((gain, Solid((x0, y0, 0.0), (x1, y1, top), albedo)))
-        if len(flat) and top > MIN_TABLE_M:
-            slab = Solid((x0, y0, top - TABLE_TOP_M), (x1, y1, top), albedo)
-            proposals.append((0.9 * gain, slab))
-        if found.gain[member].size > 10:
-            tall = Solid((x0, y0, 0.0), (x1, y1, guess.size_m[2]), albedo)
-            proposals.append((0.5 * gain, tall))
-    return proposals
+def _apart_m(one: Solid, other: Solid) -> float:
+    """Return the larger of the distances along x and y between two solids' middles [m]."""
+    middles = [np.add(solid.low_m, solid.high_m)[:2] / 2.0 for solid in (one, other)]
+    return float(np.abs(middles[0] - middles[1]).max())
 
 
 def propose_columns(
@@ -220,21 +133,6 @@ def propose_columns(
             trial = replace(guess, windows=windows, solids=(*guess.solids, column))
             proposals.append((p, trial))
     return proposals
-
-
-def _at_least(low: float, high: float) -> tuple[float, float]:
-    lacking = max(MIN_SIZE_M - (high - low), 0.0) / 2.0
-    return float(low) - lacking, float(high) + lacking
-
-
-def _distinct(solids: Sequence[Solid]) -> list[Solid]:
-    kept: list[Solid] = []
-    for solid in solids:
-        corners = np.array(solid.low_m + solid.high_m)
-        near = (np.abs(corners - np.array(k.low_m + k.high_m)).max() < 0.1 for k in kept)
-        if not any(near):
-            kept.append(solid)
-    return kept
 
 
 def solid_parameters(number: int) -> list[Parameter]:

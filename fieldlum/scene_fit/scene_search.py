@@ -26,7 +26,6 @@ from fieldlum.scene_fit.exterior import (
     propose_shapes,
 )
 from fieldlum.scene_fit.furniture import (
-    pixel_depths,
     propose_columns,
     propose_solids,
     solid_parameters,
@@ -73,6 +72,7 @@ KEPT_OUT_GAIN = 0.001  # the same on held-out hours, which exceeds rounding; cho
 MAX_SOLIDS = 8
 MAX_SHADES = 2
 SHADE_TRIALS = 3
+SOLID_TRIALS = 3
 SHADE_GAIN = 0.02
 FINAL_VIEW_WEIGHT = 0.2  # of the windows' picture in the last searches (decision 28)
 
@@ -266,23 +266,22 @@ class SceneSearch:
     def furniture(self, guess: Guess) -> Guess:
         """Return the guess with the proposed solid that lowers the misfit most.
 
-        Return the same object if none of the best two lowers it by 0.4 %, and by 0.1 % in held-out
-        hours.
+        Return the same object if none of the best three lowers it by 0.4 %, and by 0.1 % in
+        held-out hours.
         """
         albedo = self.albedo_with_solids(guess)
-        depths = pixel_depths(self.fit_evidence, guess, albedo)
         coarse = self._solid_cost(self.fit_evidence.coarse(), guess, albedo)
         limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
         trials: list[tuple[float, Guess]] = []
         parameters = solid_parameters(len(guess.solids))
-        for solid in propose_solids(depths, guess):
+        for solid in propose_solids(guess, coarse, coarse.prior + coarse.without):
             trial = replace(guess, solids=(*guess.solids, solid))
             trial, cost = pattern_search(coarse, trial, parameters, fine=4.0)
             if cost < limit:
                 trials.append((cost, trial))
         fine = self._solid_cost(self.fit_evidence, guess, albedo)
         trials += self._columns(guess, limit)
-        for _, trial in sorted(trials, key=lambda pair: pair[0])[:2]:
+        for _, trial in sorted(trials, key=lambda pair: pair[0])[:SOLID_TRIALS]:
             better = trial
             if trial.windows == guess.windows:
                 better, _ = pattern_search(fine, trial, parameters, coarse=0.5)
@@ -377,7 +376,7 @@ class SceneSearch:
         return principal_search(objective, guess, parameters)[0]
 
     def refined(self, guess: Guess, seed: int) -> Guess:
-        """Search all parameters together by drawn scenes, then furniture again; return the best.
+        """Search all parameters by drawn scenes, then shades and furniture; return the best.
 
         The windows' picture loses most of its weight: it is one picture with reveals of a rough
         model, and its error must not exceed that of the patches of all hours. Bars were accepted
@@ -388,7 +387,7 @@ class SceneSearch:
         self.evidence = replace(self.evidence, view=faint)
         self.relight(guess)
         guess = self._cleared(self._drawn(guess, seed))
-        more = self.furnished(guess, MAX_SOLIDS)
+        more = self.furnished(self.shaded(guess), MAX_SOLIDS)
         return guess if more is guess else self._cleared(self._drawn(more, seed))
 
     def _drawn(self, guess: Guess, seed: int) -> Guess:
