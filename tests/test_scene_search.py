@@ -25,6 +25,7 @@ from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.furniture import propose_columns, solid_parameters
 from fieldlum.scene_fit.guess import Guess, Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
+from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import (
     SUN_DEG_PER_MIN,
     Parameter,
@@ -35,7 +36,6 @@ from fieldlum.scene_fit.principal_axes import drawn_search, principal_search
 from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
-from fieldlum.scene_fit.scene_search import Misfits
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search
 from fieldlum.scene_fit.solid_cost import SolidCost
 from fieldlum.scene_fit.stage import choose_by_misfit

@@ -19,8 +19,8 @@ from fieldlum.scene_fit import stage
 from fieldlum.scene_fit.apply import with_patches
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import stated_albedo
-from fieldlum.scene_fit.scene_search import Misfits
 from fieldlum.scene_fit.verdict import (
     GeometryCandidate,
     GeometryScore,

@@ -17,12 +17,13 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
+from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
+from fieldlum.scene_fit.principal_axes import DRAWN_SCENES
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import (
     KEPT_OUT_EVERY,
-    Misfits,
     SceneSearch,
 )
 from fieldlum.scene_fit.stated_room import StatedRoom
@@ -90,15 +91,19 @@ def fit_scene(
     rooms = search.windows(search.start)
 
     def step(number: int) -> None:
-        progress(5 + 75 * number // (len(rooms) + 1), 100, "shades, bars and furniture")
+        progress(5 + 70 * number // (len(rooms) + 1), 100, "shades, bars and furniture")
 
     guess = search.contents(rooms, step)
-    progress(80, 100, "all together")
+    progress(75, 100, "all together")
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
     guess = search.polish(guess, search.fit_hours)
     misfits = search.misfits(guess)
-    guess = search.polish(search.refined(guess, seed), np.arange(len(evidence)))
-    progress(88, 100, "uncertainties")
+
+    def drawn(scenes: int) -> None:
+        progress(82 + 4 * scenes // DRAWN_SCENES, 100, "drawn scenes")
+
+    guess = search.polish(search.refined(guess, seed, drawn), np.arange(len(evidence)))
+    progress(91, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
     reach = reach_of(coarse, guess, (WALL, CLOCK) if prior.is_clock_open else (WALL,))

@@ -7,7 +7,7 @@ matrix, from numeric differences; flat directions have the longest steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,9 +76,16 @@ def principal_search(
 
 
 def drawn_search(
-    objective: Objective, guess: Guess, parameters: Sequence[Parameter], seed: int
+    objective: Objective,
+    guess: Guess,
+    parameters: Sequence[Parameter],
+    seed: int,
+    tick: Callable[[int], None] = lambda drawn: None,
 ) -> tuple[Guess, float]:
-    """Return the best of 4 000 scenes drawn around a guess, and its cost; the guess if none is.
+    """Return the best of 4 000 scenes drawn around a guess, and its cost.
+
+    If none costs less than the guess, return the guess. tick: called with the number of scenes
+    drawn so far.
 
     CMA-ES (Hansen, The CMA evolution strategy, arXiv:1604.00772) draws all numbers together, first
     in steps along the principal axes, and learns from the costs in which directions to draw.
@@ -100,6 +107,7 @@ def drawn_search(
         trials = [axes.moved(step) for step in steps]
         costs = [objective(trial) for trial in trials]
         draws.tell(steps, costs)
+        tick(draws.countevals)
         k = int(np.argmin(costs))
         if costs[k] < least:
             best, least = trials[k], costs[k]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -31,6 +31,7 @@ from fieldlum.scene_fit.furniture import (
     solid_parameters,
 )
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
+from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import (
     Parameter,
     bar_parameters,
@@ -38,7 +39,7 @@ from fieldlum.scene_fit.parameters import (
     shape_parameters,
     stated_albedo,
 )
-from fieldlum.scene_fit.principal_axes import drawn_search, principal_search
+from fieldlum.scene_fit.principal_axes import DRAWN_SCENES, drawn_search, principal_search
 from fieldlum.scene_fit.profile import WALL
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
@@ -75,20 +76,6 @@ SHADE_TRIALS = 3
 SOLID_TRIALS = 3
 SHADE_GAIN = 0.02
 FINAL_VIEW_WEIGHT = 0.2  # of the windows' picture in the last searches (decision 28)
-
-
-@dataclass(frozen=True)
-class Misfits:
-    """Shares of wrong pixels, 0 to 1, in n held-out hours [n], by geometry; days: local dates."""
-
-    none: Array
-    stated: Array
-    fitted: Array
-    days: NDArray[np.datetime64]
-
-    def mean(self) -> dict[str, float]:
-        """Return the mean share of wrong pixels over the hours: "none", "stated" and "fitted"."""
-        return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
 class SceneSearch:
@@ -375,25 +362,28 @@ class SceneSearch:
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
         return principal_search(objective, guess, parameters)[0]
 
-    def refined(self, guess: Guess, seed: int) -> Guess:
+    def refined(self, guess: Guess, seed: int, tick: Callable[[int], None]) -> Guess:
         """Search all parameters by drawn scenes, then shades and furniture; return the best.
 
         The windows' picture loses most of its weight: it is one picture with reveals of a rough
         model, and its error must not exceed that of the patches of all hours. Bars were accepted
-        with its full weight, so they stay.
+        with its full weight, so they stay. tick: called with the number of scenes drawn so far, in
+        one or two rounds of 4 000.
         """
         view = self.evidence.view
         faint = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
         self.evidence = replace(self.evidence, view=faint)
         self.relight(guess)
-        guess = self._cleared(self._drawn(guess, seed))
+        guess = self._cleared(self._drawn(guess, seed, tick))
         more = self.furnished(self.shaded(guess), MAX_SOLIDS)
-        return guess if more is guess else self._cleared(self._drawn(more, seed))
+        if more is guess:
+            return guess
+        return self._cleared(self._drawn(more, seed, lambda drawn: tick(DRAWN_SCENES + drawn)))
 
-    def _drawn(self, guess: Guess, seed: int) -> Guess:
+    def _drawn(self, guess: Guess, seed: int, tick: Callable[[int], None]) -> Guess:
         """Search all parameters together in all hours, at few pixels, by drawn scenes."""
         objective = self.objective(self.evidence.coarse())
-        guess, _ = drawn_search(objective, guess, self.all_parameters(guess), seed)
+        guess, _ = drawn_search(objective, guess, self.all_parameters(guess), seed, tick)
         self.relight(guess)
         return guess
 
@@ -408,13 +398,4 @@ class SceneSearch:
     def misfits(self, guess: Guess) -> Misfits:
         """Return three misfits on held-out hours: no sun patch, the stated box, and the guess."""
         evidence = self.evidence.hours(self.kept_out)
-        albedo = self.albedo_with_solids(guess)
-        stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))
-        fitted = evidence.patches(guess, albedo)
-        nothing = np.zeros_like(fitted)
-        return Misfits(
-            evidence.misfit(nothing),
-            evidence.misfit(stated),
-            evidence.misfit(fitted),
-            evidence.days,
-        )
+        return misfits_of(evidence, self.start, guess, self.albedo_with_solids(guess))

@@ -13,10 +13,11 @@ from fieldlum.scene_fit.apply import scene_of, with_scene
 from fieldlum.scene_fit.checks import check_captures
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
+from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
-from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY, Misfits
+from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY
 from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
 from fieldlum.session import Session
 from fieldlum.statistics import is_no_worse

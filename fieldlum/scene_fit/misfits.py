@@ -1,0 +1,44 @@
+"""Compare no sun patches, the stated box and the fitted scene on hours outside of the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.scene_fit.evidence import SceneEvidence
+from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.renderer import SHELL
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Misfits:
+    """Shares of wrong pixels, 0 to 1, in n held-out hours [n], by geometry; days: local dates."""
+
+    none: Array
+    stated: Array
+    fitted: Array
+    days: NDArray[np.datetime64]
+
+    def mean(self) -> dict[str, float]:
+        """Return the mean share of wrong pixels over the hours: "none", "stated" and "fitted"."""
+        return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
+
+
+def misfits_of(evidence: SceneEvidence, stated: Guess, fitted: Guess, albedo: Array) -> Misfits:
+    """Return the shares of wrong pixels in the hours of `evidence` with three geometries.
+
+    albedo: of the fitted scene's west, east, south and north wall, floor, ceiling and solids [6 +
+    solids]. The stated box gets albedos of its own from these hours.
+    """
+    of_fitted = evidence.patches(fitted, albedo)
+    of_stated = evidence.patches(stated, evidence.albedos(stated, albedo[:SHELL]))
+    return Misfits(
+        evidence.misfit(np.zeros_like(of_fitted)),
+        evidence.misfit(of_stated),
+        evidence.misfit(of_fitted),
+        evidence.days,
+    )
