@@ -368,11 +368,11 @@ def test_drawn_scenes_improve_a_displaced_one(evidence: SceneEvidence) -> None:
     for parameter in parameters:
         step = 0.5 * parameter.first_step * rng.choice([-1.0, 1.0])
         displaced = parameter.change(displaced, float(step))
-    before = np.random.get_state()[1]  # noqa: NPY002
+    before = np.random.get_state(legacy=False)["state"]["key"]  # noqa: NPY002
     found, cost = drawn_search(objective, displaced, parameters, seed=1)
     assert cost == objective(found)
     assert cost - objective(start) < 0.1 * (objective(displaced) - objective(start))
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+    np.testing.assert_array_equal(np.random.get_state(legacy=False)["state"]["key"], before)  # noqa: NPY002
 
 
 class _Hours:

@@ -25,11 +25,7 @@ from fieldlum.scene_fit.exterior import (
     propose_exterior,
     propose_shapes,
 )
-from fieldlum.scene_fit.furniture import (
-    propose_columns,
-    propose_solids,
-    solid_parameters,
-)
+from fieldlum.scene_fit.furniture import propose_columns, propose_solids, solid_parameters
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import (
