@@ -239,8 +239,8 @@ class SceneEvidence:
         Surfaces are west, east, south and north wall, floor, ceiling and the guess's solids. Each
         value is the median over hours and pixels where a patch is bright, clipped to 0.02 ... 0.95.
         With fewer than 30 of these it is that of `start` [6 or more], or the solid's own where
-        `start` is shorter. A wall that differs from the median of the walls by over a factor of two
-        gets the median: misplaced patches and furniture before a wall make it look black.
+        `start` is shorter. A wall over a factor of two from the walls' median gets the median:
+        misplaced patches make walls look black.
         """
         unit, ends = self.unit(guess)
         first = np.full(len(self.pixels), -1)
