@@ -38,8 +38,7 @@ MIN_SUNNY_HOURS = 6
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; chosen with the study, not varied
 _WALLS_FACTOR = 2.0  # between the albedos of walls; chosen (decision 28)
 _KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
-# share of the strongest direct sun on a window, below which an hour is not sunny; chosen, not
-# measured
+# chosen: share of the strongest direct sun on a window, below which an hour is not sunny
 _FAINT_SUN = 0.1
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
 # pixels nearer to a window are omitted, because they may look through it; chosen
