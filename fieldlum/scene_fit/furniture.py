@@ -65,7 +65,7 @@ def _places(extent_m: float) -> Array:
 
 
 def _holds_camera(guess: Guess, solid: Solid) -> bool:
-    """Return whether the camera is in a solid, within 0.1 m of its sides, or under 0.2 m above it."""
+    """Return whether the camera is in a solid, or at most 0.1 m from its sides or 0.2 m above."""
     x, y, z = guess.camera_m
     beside = all(
         low - CLEAR_M < at < high + CLEAR_M
