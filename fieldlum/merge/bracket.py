@@ -30,8 +30,8 @@ from fieldlum.sun_disc import SunDisc
 class MergeResult:
     """A merged bracket: its map, a one-line verdict, and the figures that the verdict rests on.
 
-    view: Radiance's description of the projection, empty for a panorama. sun: the measured centre
-    of the sun's disc; None if the disc was not searched for or is not visible.
+    view: Radiance's view options of a fisheye picture, empty for a panorama. sun: the measured
+    centre of the sun's disc; None if the disc was not searched for or is not visible.
     """
 
     panorama: Panorama
@@ -57,8 +57,8 @@ def merge_headings(
     """Merge the frames of each heading on the sensor.
 
     shots: in the order of `sorted_shots`: by heading, then longest exposure first. heading_deg:
-    heading of the resulting picture. Return two lists with one item for each heading: the merged
-    pixels of the sensor, and the findings.
+    azimuth of the resulting picture's centre, clockwise from true north. Return two lists with one
+    item for each heading: the merged pixels of the sensor, and what its frames showed.
     """
     images, findings = [], []
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):
@@ -82,9 +82,10 @@ def merge_shots(
 ) -> MergeResult:
     """Merge a bracket of one or several headings.
 
-    heading_deg: azimuth of the picture's centre; sun_deg: the sun's apparent altitude and azimuth:
-    if its disc is visible there, it is removed from a panorama. Raises InputError if the frames
-    cannot be merged.
+    shots: in any order. heading_deg: azimuth of the resulting picture's centre, clockwise from true
+    north. sun_deg: the sun's apparent altitude and azimuth; if the disc is visible there, it is
+    removed from a panorama (not from a fisheye picture). None: the disc is not searched for. Raises
+    InputError if the frames cannot be merged.
     """
     options = options or MergeOptions()
     target = options.target(profile)
@@ -151,7 +152,8 @@ def merge_frames(
 ) -> MergeResult:
     """Merge raw or JPEG files of one bracket and one heading; exposures come from their EXIF.
 
-    heading_deg: azimuth of the picture's centre. Raises InputError if the files cannot be merged.
+    heading_deg: azimuth of the picture's centre, clockwise from true north. The sun's disc is not
+    searched for. Raises InputError if the files cannot be merged.
     """
     shots = shots_of_files(files, profile.camera.fixed_f_number)
     return merge_shots(shots, profile, options, heading_deg=heading_deg, progress=progress)

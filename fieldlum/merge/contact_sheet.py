@@ -23,7 +23,8 @@ _FONT_SCALE = 0.36
 def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
     """Write thumbnails of the panoramas to panoramas/contact-1.png and so on.
 
-    False colour by log luminance from 1 to 10 000 cd/m2. Flagged pixels are grey.
+    One thumbnail for each sidecar, 96 on a page; its place stays white if the panorama is missing.
+    False colour by log luminance from 1 to 10 000 cd/m2. Pixels with any flag are grey.
     """
     import cv2
 

@@ -19,8 +19,8 @@ def good_pixels(
 ) -> NDArray[np.bool_] | None:
     """Return a mask [height, width] of the crop that is False at pixels to ignore.
 
-    These are the profile's bad pixels and, on a mosaic, the pixels of `odd_pixels`. Return None if
-    every pixel is good. flags: of the merge, in the frames' shape.
+    These are the profile's bad pixels and, for a raw camera, the pixels of `odd_pixels`. Return
+    None if every pixel is good. flags: of the merged pixels of the crop, in the frames' shape.
     """
     places = [(y - crop.top, x - crop.left) for x, y in profile.sensor.bad_px]
     inside = [(y, x) for y, x in places if 0 <= x < crop.width and 0 <= y < crop.height]
@@ -35,11 +35,11 @@ def good_pixels(
 
 
 def odd_pixels(flags: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Return row and column [n, 2] of mosaic pixels that contradict themselves.
+    """Return row and column [n, 2] of mosaic pixels at which alone the frames disagree.
 
-    At such a pixel the frames disagree (MOTION), but at all eight neighbours of the same colour
-    they agree. This happens at stuck pixels and through noise. A moving object covers more than one
-    pixel.
+    flags: [h, w] of the mosaic. At such a pixel the frames disagree (it has the flag MOTION), but
+    at all eight neighbours of the same colour they agree. This happens at stuck pixels and through
+    noise. A moving object covers more than one pixel.
     """
     import cv2
 

@@ -37,7 +37,10 @@ OPEN = "merge"
 
 
 def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
-    """Return the sun's apparent altitude and azimuth [deg], or None if it is down."""
+    """Return the sun's apparent altitude and its azimuth from true north [deg].
+
+    Return None if the complete disc is below the horizon.
+    """
     sun = position([t_utc], site)
     altitude, azimuth = float(sun.apparent_altitude_deg[0]), float(sun.azimuth_deg[0])
     return None if altitude < _LOWEST_DEG else (altitude, azimuth)
@@ -48,10 +51,11 @@ def take_out_disc(
 ) -> tuple[Panorama, SunDisc | None]:
     """Return the panorama without the sun's disc, and the disc.
 
-    The disc's pixels get the luminance of their surroundings and the flag FILLED. altitude_deg,
-    azimuth_deg: the sun's apparent direction. The panorama's `sun` gets the disc's illuminance,
-    with one of three origins: nd-frames (measured through a filter), merge (no frame clipped) or
-    clipped (a lower bound). If the disc is not visible, return the panorama unchanged and None.
+    altitude_deg, azimuth_deg: the sun's apparent direction, where the disc is searched for. The
+    disc's pixels get the luminance of their surroundings, an uncertainty of 100 % and the flag
+    FILLED. The panorama's `sun` gets the disc's illuminance, with one of three origins: "clipped"
+    (all frames are clipped: a lower bound), "nd-frames" (measured through a filter) or "merge"
+    (measured without a filter). If the disc is not visible, return the panorama unchanged and None.
     """
     flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16)
     if panorama.flags is not None:
@@ -85,9 +89,9 @@ def take_out_disc(
 
 
 def disc_px(lenses: Sequence[Lens]) -> float:
-    """Return the diameter of the sun's disc on the sensor [px], as a mean over the field.
+    """Return the diameter of the sun's disc on the sensor [px], averaged over a lens's field.
 
-    With several lenses, this is the smallest diameter.
+    With several lenses, this is the diameter for the lens with the smallest.
     """
     return min(
         2 * SUN_RADIUS_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses
@@ -95,12 +99,12 @@ def disc_px(lenses: Sequence[Lens]) -> float:
 
 
 def mosaic_u_rel(diameter_px: float) -> float:
-    """Return the relative u of a small disc's luminance that is due to the mosaic.
+    """Return the relative standard uncertainty of a small disc's illuminance due to the mosaic.
 
-    Each colour samples only some of the pixels. The value is an rms over positions of the disc, for
-    sharp optics, and is accurate to a quarter between 0.7 and 16 pixels (the law of lattice points
-    in a circle; bench/sun_on_mosaic.py). It is an upper bound: where the optics spread a point over
-    two pixels, the error is 20 times smaller.
+    diameter_px: of the disc on the sensor. Each colour samples only some of the pixels. The result
+    is an rms over positions of the disc, for sharp optics, at most 0.5. It is accurate within 25 %
+    between 0.7 and 16 pixels (the law of lattice points in a circle; bench/sun_on_mosaic.py). It is
+    an upper bound: where the optics spread a point over two pixels, the error is 20 times smaller.
     """
     return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
 
@@ -115,12 +119,13 @@ def sun_on_sensor(
     heading_deg: float,
     pixel_rad: float,
 ) -> tuple[float, float, float] | None:
-    """Return altitude, azimuth and standard uncertainty [deg] of the disc's centre.
+    """Return altitude, azimuth and standard uncertainty [deg] of the disc's centre on the sensor.
 
-    The centre is measured on the sensor. views: for each lens of each heading its merged luminance
-    [h, w], its mask of clipped pixels [h, w], and its geometry relative to the panorama's heading.
-    The lens whose axis is nearest to the disc is used. pixel_rad: size of a pixel of the panorama
-    in which the disc was detected. Return None if the disc is not visible on the sensor.
+    views: for each lens of each heading its merged luminance [h, w], its mask [h, w] (True at
+    clipped pixels), and its geometry relative to the panorama's heading. The lens whose axis is
+    nearest to the disc is used. disc: as found in the panorama; heading_deg: of the panorama's
+    centre; pixel_rad: size of its pixels. Azimuths are clockwise from true north. Return None if no
+    lens sees the disc, or if the panorama does not determine its centre (disc.sigma_deg is NaN).
     """
     towards = direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
     places = [lens_pixels(lens, towards) for _, _, lens in views]

@@ -28,7 +28,8 @@ Strip = NDArray[np.float32]
 class Signal(Protocol):
     """One linear, black-subtracted frame [rows, ...], which is read in strips along its first axis.
 
-    Luminances are in cd/m2.
+    "Counts" are raw counts above black, or for a JPEG frame its linear light. Luminances are in
+    cd/m2. A strip's masks and arrays have the shape [last - first, ...].
     """
 
     @property
@@ -49,18 +50,19 @@ class Signal(Protocol):
         ...
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 divided by the variance of the counts that the luminance predicts.
+        """Return per_cdm2 over the variance that the counts of a luminance have.
 
-        The weight is 0 where the prediction is close to saturation.
+        predicted_cdm2: the luminance of each pixel. The weight is 0 where the frame would be close
+        to saturation.
         """
         ...
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask of counts that may predict a luminance, because they are not saturated."""
+        """Return a mask, True for counts in the reliable range, which may predict a luminance."""
         ...
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask of counts that are not saturated, and the variance of the counts."""
+        """Return a mask, True for counts that are not saturated, and the variance of all counts."""
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:
@@ -71,8 +73,9 @@ class Signal(Protocol):
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
-        """Return a signal of about rows x columns evenly spread pixels, and their mask.
+        """Return a smaller signal of evenly spread pixels, and a mask in its shape.
 
+        rows, columns: about how long the signal's first axis and its axis of sensor columns become.
         The mask is True for pixels at or next to saturation.
         """
         ...
@@ -80,10 +83,10 @@ class Signal(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """Merged pixels, in the frames' shape.
+    """Merged pixels, in the frames' shape: raw [h / 2, 2, w], JPEG [h, w, 3].
 
-    value_cdm2: luminance in the sensor's own colours; variance: its variance [(cd/m2)^2]; flags:
-    `Flag` bits.
+    value_cdm2: luminance by one colour of the camera, before vignetting and colour are corrected;
+    variance: variance of value_cdm2 due to noise [(cd/m2)^2]; flags: `Flag` bits.
     """
 
     value_cdm2: NDArray[np.float32]
@@ -193,16 +196,16 @@ def merge_signals(
 ) -> Merged:
     """Merge frames of one `shape`.
 
-    frames: functions that load the frames, sorted by exposure, most exposed first, so that the
-    result does not depend on the order of files; without `resident` each is called in every pass.
-    passes: number of weighted passes. resident: all frames are in memory; each strip then goes
-    through all passes while it is in a core's cache, with the same result. u_ratio: relative
-    disagreement of frames that does not count as motion; motion_sigma: a larger disagreement, in
-    standard deviations, gives the flag MOTION.
+    frames: functions that load one frame each, most exposed first. Without `resident` each function
+    is called in every pass. With it, all frames are in memory, and each strip goes through all
+    passes while it is in a core's cache, with the same result. passes: number of weighted passes.
+    u_ratio: relative disagreement of frames that does not count as motion. motion_sigma: where
+    frames disagree by more than this number of standard deviations beyond u_ratio, the pixel gets
+    the flag MOTION and a larger variance.
 
-    A pixel that is saturated in all frames gets a lower bound and the flag CLIPPED_HIGH. A pixel
-    that is only next to saturated ones gets the value of the most exposed frame that is readable
-    there, and the flag BLOOM.
+    Values of dark pixels can be negative, through noise. A pixel that every frame loses to
+    saturation gets a lower bound and the flag CLIPPED_HIGH. If a frame lost it only because its
+    neighbour is saturated, it gets the value of the most exposed such frame, and the flag BLOOM.
     """
     if resident:
         return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)

@@ -37,7 +37,10 @@ _REPORTED_DEVIATION, _REPORTED_SIGMA = 0.02, 3.0
 
 @dataclass(frozen=True, slots=True)
 class SampledFrames:
-    """The same sampled pixels of every frame, and measured exposure ratios of pairs of frames."""
+    """Pixels sampled at the same places of every frame, and the measured ratios of frame pairs.
+
+    samples: one for each frame; pairs: measured over assumed exposure ratio of two frames.
+    """
 
     samples: list[Sample]
     pairs: list[PairRatio]
@@ -47,7 +50,8 @@ class SampledFrames:
 class Deviations:
     """Deviations of the fitted exposures from the profile's.
 
-    log_ratio: ln of fitted over the profile's, [frames]. u_prior: its prior uncertainty, [frames].
+    log_ratio: ln of the fitted exposure over the profile's, [frames]. u_prior: standard uncertainty
+    of log_ratio that shutter, filter, ISO and response explain before any fit, [frames].
     """
 
     log_ratio: NDArray[np.float64]
@@ -55,18 +59,18 @@ class Deviations:
 
     @property
     def span_percent(self) -> float:
-        """Range of the ratios of fitted exposures to the profile's [%]."""
+        """The largest deviation minus the smallest of the bracket [%], from log_ratio."""
         return float(100 * np.ptp(self.log_ratio))
 
     @property
     def beyond_prior(self) -> bool:
-        """Whether an exposure deviates by more than 2 % and three prior uncertainties."""
+        """Whether any exposure deviates by more than 2 % and by more than three u_prior."""
         limit = np.maximum(_REPORTED_DEVIATION, _REPORTED_SIGMA * self.u_prior)
         return bool((np.abs(self.log_ratio) > limit).any())
 
     @property
     def text(self) -> str:
-        """Range of the deviations in percent, such as "-1.2 to +0.4"."""
+        """The smallest and the largest deviation in percent, such as "-1.2 to +0.4"."""
         low, high = 100 * np.expm1(self.log_ratio.min()), 100 * np.expm1(self.log_ratio.max())
         return f"{low:+.1f} to {high:+.1f}"
 
@@ -75,9 +79,10 @@ class Deviations:
 class ExposureTrust:
     """Uncertainty of a bracket's exposures.
 
-    neighbours: disagreement of frames that are neighbours in exposure. u_rel: relative uncertainty
-    of a typical frame. u_curve: relative uncertainty of a merged value, by luminance.
-    tolerance: relative difference of two frames that does not count as motion.
+    neighbours: disagreement of frames that are neighbours in exposure. deviations: of the fitted
+    exposures from the profile's. u_rel: relative uncertainty of a typical frame's exposure.
+    u_curve: relative uncertainty of a merged value due to exposures, by luminance. tolerance:
+    relative difference of two frames that does not count as motion.
     """
 
     neighbours: tuple[NeighbourQuality, ...]
@@ -104,11 +109,12 @@ def decide_shutter_law(
     shots: Sequence[Shot],
     profile: CameraProfile,
 ) -> tuple[SampledFrames, ShutterLaw]:
-    """Return the sampled frames and the shutter law; if EXIF times suggested `law`, test it.
+    """Return the sampled frames and the shutter law, after a test of a law that is only likely.
 
-    `profile` has the law with which `store` read the frames. If another law fits the frames better,
-    `store` gets its exposures, and the frames are sampled again. A law that the profile or the
-    frames decided does not change.
+    law: only if its `decided_by` is "labels" (it was derived from nominal times) is it tested with
+    the measured ratios in `sampled`; otherwise both are returned unchanged. profile: has the law
+    with which `store` read the frames. If another law fits the ratios better, the exposures in
+    `store` are changed to that law's, and the frames are sampled again.
     """
     if law.decided_by != "labels":
         return sampled, law
@@ -124,9 +130,11 @@ def decide_shutter_law(
 def fit_exposures(
     sampled: SampledFrames, shots: Sequence[Shot], profile: CameraProfile, fits: bool
 ) -> tuple[RatioFit, NDArray[np.float64]]:
-    """Return a fit of the exposures' corrections, and their prior covariance [frames, frames].
+    """Return the fitted corrections of the exposures, and their prior covariance.
 
-    Without `fits` the pairs are ignored: corrections are 1 and the covariance is the prior.
+    The prior covariance [frames, frames] is that of the log exposures before the fit. If `fits` is
+    False, the measured pairs are ignored: every correction is 1 and the fit's covariance is the
+    prior.
     """
     prior = exposure_covariance([s.exposure for s in shots], profile)
     return fit_ratios(sampled.pairs if fits else [], prior), prior
@@ -141,9 +149,10 @@ def trust_in(
 ) -> ExposureTrust:
     """Return the uncertainty of the exposures, estimated from the frames' disagreement.
 
-    Disagreement beyond the tolerances of shutter and response increases the uncertainty: the light
-    changed, or the profile is wrong. If the exposures were not fitted, they are compared with a fit
-    that serves only this purpose. prior : covariance of the log exposures, [frames, frames].
+    fit, prior: results of `fit_exposures` with the same `fits`. Disagreement beyond the
+    uncertainties of shutter and response increases the uncertainty: the light changed, or the
+    profile is wrong. If the exposures were not fitted (`fits` is False), they are compared with a
+    fit that serves only this purpose.
     """
     residuals = neighbours(sampled.pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))

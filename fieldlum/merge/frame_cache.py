@@ -20,9 +20,10 @@ FRAMES_BYTES = 800_000_000
 
 
 class FrameStore:
-    """Frames of a bracket, loaded on demand and stored while they fit in `budget_bytes`.
+    """Frames of a bracket, read when they are first needed; `store[i]` returns frame i, from 0.
 
-    Frames that do not fit are read again in each pass.
+    loaders: functions that read one frame each, most exposed first. A frame stays in memory if it
+    fits in `budget_bytes` together with those before; otherwise it is read again at each access.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class FrameStore:
         return len(self._kept) == len(self)
 
     def correct(self, factors: NDArray[np.floating]) -> None:
-        """Multiply the assumed exposures by factors [frames].
+        """Multiply the assumed exposures by factors [frames], and so the counts per cd/m2.
 
         This applies to stored frames and to later reads.
         """
@@ -57,7 +58,7 @@ class FrameStore:
         self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}
 
     def small(self, number: int) -> Small:
-        """Return a frame at a reduced size that still shows a turn of the camera."""
+        """Return frame `number`, from 0, at a reduced size to detect turns of the camera."""
         signal = self[number]
         assert isinstance(signal, RawSignal | JpegSignal)
         return signal.small()

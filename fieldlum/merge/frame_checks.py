@@ -23,24 +23,28 @@ _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 class FirstLook:
     """What the most exposed frames show about saturation and black.
 
-    plateau_dn: for each ISO, the counts at which each colour saturates. black_off_dn: black level
-    of the files minus that of the profile, for the colour with the largest difference.
+    plateau_dn: for each ISO, the counts at which R, G1, G2 and B saturate, black included; None for
+    a colour that does not saturate in the frame. black_off_dn: black level of the files minus that
+    of the profile [DN], for the colour with the largest difference; 0 if the profile has none.
     """
 
     plateau_dn: dict[float, Plateau]
     black_off_dn: float = 0.0
 
     def plateau(self, shot: Shot) -> Plateau:
-        """Return the counts at which R, G1, G2 and B of a frame saturate [DN]; None if unknown."""
+        """Return the counts [DN] at which R, G1, G2 and B saturate at the ISO of a frame.
+
+        None for a colour for which the count was not measured.
+        """
         return self.plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
 
 
 def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
     """Measure saturation and black level in the most exposed frame of each ISO.
 
-    shots: of one heading, sorted. JPEG frames give no result. One colour can saturate at lower
-    counts than the others. The counts depend on the ISO: at a low ISO the full well limits, at a
-    high ISO the converter.
+    shots: of one heading, longest exposure first. For a JPEG camera the result is empty. One colour
+    can saturate at lower counts than the others. The counts depend on the ISO: at a low ISO the
+    full well limits, at a high ISO the converter.
     """
     if profile.camera.kind == "jpeg":
         return FirstLook({})
@@ -68,10 +72,12 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
-    """Return how the frames' EXIF roll contradicts the profile's, or changes; "" if it does not.
+    """Return a text for the verdict if the frames' EXIF roll is wrong; "" if it is not.
 
-    Cameras with several lenses, and lenses tilted by over 45 degrees, are not checked. A camera
-    held on its side gives a rotated map, and no other figure of the merge shows that.
+    The roll is wrong if it changes within the bracket, or differs by over 60 degrees from the
+    profile's: a camera on its side gives a rotated map, and no other figure of the merge shows
+    that. Cameras with several lenses, lenses tilted by over 45 degrees, and frames without EXIF
+    orientation are not checked.
     """
     lens = profile.lens[0]
     # Cameras with two fisheyes have no upright position, and the EXIF roll is unreliable when the

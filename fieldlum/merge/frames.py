@@ -35,9 +35,10 @@ _SMALL_SNR = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The part of the sensor that any lens illuminates.
+    """The rectangle of the sensor that contains the images of all lenses, in sensor pixels.
 
-    All four numbers are even, to fit the mosaic.
+    top, left: the first row and column of the rectangle, from 0. All four numbers are even, so that
+    the rectangle consists of complete 2 x 2 cells of the mosaic.
     """
 
     top: int
@@ -47,9 +48,9 @@ class Crop:
 
 
 def lens_crop(profile: CameraProfile) -> Crop:
-    """Return the part of the sensor that the lenses illuminate.
+    """Return the rectangle of the sensor around all lens circles, with a margin of 3 pixels.
 
-    Raises InputError if it is empty, because all lens circles are outside the sensor.
+    Raises InputError if all lens circles are outside the sensor.
     """
     body = profile.camera
     top, left, bottom, right = body.height_px, body.width_px, 0, 0
@@ -78,8 +79,10 @@ def lens_crop(profile: CameraProfile) -> Crop:
 class RawSignal:
     """A cropped raw frame, shaped [rows / 2, 2, columns] so that each axis-1 row has two colours.
 
-    counts: as in the file; black: of it [DN]; saturation: above black [DN]. Values that differ
-    between the four colours are arrays [2, columns]; equal values are scalars.
+    counts: as in the file; black: the black level [DN]; saturation: counts above black at which a
+    pixel saturates [DN]; per_cdm2: counts above black per cd/m2. Each of the last three is an array
+    [2, columns] if the four colours differ, otherwise a scalar. through_nd: whether a filter was
+    used.
     """
 
     counts: NDArray[np.uint16]
@@ -87,7 +90,7 @@ class RawSignal:
     saturation: NDArray[np.float32]  # above black
     per_cdm2: NDArray[np.float32]
     gain_e_per_dn: float
-    noise_dn2: float  # read noise and quantisation
+    noise_dn2: float  # variance of read noise and quantisation [DN^2]
     through_nd: bool = False
     linearity: tuple[float, ...] = ()  # of the profile's sensor
     # full scale above black; the unit of the shares that `linearity` corrects
@@ -100,7 +103,10 @@ class RawSignal:
 
     @cached_property
     def limit(self) -> NDArray[np.float32]:
-        """Count up to which pixels may predict: 97 % of saturation, or 4 sigma below it if less."""
+        """Counts above black up to which a pixel may predict a luminance, corrected for linearity.
+
+        The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise.
+        """
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
         limit = np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma)
         return self._linear(limit.astype(np.float32))
@@ -120,7 +126,8 @@ class RawSignal:
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
         """Return counts above black of rows first to last - 1, and a mask of the same shape.
 
-        The mask is True at saturated pixels and next to them; None if nothing is saturated.
+        The counts are corrected for linearity. The mask is True at saturated pixels and within two
+        pixels of them; None if nothing is saturated.
         """
         part = self.counts[first:last]
         above = part.astype(np.float32)
@@ -147,9 +154,9 @@ class RawSignal:
         return wide[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 over photon plus read variance, [rows, ...] as predicted_cdm2.
+        """Return per_cdm2 over the photon and read variance of a luminance, in its shape.
 
-        The weight is 0 where the prediction is close to saturation.
+        The weight is 0 where the predicted luminance exceeds that of `limit`.
         """
         w = predicted_cdm2 * self._per_gain
         w += np.float32(self.noise_dn2)
@@ -158,11 +165,11 @@ class RawSignal:
         return w
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask of counts [rows, ...] below `limit`, which is close to saturation."""
+        """Return a mask, True for counts above black [rows, ...] below `limit`."""
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask of counts [rows, ...] below `limit`, and the counts' variance [DN2]."""
+        """Return a mask, True for counts [rows, ...] below `limit`, and all variances [DN^2]."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
@@ -182,9 +189,9 @@ class RawSignal:
         )
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
-        """Return a signal of about rows x columns pixels of the mosaic, evenly spread.
+        """Return a signal of evenly spread pixels, about [rows, 2, columns], and a mask.
 
-        Also return a mask, True for pixels at or next to saturation.
+        The mask, in the signal's shape, is True for pixels at or next to saturation.
         """
         at = evenly_spread(len(self.counts), rows)
         # An odd step samples both columns of the mosaic.
@@ -206,16 +213,20 @@ def evenly_spread(length: int, wanted: int) -> NDArray[np.intp]:
 def over_mosaic(
     mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Apply a function of [h, w] masks to a mask in the shape of raw frames, [h / 2, 2, w]."""
+    """Return `change` of a mask in the shape of raw frames, [h / 2, 2, w], in that shape.
+
+    change: a function that takes and returns a mask [h, w].
+    """
     return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
 
 
 def over_colours(
     mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Apply a function of [h, w] masks to a mask of JPEG frames [h, w, 3].
+    """Return `change` of a mask in the shape of JPEG frames, [h, w, 3], in that shape.
 
-    All three colours get the same result.
+    change: a function that takes and returns a mask [h, w]. It gets True where any colour is True,
+    and all three colours get its result.
     """
     return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
@@ -236,8 +247,9 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
 def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -> RawSignal:
     """Read a raw frame, cropped, as a linear signal.
 
-    plateau: counts at which R, G1, G2 and B saturate, measured in the frames. Raises InputError for
-    a frame of another camera.
+    crop: the rectangle of the sensor to read. plateau: counts at which R, G1, G2 and B saturate,
+    measured in the frames; None for a colour without. Raises InputError for a frame that cannot be
+    read or is of another camera.
     """
     mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
     sensor, body = profile.sensor, profile.camera

@@ -49,7 +49,7 @@ class _Bands:
 
 
 def footprint_px(lens: LensGeometry, target: Target) -> float:
-    """Return the mean width of a target pixel over the field, in sensor pixels, at least 1."""
+    """Return how many sensor pixels wide a target pixel is, averaged over the field, at least 1."""
     return max(1.0, lens.radius_px / lens.half_angle_rad * target.pixel_rad)
 
 
@@ -58,8 +58,9 @@ def with_seen_noise(
 ) -> Merged:
     """Return merged JPEG frames whose variances give the measured noise of means over cells.
 
-    edge_px: edge of a cell [px]. Pixels with the flag MOTION keep their variance, because it
-    already includes the frames' disagreement.
+    store: the bracket's frames; y_from_rgb: weights of R, G, B in the luminance; edge_px: edge of a
+    square cell in sensor pixels. Pixels with the flag MOTION keep their variance, because it
+    already includes the frames' disagreement. If no two frames can be compared, all pixels do.
     """
     height, width = merged.value_cdm2.shape[:2]
     edge = int(np.clip(round(edge_px), 1, min(height, width)))

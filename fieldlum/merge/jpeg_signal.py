@@ -33,8 +33,10 @@ _TOP_CODE = 250  # code above which a JPEG pixel is treated as saturated; chosen
 class JpegSignal:
     """A JPEG frame: codes [h, w, 3], and for each colour a table that converts codes to light z.
 
-    low_code, high_code: codes between which the response is well known. dark_end: whether this is
-    the most exposed frame of the bracket; bright_end: whether it is the least exposed.
+    z is 1 at full scale; per_cdm2 is z per cd/m2. low_code, high_code: codes between which the
+    response is well known. dark_end: this is the most exposed frame of the bracket, and is used
+    below low_code too. bright_end: this is the least exposed frame, and is used up to code 250.
+    through_nd: whether a filter was used.
     """
 
     codes: NDArray[np.uint8]
@@ -99,7 +101,7 @@ class JpegSignal:
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return linear light of rows first to last - 1 [rows, W, 3], and a mask of that shape.
+        """Return linear light z of rows first to last - 1 [rows, W, 3], and a mask of that shape.
 
         The mask is True at saturated pixels and next to them; None if nothing is saturated.
         """
@@ -116,18 +118,21 @@ class JpegSignal:
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 over the variance of z, [rows, W, 3] as predicted_cdm2."""
+        """Return per_cdm2 over the variance of z that a luminance has, [rows, W, 3].
+
+        The weight is 0 where the code of predicted_cdm2 would be outside the frame's range.
+        """
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return a mask of values [rows, W, 3] that may predict a luminance."""
+        """Return a mask, True for values z [rows, W, 3] in the frame's range of codes."""
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high
         return ok
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return a mask of values [rows, W, 3] up to code 250, and their variance."""
+        """Return a mask, True for values z [rows, W, 3] up to code 250, and all variances of z."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
@@ -143,9 +148,9 @@ class JpegSignal:
         return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
 
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
-        """Return a signal of about rows x columns pixels of all colours, evenly spread.
+        """Return a signal of evenly spread pixels, about [rows, columns, 3], and a mask.
 
-        Also return a mask, True for pixels at or next to saturation.
+        The mask, in the signal's shape, is True for pixels at or next to saturation.
         """
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
@@ -168,8 +173,9 @@ def load_jpeg(
 ) -> JpegSignal:
     """Read a JPEG frame, cropped, as a linear signal.
 
-    ends: whether the frame is the most exposed, and whether it is the least exposed, of the
-    bracket. Raises InputError for a file that is no JPEG of this camera.
+    crop: the rectangle of the sensor to read. ends: whether the frame is the most exposed of the
+    bracket, and whether it is the least exposed. Raises InputError for a file that is no JPEG of
+    this camera, and for a filter that the profile does not have.
     """
     frame = read_jpeg(shot.path)
     check_frame(shot.path, frame.codes.shape, frame.model, profile)

@@ -20,9 +20,10 @@ from fieldlum.session import replacing_path
 
 
 def axis_illuminance_lx(result: MergeResult, target: Target) -> float:
-    """Return the illuminance of a plane perpendicular to the picture's axis [lx].
+    """Return the illuminance [lx] at the camera on a plane that faces the picture's centre.
 
-    This is the vertical illuminance for a camera that looks horizontally.
+    target: pixel grid of the picture. This is the vertical illuminance for a camera that looks
+    horizontally.
     """
     panorama = result.panorama
     if isinstance(target, Equirect):
@@ -45,9 +46,9 @@ def files_to_picture(
 ) -> tuple[MergeResult, dict[str, float]]:
     """Merge files and write the picture; return the result and {"vertical_illuminance_lx": lx}.
 
-    The illuminance is that of `axis_illuminance_lx`. heading_deg: azimuth of the picture's centre.
-    Raises InputError for a frame that cannot be merged, or if `out` ends neither in .exr nor in
-    .hdr.
+    The illuminance is that of `axis_illuminance_lx`. heading_deg: azimuth of the picture's centre,
+    clockwise from true north. Raises InputError for a frame that cannot be merged, or if `out` ends
+    neither in .exr nor in .hdr.
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(

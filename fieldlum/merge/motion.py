@@ -45,8 +45,8 @@ _WITNESSES = 2  # least number of agreeing frames; chosen
 class Consensus:
     """The frames' consensus at m pixels, [m] each.
 
-    value_cdm2: value that most frames share. clear: whether the vote is clear, as `vote` describes.
-    sure: number of frames whose noise is small enough to confirm the value.
+    value_cdm2: luminance that most frames share. clear: whether the vote is decided, see `vote`.
+    sure: number of frames that share the value and have a relative noise below 1/8.
     """
 
     value_cdm2: NDArray[np.float32]
@@ -58,8 +58,9 @@ class Consensus:
 class Ballot:
     """The votes of n frames at m pixels; all arrays are [n, m].
 
-    value_cdm2: luminance by the frame where it is `usable`. largest_cdm2: luminance above which the
-    frame saturates, where it is `saturated`.
+    usable: the frame can measure the pixel; then value_cdm2 is the luminance by this frame, and
+    variance that of value_cdm2 [(cd/m2)^2]. saturated: the frame is saturated there; largest_cdm2
+    is the luminance from which on it saturates. A frame can be neither, but not both.
     """
 
     value_cdm2: Strip
@@ -70,12 +71,13 @@ class Ballot:
 
 
 def vote(ballot: Ballot, u_ratio: float) -> Consensus:
-    """Return the value that most frames share, and whether the vote is clear.
+    """Return the luminance that most frames share at each pixel, and whether the vote is clear.
 
     u_ratio: relative disagreement of frames that does not count as motion. The vote is clear if all
-    usable frames agree. It is also clear if at least two frames agree that would have noticed a
-    difference, and these outnumber the others. A frame would have noticed a difference if its noise
-    is less than the gap, or if it is saturated, which it would not be at the other values.
+    usable frames agree. Otherwise it is clear if at least two witnesses support the value, and more
+    witnesses than dissenting frames exist. A witness is a frame that agrees and whose noise is well
+    below the gap to the nearest dissenting frame, or a frame that is saturated, as the value
+    explains and the dissenting values do not.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
     enough = _SATURATED * ballot.largest_cdm2
@@ -232,10 +234,11 @@ def leave_out_moved(
 ) -> tuple[Merged, tuple[float, ...]]:
     """Merge again without the frames that disagree where something moved; return each frame's loss.
 
-    frames, u_ratio: as for `merge_signals`. The arrays of `merged` are changed in place.
-    over_picture(mask, change) applies a function of [h, w] masks to a mask of the frames' shape.
-    The flag MOTION remains where a frame was excluded and where the vote was undecided. A frame's
-    loss is the share of its pixels that were excluded.
+    frames: functions that load one frame each, most exposed first; u_ratio: relative disagreement
+    of frames that does not count as motion. over_picture: `over_mosaic` or `over_colours` of
+    frames.py. A frame's loss is the share (0 to 1) of its pixels that were excluded. The flag
+    MOTION remains where a frame was excluded and where the vote was undecided; an undecided pixel
+    keeps all frames. The arrays of `merged` are changed in place.
     """
     shape = merged.value_cdm2.shape
     seeds = over_picture((merged.flags & Flag.MOTION) > 0, _supported)

@@ -33,9 +33,9 @@ _SURE_SIGMA = 3.0
 
 @dataclass(frozen=True, slots=True)
 class SeenNoise:
-    """Factors on the profile's variances of shot noise and read noise.
+    """Factors on the variances of shot noise and read noise that the profile gives.
 
-    Each is 1 unless the frames clearly show more noise.
+    shot, read: measured variance over the profile's; 1 unless the frames clearly show more noise.
     """
 
     shot: float = 1.0
@@ -43,17 +43,18 @@ class SeenNoise:
 
     @property
     def larger(self) -> float:
-        """The larger of the two factors, as a factor on the standard deviation of the noise."""
+        """The square root of the larger factor: a factor on the noise's standard deviation."""
         return float(np.sqrt(max(self.shot, self.read)))
 
 
 def seen_noise(
     samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]
 ) -> SeenNoise:
-    """Return the factors on the profile's noise, from neighbouring frames.
+    """Return the factors on the profile's noise variances, from neighbouring raw frames.
 
-    samples, pairs: of raw frames. correction: factors on the exposures [frames] that the pairs
-    gave.
+    samples: one for each frame, most exposed first; pairs: measured exposure ratios, of which only
+    those of neighbours are used. correction: fitted over assumed exposure, [frames]. Both factors
+    are 1 if too few pixels can be compared.
     """
     rows = []
     for pair in pairs:

@@ -17,8 +17,9 @@ class MergeOptions:
 
     height: rows of the result [px]. projection: "equirect" (a panorama, twice as wide as high) or
     "fisheye" (a square picture along the first lens). fit: whether exposure ratios are estimated
-    from the frames; None: for raw frames only. drop_moved: whether to exclude frames from pixels
-    where most other frames agree that something moved.
+    from the frames, instead of taken from the profile; None: for raw frames only. drop_moved:
+    whether to exclude a frame from the pixels where it contradicts most other frames, because
+    something moved there.
     """
 
     height: int = DEFAULT_HEIGHT
@@ -27,7 +28,7 @@ class MergeOptions:
     drop_moved: bool = False
 
     def target(self, profile: CameraProfile) -> Target:
-        """Return the pixel grid of the result: of a panorama or of a fisheye."""
+        """Return the pixel grid of the result: a panorama, or a fisheye like the first lens."""
         if self.projection == "equirect":
             return Equirect(self.height)
         lens = profile.lens[0]

@@ -38,9 +38,11 @@ TAPER_RAD = 0.06
 class ProjectedImage:
     """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
 
-    luminance [cd/m2]; rgb [n, 3]: camera colours. variance: of the random error. coverage: share of
-    the pixel that is seen. edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it.
-    u_vignetting, u_ratio: relative standard uncertainties.
+    luminance [cd/m2]; rgb [n, 3]: luminance by each colour of the camera. variance: of the
+    luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens sees.
+    edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting, u_ratio:
+    relative standard uncertainties of the luminance due to vignetting and to the exposures. flags:
+    `Flag` bits.
     """
 
     luminance: NDArray[np.float64]
@@ -98,7 +100,11 @@ def _project(
 def view_through(
     sensor: SensorImage, lens: Lens, profile: CameraProfile, target: Target
 ) -> ProjectedImage:
-    """Return what one lens sees of the target, corrected for vignetting and stray light."""
+    """Return what one lens sees of the target grid, corrected for vignetting and stray light.
+
+    sensor: merged frames of one heading; lens: one of the profile's. Pixels that the lens does not
+    see have coverage 0.
+    """
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
     r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
@@ -150,11 +156,12 @@ def _stray_of_lens(
 
 
 def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
-    """Return the inverse-variance mean of all lenses and headings that see a pixel.
+    """Return for each pixel the inverse-variance mean over the views that see it.
 
-    The weights use the variance of the mean luminance, because the variance of each noisy luminance
-    would favour the darker lens. A lens fades out towards its edge. Pixels that are clipped,
-    bloomed or moving in one lens have little weight.
+    views: of one lens at one heading each, on the same target. The vignetting's share of a variance
+    uses the mean luminance of all views, because each view's own would favour the darker view. A
+    view fades out towards the edge of its lens. A view's pixel with the flag CLIPPED_HIGH, BLOOM or
+    MOTION has little weight. Pixels that no view sees get only the flag OUTSIDE_LENS.
     """
     coverage = np.stack([v.coverage for v in views])
     luminance = np.stack([v.luminance for v in views])
@@ -212,6 +219,8 @@ def finish(
 ) -> Panorama:
     """Return the finished map with its flags and its uncertainty (GUM).
 
+    view: result of `blend`. heading_deg: azimuth of the map's centre, clockwise from true north.
+    With the luminance L and relative uncertainties in brackets after L^2, the uncertainty u is
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
     + (stray light)^2 + edges^2. The uncertainty of a filter is part of the exposure's. The glare
     floor is a share of the mean luminance that is seen. A clipped pixel is a lower bound with an
@@ -252,8 +261,9 @@ def u_of_edges(
 ) -> NDArray[np.float64]:
     """Return the uncertainty of a pixel due to light leaking from its neighbours, [H, W] cd/m2.
 
-    Sensor pixels are not small. An edge on the border of two target pixels leaks at most a share of
-    the luminance difference: 0.35 (raw) or 0.2 (JPEG) sensor pixels over the target pixel's width.
+    light: luminance [H, W]; seen [H, W]: True where a lens sees the pixel. Sensor pixels are not
+    small. An edge on the border of two target pixels leaks at most a share of the luminance
+    difference: 0.35 (raw) or 0.2 (JPEG) sensor pixels over the target pixel's width.
     An edge elsewhere leaks less. This is a rectangular distribution (GUM 4.3.7). On a uniform slope
     gains and losses cancel, so the second difference is used. Next to pixels that no lens sees the
     leak is unknown and counts as zero.

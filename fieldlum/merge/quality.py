@@ -30,7 +30,9 @@ def report_of(
 ) -> MergeReport:
     """Return the figures of one merged bracket.
 
-    parts: findings of each heading; flags [H, W]: of the result on the grid `target`.
+    parts: findings of each heading; flags [H, W]: of the result on the grid `target`; rims: of
+    lenses that are dark at the edge. Shares of the view are in % of the solid angle that a lens
+    sees; residual_percent is the largest of all neighbouring frames, None without any.
     """
     solid = target.solid_angles()
     seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
@@ -94,13 +96,13 @@ def _shifts(part: Findings) -> list[ShiftQuality]:
 
 
 def verdict(report: MergeReport) -> str:
-    """Return the verdict as one line: "good", or what to check."""
+    """Return the verdict as one line: "good: ...", or what to check, separated by semicolons."""
     notes: list[str] = []
     residual = report.residual_percent
     if residual is None:
         notes.append(
-            "no two frames overlap, so the exposures could not be checked: plan "
-            "smaller steps between exposures"
+            "no two frames have common well-exposed pixels, so the exposures could not be checked: "
+            "plan smaller steps between exposures"
         )
     elif residual > RESIDUAL_WARN_PERCENT:
         notes.append(
@@ -128,7 +130,7 @@ def verdict(report: MergeReport) -> str:
         )
     notes += [
         f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between {m.long} "
-        f"and {m.short}: fix the tripod"
+        f"and {m.short}: fix the tripod and capture again"
         for m in report.shifts
         if m.sure_px > SHIFT_WARN_PX
     ]
@@ -146,7 +148,8 @@ def verdict(report: MergeReport) -> str:
         )
     if (motion := report.motion_percent or 0.0) > _MOTION_WARN_PERCENT:
         notes.append(
-            f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames"
+            f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "
+            "do not use the pixels with the flag motion, or merge again with --drop-moved"
         )
     if (below := report.below_noise_percent or 0.0) > _BELOW_NOISE_WARN_PERCENT:
         notes.append(

@@ -27,7 +27,11 @@ _LEVELS = 193  # number of luminances at which the ratios' uncertainty is comput
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Pixels sampled from one frame: their counts, and whether each is near saturation."""
+    """Pixels sampled from one frame.
+
+    counts: their counts above black; full: mask in the shape of counts, True at or next to
+    saturation.
+    """
 
     signal: Signal  # the frame reduced to the sampled pixels
     counts: NDArray[np.float32]
@@ -60,9 +64,10 @@ def take_samples(store: FrameStore) -> list[Sample]:
 
 
 def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
-    """Return the measured over the assumed exposure ratio of two frames, numbered i and j.
+    """Return the measured exposure ratio of two frames over the assumed one, as a logarithm.
 
-    Return None if too few pixels are well exposed in both.
+    long, short: the same pixels of the more and of the less exposed frame; i, j: numbers of these
+    frames, for the result. Return None if too few pixels are well exposed in both.
     """
     e_long, e_short = (np.broadcast_to(s.signal.per_cdm2, s.counts.shape) for s in (long, short))
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
@@ -96,10 +101,10 @@ def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
-    """Return the exposure ratios of all pairs with common well-exposed pixels.
+    """Return the measured exposure ratios of all pairs with common well-exposed pixels.
 
-    Frames of a pair are at most three frames apart. samples: of frames sorted by exposure, longest
-    first.
+    samples: one for each frame, most exposed first. Frames of a pair are at most three apart in
+    that order. Empty without such pairs.
     """
     found = [
         compare(samples[i], samples[j], i, j)
@@ -112,7 +117,9 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
     """Return the disagreement [%] that neighbouring frames still have after `correction`.
 
-    pairs: measured exposure ratios; correction: factors on the exposures, [frames].
+    pairs: measured exposure ratios; correction: factors on the assumed exposures, [frames]. A
+    disagreement is positive if the less exposed frame is still brighter than expected. Pairs that
+    are no neighbours are omitted.
     """
     delta = np.log(correction)
     return [
@@ -129,10 +136,11 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
 
 
 def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
-    """Return the relative uncertainty of one frame against its neighbour that is still unexplained.
+    """Return the relative uncertainty of a frame's exposure that its known causes do not explain.
 
-    This is the disagreement beyond the pairs' own noise and beyond `explained`, the relative
-    uncertainty of a frame due to its time and its response.
+    left: disagreement of neighbouring frames. The typical disagreement is reduced by the noise of
+    the measured ratios, divided between the two frames, and reduced by `explained`, the known
+    relative uncertainty of one frame. Return 0 if nothing remains, or if `left` is empty.
     """
     if not left:
         return 0.0
@@ -142,19 +150,22 @@ def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
 
 
 def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
-    """Return the corrections that the pairs alone give, with a geometric mean of 1.
+    """Return the corrections of the exposures that the measured pairs alone give.
 
-    Frames that no pair includes get 1. Neighbours that agree within 2 % can add up to 30 % over a
-    bracket, if the light changed or the response is wrong.
+    frames: number of frames. The corrections, factors on the assumed exposures, have a geometric
+    mean of 1; a frame without a pair gets 1. Only a prior of 30 % limits them, because differences
+    of 2 % between neighbours can add up over a bracket if the light changed or the response is
+    wrong.
     """
     return fit_ratios(pairs, np.eye(frames) * _FREE**2)
 
 
 def beyond(free: RatioFit, explained: float) -> float:
-    """Return the relative uncertainty of a value due to exposures that seem wrong.
+    """Return the relative uncertainty of exposures that their known causes do not explain.
 
-    free: a result of `free_fit`. The uncertainty is the standard deviation of its corrections
-    beyond `explained` (relative) and beyond the pairs' noise.
+    free: a result of `free_fit`. The uncertainty is the standard deviation of the logarithms of its
+    corrections, reduced by `explained` (the known relative uncertainty) and by the noise of the
+    measured pairs. Return 0 if nothing remains, or without pairs.
     """
     seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not seen:

@@ -21,10 +21,11 @@ _TAPER_DEG = float(np.degrees(TAPER_RAD))
 
 
 def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
-    """Return the dark rims of the lenses, at most one for each lens.
+    """Return the dark rims of the lenses: at most one for each lens, none for a bright edge.
 
-    Only pixels that a single lens and heading sees are tested, because `blend` gives the edge of a
-    lens little weight elsewhere.
+    views: of one lens at one heading each. Only pixels that a single view sees are tested, because
+    `blend` gives the edge of a lens little weight elsewhere. Of several headings of a lens, the
+    first with a dark rim counts.
     """
     alone = sum((view.coverage > 0).astype(int) for view in views) == 1  # [n]
     rims: dict[str, DarkRim] = {}
@@ -41,11 +42,12 @@ def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
 def dark_rim(
     luminance_cdm2: NDArray[np.float64], from_edge_deg: NDArray[np.float64]
 ) -> tuple[float, float] | None:
-    """Return the width [degrees] of a dark rim and its luminance over that further in.
+    """Return the width [degrees] of a dark rim, and its edge's share of the luminance further in.
 
-    The arrays [n] are of the outer 3.4 degrees of a lens's image, which are divided into seven
-    rings. The rim is dark if the median of the outermost ring is at most 0.6 of the innermost one's
-    and the medians of the outer three fall outwards. Return None otherwise, or if a ring has fewer
+    luminance_cdm2 [n] is of the outer 3.4 degrees of a lens's image, from_edge_deg [n] the distance
+    of each pixel from the edge. They are divided into seven rings. The rim is dark if the median of
+    the outermost ring is at most 0.6 of the innermost one's and the medians of the outer three fall
+    outwards. It extends to the first ring above 0.9. Return None otherwise, or if a ring has fewer
     than 50 pixels.
     """
     step = _TAPER_DEG / _RINGS

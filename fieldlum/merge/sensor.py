@@ -42,9 +42,10 @@ from fieldlum.records import Progress, quiet
 class SensorImage:
     """Merged pixels of the sensor in the camera's own colours, and the direction of the camera.
 
-    turn_deg: heading of the camera minus that of the target. u_curve: relative uncertainty due to
-    the exposures, over luminance. good: mask [height, width] of the crop, False at bad pixels; None
-    if every pixel is good.
+    merged: pixels of the crop; crop: the part of the sensor that was read. turn_deg: heading of the
+    camera minus that of the target, clockwise. f_number: of the frames. u_curve: relative
+    uncertainty due to the exposures, over luminance. good: mask [height, width] of the crop, False
+    at bad pixels; None if every pixel is good.
     """
 
     merged: Merged
@@ -59,8 +60,10 @@ class SensorImage:
 class Findings:
     """What the frames of one heading showed about exposures, noise, saturation and motion.
 
-    moved: turns of the camera between frames; dropped: share of its pixels that each frame lost to
-    motion, empty without `drop_moved`.
+    law: how nominal shutter times were read; fit: corrections of the exposures; trust: their
+    uncertainty; look: saturation and black level; noise: noise over the profile's. moved: turns of
+    the camera between frames, only for pairs of frames with enough common edges. dropped: share (0
+    to 1) of its pixels that each frame lost to motion, empty without `drop_moved`.
     """
 
     shots: tuple[Shot, ...]
@@ -112,8 +115,9 @@ def merge_sensor(
     """Merge the frames of one heading.
 
     shots: sorted by exposure, longest first. turn_deg: heading of the camera minus that of the
-    resulting picture. budget_bytes: memory for frames. Raises InputError for a frame that cannot be
-    read or is of another camera.
+    resulting picture, clockwise. budget_bytes: memory for frames; others are read again in each
+    pass. Return the merged pixels, and what the frames showed. Raises InputError for a frame that
+    cannot be read or is of another camera.
     """
     options = options or MergeOptions()
     fits = options.fits(profile)

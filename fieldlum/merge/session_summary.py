@@ -33,10 +33,10 @@ _LEAST_GHI_WM2 = 5.0
 
 
 def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
-    """Return the median of true over assumed exposure, by the exposure's text.
+    """Return the median over brackets of fitted over assumed exposure, by the exposure's text.
 
-    Only brackets whose neighbouring frames agree within 3 % count. Exposures with fewer than five
-    of them are omitted.
+    Only brackets whose neighbouring frames agree within 3 % count. An exposure in fewer than five
+    frames of such brackets is omitted.
     """
     corrections: dict[str, list[float]] = defaultdict(list)
     for sidecar in sidecars:
@@ -53,10 +53,10 @@ def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
 
 
 def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | None:
-    """Return the change of the light from the first frame to the last [%].
+    """Return the change of the light from the first frame to the last [%], positive if it rose.
 
-    typical: result of `typical_corrections`. Return None if fewer than three frames, or only frames
-    of one time, can be compared.
+    typical: result of `typical_corrections`, which contains the errors of the shutter. Return None
+    if fewer than three frames, or only frames of one time, can be compared.
     """
     rows = [
         (f.t_utc.timestamp(), float(np.log(f.correction / typical[text])), f.u_percent)
@@ -76,9 +76,10 @@ def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | Non
 
 
 def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> float | None:
-    """Return the change of global irradiance from `opened` to `closed` [%], by a fitted line.
+    """Return the change of global irradiance from `opened` to `closed`, in % of its mean.
 
-    Return None for fewer than three samples, or at night.
+    It is that of a line fitted to the session's samples, positive if the irradiance rose. Return
+    None for fewer than three samples, or a mean below 5 W/m2 (night).
     """
     days = {t.strftime("%Y-%m-%d") for t in (opened, closed)}
     rows = [
@@ -114,9 +115,10 @@ def write_summary(session: Session) -> None:
 
 
 def summary_due(session: Session) -> bool:
-    """Return whether a sidecar is newer than quality.csv, or quality.csv does not exist yet.
+    """Return whether the summary must be written again.
 
-    Without sidecars return False.
+    That is if a panorama's sidecar is newer than quality.csv, or if there are sidecars and no
+    quality.csv.
     """
     path = session.quality
     written_ns = path.stat().st_mtime_ns if path.is_file() else -1

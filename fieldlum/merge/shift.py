@@ -38,10 +38,10 @@ _TINY_RAD = 1e-4  # step of the numerical derivatives
 
 @dataclass(frozen=True, slots=True)
 class Small:
-    """A reduced frame: ln light [h, w], in any unit.
+    """A frame at a reduced size.
 
-    step: sensor pixels per reduced pixel; seen: mask [h, w] of pixels that are neither clipped nor
-    dark.
+    log_light [h, w]: natural logarithm of the light, in any unit; seen [h, w]: True for pixels that
+    are neither clipped nor dark; step: sensor pixels per reduced pixel, along each side.
     """
 
     log_light: Array
@@ -51,9 +51,11 @@ class Small:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Turn of frame `short` relative to frame `long`, its more exposed neighbour.
+    """How far the camera turned between two frames that are neighbours in exposure.
 
-    shift_px, u_px: in pixels at the lens's axis.
+    long, short: numbers of the more and of the less exposed frame. turn_deg: angle of the turn
+    about any axis, never negative. shift_px: how far that turn moves the picture at the lens's
+    axis, in sensor pixels; u_px: its standard uncertainty.
     """
 
     long: int
@@ -69,11 +71,12 @@ class Moved:
 
 
 def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
-    """Return ln of the frame's means over blocks of cells, with at most 800 blocks on a side.
+    """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
 
-    A block is seen if all its pixels are seen and its mean is above `least`, which is positive.
-    signal: [h, w], linear in light with black at 0, in any unit; cell: pixels per side of a cell (2
-    for a mosaic).
+    signal: [h, w], linear in light with black at 0, in any unit; seen: mask [h, w], False for
+    pixels to ignore. A block counts as seen if all its pixels are seen and its mean is above
+    `least`, which must not be negative. cell: a block's side is a multiple of this number of pixels
+    (2 for a mosaic).
     """
     import cv2
 
@@ -90,9 +93,10 @@ def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1)
 
 
 def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:
-    """Return the turns between neighbouring frames of a bracket that have enough common edges.
+    """Return the turns of the camera between neighbouring frames of a bracket.
 
-    lenses: with centres in sensor pixels of the frames.
+    frames: most exposed first; lenses: with centres in sensor pixels of the frames. A pair of
+    frames without enough common edges is omitted. The result can be empty.
     """
     if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
         return []

@@ -28,9 +28,10 @@ _ONE_APERTURE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One frame of a bracket: its file, intended exposure, heading and time.
+    """One frame of a bracket: its file, nominal exposure, heading and time.
 
-    heading_deg: None for the heading of the camera.
+    heading_deg: azimuth of the camera, clockwise from true north; None if the camera has only the
+    heading of the resulting picture. t_utc: None if unknown. sha256: of the file; "" if unknown.
     """
 
     path: Path
@@ -41,16 +42,18 @@ class Shot:
 
 
 def middle_of(shots: Sequence[Shot]) -> datetime | None:
-    """Return the middle between the first and the last frame; None if no frame has a time."""
+    """Return the time halfway between first and last frame; None if no frame has a time."""
     times = [s.t_utc for s in shots if s.t_utc is not None]
     return min(times) + (max(times) - min(times)) / 2 if times else None
 
 
 def shots_of_slot(folder: Path) -> list[Shot]:
-    """Return the frames in raw/<slot>/, as listed by capture.json, else described by their EXIF.
+    """Return the frames of a slot's folder raw/<slot>/.
 
-    Raises InputError for an invalid capture.json. If it lists no frames or is missing, also for a
-    folder without frames, or a frame whose EXIF has no exposure.
+    They are the frames that its capture.json lists, whether their files exist or not. If that file
+    is missing or lists no frames, they are all frames in the folder, described by their EXIF.
+    Raises InputError for an invalid capture.json, and in the second case for a folder without
+    frames or a frame whose EXIF has no exposure.
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
@@ -62,7 +65,10 @@ def shots_of_slot(folder: Path) -> list[Shot]:
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Return the files in a slot's folder that can be frames; raise InputError if there is none."""
+    """Return the files in a slot's folder that can be frames, by name.
+
+    Raises InputError if there is none.
+    """
     files = possible_frames(folder)
     if not files:
         raise InputError(
@@ -77,8 +83,9 @@ def frame_files(folder: Path) -> list[Path]:
 def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
     """Return frames described by their EXIF.
 
-    Their headings and times are None. lens_f_number: for files without an aperture. Raises
-    InputError without files, for a missing file, a file without an exposure, or one named twice.
+    Their headings and times are None. lens_f_number: f-number for files whose EXIF has none; with 0
+    that is an error. Raises InputError for an empty list, for a file that is missing or listed
+    twice, and for a file without exposure time, f-number or ISO.
     """
     if not files:
         raise InputError(
@@ -103,8 +110,9 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     """Return the frames sorted by heading, then by exposure, longest first, then by name.
 
-    Raises InputError for a filter that is not in the profile, a JPEG frame with a profile of a raw
-    camera or the reverse, an aperture for which k is not calibrated, and several apertures.
+    Raises InputError for a filter that is not in the profile, for a JPEG frame with the profile of
+    a raw camera or the reverse, for an aperture for which the profile's k is not calibrated, and if
+    the frames have different apertures.
     """
     known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
     for shot in shots:
@@ -155,7 +163,11 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
 
 
 def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
-    """Return the profile's shutter law; for "auto", the law that the bracket's labels suggest."""
+    """Return the profile's shutter law; if it is "auto", the likely law of the nominal times.
+
+    A shutter law states which true times the nominal (EXIF) times stand for. The result's
+    `decided_by` is "profile" or "labels".
+    """
     if profile.shutter_law != AUTO:
         return ShutterLaw(profile.shutter_law, "profile")
     nominal_s = [shot.exposure.shutter_s for shot in shots]
@@ -163,9 +175,9 @@ def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDArray[np.float64]]:
-    """Return the shutter times [frames] in s under each shutter law, by its name.
+    """Return the true shutter times [frames] in s under each shutter law, by the law's name.
 
-    Times in the profile's table of shutter times are the same under all laws.
+    A time that the profile's table of measured shutter times contains is the same under all laws.
     """
     profiles = {law: replace(profile, shutter_law=law) for law in LAWS}
     return {
@@ -177,7 +189,7 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDA
 def exposure_covariance(
     exposures: Sequence[Exposure], profile: CameraProfile
 ) -> NDArray[np.float64]:
-    """Return the relative covariance of the frames' exposures before any fit, [frames, frames].
+    """Return the covariance of the frames' log exposures before any fit, [frames, frames].
 
     Frames with the same shutter time have the same error of time. Frames with the same filter share
     an error too, and so do frames of one ISO other than the profile's. Each frame also has its own

@@ -18,7 +18,7 @@ from fieldlum.merge.shots import Shot, middle_of, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
-from fieldlum.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, quiet
+from fieldlum.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
 from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
@@ -37,7 +37,9 @@ _RECIPE = 5
 class Verdict:
     """The outcome of one bracket.
 
-    state: "merged", "kept" (merged by an earlier run from the same inputs) or "failed".
+    slot: name of the slot; state: "merged", "kept" (merged by an earlier run from the same inputs)
+    or "failed". text: the panorama's verdict, or why the merge failed. report: figures of the
+    merge; None if it failed.
     """
 
     slot: str
@@ -46,7 +48,7 @@ class Verdict:
     report: MergeReport | None
 
     def table(self) -> JsonTable:
-        """Return the object that `merge --json` prints for the slot."""
+        """Return the object that `merge --json` prints for the slot; quality is {} if it failed."""
         quality = self.report.table() if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 
@@ -123,8 +125,9 @@ def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> dat
 def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     """Merge one bracket of the session in the folder `root`, from frames to files.
 
-    A bracket that cannot be merged gets the verdict "failed". Raises OSError for a fault of the
-    computer, such as a full disk, because the bracket is not at fault.
+    Writes the panorama and its sidecar, unless both exist from the same inputs. A bracket that
+    cannot be merged gets the state "failed". Raises OSError for a fault of the computer, such as a
+    full disk, because the bracket is not at fault.
     """
     session = Session(root)
     try:
@@ -311,11 +314,12 @@ def run(
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
-    """Merge every slot that has no panorama from the same frames, profile and options.
+    """Merge every captured slot that has no panorama from the same frames, profile and options.
 
-    force: merge the others too. Then write the summary, if a panorama is new. Return the verdicts
-    by slot. Raises NotEnoughDataError if nothing was captured, InputError if no bracket could be
-    merged.
+    force: merge slots with such a panorama again. Then write the summary, if a panorama is new.
+    Return one verdict for each captured slot, sorted by slot; slots that were not merged again have
+    the state "kept". Raises NotEnoughDataError if nothing was captured, InputError if all brackets
+    failed.
     """
     slots = captured_slots(session)
     if not slots:
@@ -334,7 +338,7 @@ def run(
     if all(v.state == "failed" for v in verdicts):
         raise InputError(
             session.raw,
-            f"none of {len(verdicts)} brackets could be merged; {verdicts[0].slot}: "
+            f"0 of {counted(len(verdicts), 'bracket')} could be merged; {verdicts[0].slot}: "
             f"{verdicts[0].text}",
             remedy="correct the cause and merge again",
         )
