@@ -98,7 +98,7 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(rig: Field) 
 def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(rig: Field) -> None:
     rig.clock = FastClock(T0 + timedelta(days=30))
     with pytest.raises(
-        NotEnoughDataError, match=r"all 3 slots are past: the last was 2027-03-20 17:30 UTC"
+        NotEnoughDataError, match=r"the plan has no slot left: the last was 2027-03-20 17:30 UTC"
     ):
         rig.run()
     assert read_journal(rig.session) == []

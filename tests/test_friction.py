@@ -96,7 +96,7 @@ def test_a_second_capture_is_told_the_process_of_the_first(tmp_path: Path) -> No
     with (
         sole_user(session, "capture"),
         pytest.raises(
-            InputError, match=rf"fieldlum \(process {os.getpid()}\) holds the capture lock"
+            InputError, match=rf"fieldlum \(process {os.getpid()}\) captures or imports into"
         ),
         sole_user(session, "capture"),
     ):

@@ -38,9 +38,9 @@ def refuse_a_past_plan(
     last = max((slot.t_utc for slot in slots), default=now_utc)
     if not before.slots and last + grace < now_utc:
         raise NotEnoughDataError(
-            f"all {len(slots)} slots are past: the last was {last:%Y-%m-%d %H:%M} UTC, and this "
-            f"computer's clock shows {now_utc:%Y-%m-%d %H:%M} UTC; set the clock, or plan again "
-            "(fieldlum plan SESSION --replan)"
+            f"the plan has no slot left: the last was {last:%Y-%m-%d %H:%M} UTC, and this "
+            f"computer's clock shows {now_utc:%Y-%m-%d %H:%M} UTC; correct the clock, or plan "
+            "missed slots again with fieldlum plan SESSION --replan"
         )
 
 

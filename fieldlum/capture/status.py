@@ -50,7 +50,7 @@ def next_step(answer: JsonTable) -> str:
             "" if during == "capture" else f", then fieldlum capture {root}"
         )
     if capture["done"] == 0 and not pair["done"]:
-        return f"no slot is left and no bracket was captured: run fieldlum plan {root} --replan"
+        return f"fieldlum plan {root} --replan, because no slot is left and none was captured"
     if not models:
         return f"fieldlum train {root}"
     if not answer["predict"]["years"]:

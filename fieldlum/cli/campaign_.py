@@ -172,6 +172,7 @@ def report_command(
     from fieldlum.campaign import read_campaign
     from fieldlum.campaign.hour_table import write_csv, write_parquet
     from fieldlum.campaign.overview import write_overview
+    from fieldlum.records import counted
 
     if table is not None and table.suffix.lower() not in (".csv", ".parquet"):
         raise click.UsageError(
@@ -185,7 +186,7 @@ def report_command(
     rows = None
     if table is not None:
         rows = (write_parquet if table.suffix.lower() == ".parquet" else write_csv)(campaign, table)
-        say(f"{table}: {rows} rows")
+        say(f"{table}: {counted(rows, 'row')}")
     broken = [room.session for room in rooms if room.broken]
     if as_json:
         emit_json({"page": str(page), "passed_over": broken, "table_rows": rows})

@@ -107,6 +107,7 @@ def command(
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
     from fieldlum.raw import unreadable
+    from fieldlum.records import counted
     from fieldlum.session import open_session, sha256
 
     session = open_session(session_folder)
@@ -163,17 +164,17 @@ def command(
     outcomes = [state.outcome for state in ledger.slots.values()]
     with suppress(OSError):  # the terminal may be closed by now
         click.echo(
-            f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} "
-            f"missed, {outcomes.count('aborted')} aborted"
+            f"{session.root}: {counted(outcomes.count('done'), 'bracket')}, "
+            f"{outcomes.count('missed')} missed, {outcomes.count('aborted')} aborted"
         )
     aborted = [state.why for state in ledger.slots.values() if state.outcome == "aborted"]
     if aborted:
         terminal.say(f"the last aborted bracket: {aborted[-1]}")
     if len(aborted) > outcomes.count("done"):
         raise DeviceError(
-            f"{len(aborted)} brackets were aborted, but only {outcomes.count('done')} completed: "
-            f"run fieldlum doctor {session.root}, then fieldlum plan {session.root} --replan for "
-            "make-up slots"
+            f"{counted(len(aborted), 'bracket')} aborted, but only {outcomes.count('done')} "
+            f"completed; find the cause with fieldlum doctor {session.root}, then plan the lost "
+            f"hours again with fieldlum plan {session.root} --replan"
         )
 
 

@@ -93,6 +93,7 @@ def command(
             "no input: name a card's folder, or a logger's file with --irradiance"
         )
     from fieldlum.capture import import_card
+    from fieldlum.records import counted
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
@@ -108,8 +109,8 @@ def command(
     for line in _summary(report):
         terminal.say(line)
     parts = [
-        f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} "
-        "rows of irradiance"
+        f"{session.root}: {counted(report.brackets, 'bracket')} with "
+        f"{counted(report.frames, 'frame')}, {counted(report.rows, 'row')} of irradiance"
     ]
     if report.withdrawn:
         parts.append(

@@ -34,6 +34,7 @@ def command(session_folder: Path, scheduler_text: str, pairs_to: str, force: boo
     """
     from fieldlum import irradiance, pair
     from fieldlum.irradiance.day_curves import draw_days
+    from fieldlum.records import counted
     from fieldlum.session import open_session
     from fieldlum.session.bucket import BucketStore, check_url
 
@@ -53,8 +54,8 @@ def command(session_folder: Path, scheduler_text: str, pairs_to: str, force: boo
         pairs = pair.run(session, force=force, scheduler=scheduler, progress=progress)
     usable = sum(p.ok for p in pairs)
     click.echo(
-        f"{session.pairs}: {usable} of {len(pairs)} panoramas paired, {health.rows} rows of "
-        f"irradiance"
+        f"{session.pairs}: {usable} of {counted(len(pairs), 'panorama')} paired, "
+        f"{counted(health.rows, 'row')} of irradiance"
     )
     for why, count in Counter(p.why for p in pairs if p.why).most_common(5):
         terminal.say(f"refused {count}: {why}")

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 from fieldlum import sun
 from fieldlum.doctor.findings import CALIBRATION_YEARS, Finding, iso_date, owed_slots
 from fieldlum.profiles import CameraProfile, coverage_text, load_camera_profile
-from fieldlum.records import Slot
+from fieldlum.records import Slot, counted
 from fieldlum.session import Session, sha256
 
 
@@ -23,14 +23,14 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
     findings = []
     if about.get("sha256", "") != sha256(session.plan):
         text = (
-            "plan.csv differs from the plan that session.toml records: restore it, or run "
-            "fieldlum plan --replan"
+            "plan.csv differs from the plan that session.toml records: restore it, or plan the "
+            f"remaining slots again with fieldlum plan {session.root} --replan"
         )
         findings.append(Finding("plan", "fail", text, 3))
     if not ahead:
         text = (
-            f"none of the plan's {len(slots)} slots is in the future: plan again (fieldlum plan "
-            "SESSION --replan)"
+            f"none of the plan's {counted(len(slots), 'slot')} is in the future: plan missed slots "
+            f"again with fieldlum plan {session.root} --replan"
         )
         return [*findings, Finding("plan", "warn", text)]
     zone = ZoneInfo(session.site_file().site.timezone)

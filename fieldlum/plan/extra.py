@@ -27,7 +27,8 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
 
     Its exposures are those of the last planned slot before it (of the first slot if there is none).
     It has the tag "extra". Raises InputError if the sun is down, if a coming extra slot is already
-    planned, or if a coming slot is nearer than the duration of a bracket plus a minute.
+    planned, if a coming slot is nearer than the duration of a bracket plus a minute, or if the plan
+    has no slots.
     """
     at = (now_utc + LEAD).replace(second=0, microsecond=0) + timedelta(minutes=1)
     slots, setup = session.slots(), session.site_file()
@@ -48,6 +49,13 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
                 f"{busy.total_seconds():.0f} s before and after it without a planned bracket",
                 "request it again after that bracket",
             )
+    if not slots:
+        raise InputError(
+            session.plan,
+            "no slot, so the exposures of an extra bracket are unknown",
+            "a plan with slots",
+            "plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER",
+        )
     where = sun.position([at], setup.site)
     altitude = float(where.altitude_deg[0])
     if altitude <= 0:

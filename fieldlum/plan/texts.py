@@ -11,7 +11,7 @@ from fieldlum import sun
 from fieldlum.plan.coverage import Coverage
 from fieldlum.plan.days import DaylightHours, dark_days
 from fieldlum.plan.values import Months, Plan, Request
-from fieldlum.records import Site
+from fieldlum.records import Site, counted
 from fieldlum.session import Session
 
 
@@ -146,9 +146,9 @@ def sentences(summary: PlanSummary) -> list[str]:
     """Return the summary as sentences to print; the warnings are not among them."""
     slots, tags = summary.slots, summary.tags
     texts = [
-        f"{slots} slots on {summary.days} days, {summary.first} to {summary.last}, in "
-        f"{summary.session}",
-        f"{summary.frames} frames, {summary.seconds_per_slot:g} s and "
+        f"{counted(slots, 'slot')} on {counted(summary.days, 'day')}, {summary.first} to "
+        f"{summary.last}, in {summary.session}",
+        f"{counted(summary.frames, 'frame')}, {summary.seconds_per_slot:g} s and "
         f"{summary.megabytes / slots:.0f} MB per slot, {summary.megabytes / 1000:.1f} GB in total",
         _covered_text(summary.coverage),
     ]

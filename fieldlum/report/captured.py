@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.records import Site
+from fieldlum.records import Site, counted
 from fieldlum.report.figures import sky_domain_svg, sun_path_svg
 from fieldlum.report.page import Row, Section, Table, svg_figure
 from fieldlum.session import Session, read_journal
@@ -75,7 +75,9 @@ def _sentence(session: Session, site: Site, pairs: PairsFile) -> str:
     days = sorted({sun.standard_date(row.t_utc, site.timezone).isoformat() for row in used})
     span = f" between {days[0]} and {days[-1]}" if days else ""
     planned = len(session.slots()) if session.plan.is_file() else len(used)
-    text = f"{len(used)} usable brackets of {planned} planned, on {len(days)} days{span}."
+    text = (
+        f"{len(used)} usable of {planned} planned brackets, on {counted(len(days), 'day')}{span}."
+    )
     if not used:
         return text
     measured = sum(row.source == "measured" for row in used)

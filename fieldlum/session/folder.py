@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 from fieldlum.errors import InputError
 from fieldlum.records import SiteFile, Slot
@@ -203,11 +203,15 @@ def store_grace(session: Session, grace_s: float) -> None:
         update_session(session, {"capture": {**capture, "grace_s": grace_s}})
 
 
-@contextmanager
-def sole_user(session: Session, purpose: str) -> Iterator[None]:
-    """Let only one process at a time do `purpose` (capture, log) in a session.
+# What a process with the lock does, for errors.
+_LOCKED = {"capture": "captures or imports into", "log": "logs irradiance into"}
 
-    The lock ends with the process, even after a crash. Raises InputError if another process has the
+
+@contextmanager
+def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[None]:
+    """Let only one process at a time add to a session's captures or to its irradiance.
+
+    purpose: "capture" (of `capture` and `import`) or "log". The lock ends with the process, even after a crash. Raises InputError if another process has the
     lock, or if the folder's file system has no locks.
     """
     path = session.root / f".{purpose}.lock"
@@ -224,7 +228,7 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
                 ) from None
             raise InputError(
                 session.root,
-                f"another fieldlum{_process_of(path)} holds the {purpose} lock of this session",
+                f"another fieldlum{_process_of(path)} {_LOCKED[purpose]} this session",
                 "one process at a time",
                 "stop the other process first",
             ) from None
