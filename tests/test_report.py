@@ -151,7 +151,7 @@ def test_without_a_usable_bracket_nothing_is_stated_about_its_irradiance(tmp_pat
     session = create_session(tmp_path / "s", SETUP, [], {})
     none = np.empty(0)
     text = captured.section(session, SETUP.site, PairsFile(session.pairs, ()), none, none).text
-    assert text == "0 usable brackets of 0 planned, on 0 days."
+    assert text == "0 usable of 0 planned brackets, on 0 days."
 
 
 @pytest.mark.slow

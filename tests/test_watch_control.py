@@ -262,6 +262,13 @@ def test_an_extra_bracket_fits_between_planned_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+def test_a_plan_without_slots_takes_no_extra_bracket(tmp_path: Path) -> None:
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE), [], {"set": "test"})
+    with pytest.raises(InputError, match="no slot, so the exposures"):
+        add_extra(session, datetime(2027, 3, 20, 20, 30, tzinfo=UTC))
+
+
+@pytest.mark.contract
 def test_a_running_capture_takes_an_extra_bracket(tmp_path: Path) -> None:
     plan = [Slot(T0 + timedelta(hours=h), 20.0, 120.0, LADDER) for h in (0, 2)]
     session = create_session(tmp_path / "s", SiteFile(SEATTLE), plan, {"set": "test"})

@@ -34,13 +34,10 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
     """Return indices [count], ascending, of points [n, k] spread by farthest-point sampling.
 
     All points are returned if there are no more than `count` (1 or more). The first is drawn by
-    `rng`. Gonzalez 1985: the widest gap is at most twice the smallest possible. Raises ValueError
-    for a `count` below 1.
+    `rng`. Gonzalez 1985: the widest gap is at most twice the smallest possible.
     """
     if count >= len(points):
         return np.arange(len(points))
-    if count < 1:
-        raise ValueError(f"{count} points requested; expected 1 or more")
     chosen = [int(rng.integers(len(points)))]
     gap = np.full(len(points), np.inf)
     while len(chosen) < count:

@@ -211,8 +211,9 @@ _LOCKED = {"capture": "captures or imports into", "log": "logs irradiance into"}
 def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[None]:
     """Let only one process at a time add to a session's captures or to its irradiance.
 
-    purpose: "capture" (of `capture` and `import`) or "log". The lock ends with the process, even after a crash. Raises InputError if another process has the
-    lock, or if the folder's file system has no locks.
+    purpose: "capture" (of `capture` and `import`) or "log". The lock ends with the process, even
+    after a crash. Raises InputError if another process has the lock, or if the folder's file system
+    has no locks.
     """
     path = session.root / f".{purpose}.lock"
     with path.open("a") as file:
