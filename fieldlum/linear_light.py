@@ -72,15 +72,19 @@ def full_dn(
 ) -> list[float]:
     """Return the counts at which R, G1, G2, B saturate, in DN, black included.
 
-    They are the least of the profile's saturation, the file's white level and the plateau in the
-    frames (None if the frames have none).
+    For each colour this is the least of the profile's saturation, the file's white level and
+    plateau_dn: the count at which frames were seen to saturate, None if it was not measured.
     """
     tops = zip(profile.sensor.saturation_dn, plateau_dn, strict=True)
     return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
 
 
 def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
-    """Return counts above `black` [...], in DN, times the profile's linearity correction."""
+    """Return counts, corrected by the profile's linearity; without one, unchanged.
+
+    above_dn : counts minus the black level [DN], any shape; black : that black level [DN], from
+    which the full scale follows.
+    """
     sensor = profile.sensor
     if not sensor.linearity:
         return above_dn
@@ -91,7 +95,7 @@ def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -
 def curve_u_rel(profile: CameraProfile) -> float:
     """Return the relative uncertainty of the conversion from counts or codes to light.
 
-    It is that of a JPEG's response, or of a raw sensor's linearity.
+    It is that of the response for a JPEG camera, and that of the linearity for a raw camera.
     """
     raw = profile.camera.kind == "raw"
     return profile.sensor.linearity_u_rel if raw else profile.response.u_rel
@@ -103,10 +107,10 @@ def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
 
 
 def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
-    """Return the true time of a nominal shutter time [s], and its relative standard uncertainty.
+    """Return the true time [s] of a nominal shutter time [s], and its relative uncertainty.
 
-    It is the profile's measured time, or else the time by its shutter law plus the sensor's
-    constant exposure offset.
+    The true time is the profile's measured time; without a measured one it is the time by the
+    profile's shutter law plus the sensor's constant exposure offset.
     """
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
@@ -116,7 +120,10 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
 
 
 def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
-    """Return the linear signal z (0 to 1) per cd/m2 without a filter, by the true shutter time."""
+    """Return how much linear signal z (1 at full scale) 1 cd/m2 causes in a frame.
+
+    The true shutter time counts; the filter in `exposure` does not.
+    """
     shutter_s, _ = true_shutter_s(exposure.shutter_s, profile)
     return z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
 
@@ -141,10 +148,12 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
-    """Return the coefficients of V and the relative uncertainty at the edge, for an aperture.
+    """Return a lens's vignetting at an aperture: coefficients of V, and relative u at the edge.
 
-    An aperture without a curve uses the nearest curve, at most 0.4 stops away; a lens
-    without any curve has V = 1. Raises InputError for other apertures and for an impossible curve.
+    V is the transmission relative to the axis, in powers of the angle over half of the full angle,
+    from power 0. An aperture without a curve uses the nearest curve, at most 0.4 stops away; a lens
+    without any curve has V = 1 and no uncertainty. Raises InputError for other apertures and for an
+    impossible curve.
     """
     if not lens.vignetting:
         return (1.0,), 0.0
@@ -169,7 +178,10 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
 
 
 def response_tables(profile: CameraProfile) -> NDArray[np.float64]:
-    """Return z of the 256 codes of R, G, B, [256, 3]. Raises InputError for a broken response."""
+    """Return the linear light z (1 at full scale) of the 256 codes of R, G, B, [256, 3].
+
+    Raises InputError for an invalid response in the profile.
+    """
     r = profile.response
     try:
         tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
@@ -188,8 +200,8 @@ def lens_geometry(
 ) -> LensGeometry:
     """Return the lens's geometry in pixels of a crop of the sensor, with the camera turned.
 
-    turn_deg : the camera's heading minus the panorama's; corner_px : x, y of the crop's top left
-    corner on the sensor.
+    turn_deg : the camera's heading minus the panorama's, clockwise, added to the lens's azimuth;
+    corner_px : x, y of the crop's top left corner on the sensor.
     """
     x, y = lens.centre_px
     return replace(

@@ -25,9 +25,10 @@ def quiet(done: int, total: int, text: str) -> None:
 
 
 def utc_text(t_utc: datetime) -> str:
-    """Return a time as ``2027-03-20T15:30:00Z``, a fraction of a second with three digits.
+    """Return a time in UTC as ``2027-03-20T15:30:00Z``.
 
-    Raises ValueError for a naive time.
+    A fraction of a second is cut to three digits, and omitted if it is 0. Raises ValueError for a
+    naive time.
     """
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: add a time zone")
@@ -87,10 +88,10 @@ class Site:
     """A place and its time zone."""
 
     name: str
-    latitude_deg: float
+    latitude_deg: float  # north positive
     longitude_deg: float  # east positive
     timezone: str = "UTC"  # IANA
-    altitude_m: float = 0.0
+    altitude_m: float = 0.0  # above sea level
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,11 @@ class CameraSetup:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A glazed rectangle in a wall; ``left_m`` is from the wall's left end, seen from inside."""
+    """A glazed rectangle in a wall of a box room.
+
+    left_m: from the wall's left end, seen from inside, to the rectangle; sill_m: height of its
+    lower edge above the floor; width_m, height_m: its size; transmittance: of the glass.
+    """
 
     wall: Literal["south", "west", "north", "east"]
     left_m: float
@@ -121,9 +126,10 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Obstruction:
-    """A box inside or outside, in room coordinates.
+    """A box inside or outside of the room, in the coordinates of `Room`.
 
-    x to the right, y away from the south wall, z up.
+    x_m, y_m, z_m: its corner with the smallest coordinates; width_m, depth_m, height_m: its size
+    along x, y, z. y is 0 at the south wall and grows into the room; z is 0 at the floor.
     """
 
     x_m: float
@@ -214,7 +220,10 @@ def shutter_text(shutter_s: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One planned bracket: its start, the sun's position then, the exposures and tags."""
+    """One planned bracket: its start, the sun's position then, the exposures and tags.
+
+    tags: words that the plan attaches to the bracket; empty without any.
+    """
 
     t_utc: datetime
     sun_altitude_deg: float  # true, no refraction
@@ -230,7 +239,11 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class IrradianceSample:
-    """One reading of a pyranometer in W/m²; None for components that it does not measure."""
+    """One reading of a pyranometer in W/m²; None for components that it does not measure.
+
+    ghi: global horizontal irradiance; dhi: diffuse horizontal; dni: direct normal; temperature_c:
+    as the instrument reports it [deg C].
+    """
 
     t_utc: datetime
     ghi_wm2: float | None
@@ -266,8 +279,10 @@ class SunSource:
 class Panorama:
     """A luminance map of all directions, without the sun disc.
 
-    luminance_cdm2, u_cdm2 (standard uncertainty), flags : [H, W = 2H], row 0 at the zenith, centre
-    column at heading.
+    luminance_cdm2, u_cdm2 (standard uncertainty), flags (`Flag` bits) : [H, W = 2H], row 0 at the
+    zenith, azimuth clockwise to the right. heading_deg : azimuth of the centre column, clockwise
+    from true north. t_utc, u_cdm2, flags, rgb : None if unknown. sun : None if no sun was removed
+    from the map or added to it. attributes : further texts of the picture's file.
     """
 
     luminance_cdm2: Float

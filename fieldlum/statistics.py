@@ -26,10 +26,10 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
 
 
 def nan_percentiles(values: NDArray[np.floating], percent: tuple[float, ...]) -> NDArray[Any]:
-    """Return percentiles [k, ...] along the first axis of values [n, ...], without NaN.
+    """Return percentiles [k, ...] along the first axis of values [n, ...]; NaN are ignored.
 
-    percent: [k]. Linear between neighbours, as numpy.nanpercentile, which takes a column at a time
-    and is 100 times slower. A column of NaN alone gives NaN.
+    percent: [k], 0 to 100. Interpolates linearly between neighbours. The result equals that of
+    numpy.nanpercentile, which is 100 times slower. A column that contains only NaN gives NaN.
     """
     ordered = np.sort(values, axis=0)  # NaN last
     last = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)  # [...], index of the largest value
@@ -46,7 +46,10 @@ def nan_percentiles(values: NDArray[np.floating], percent: tuple[float, ...]) ->
 
 
 def median_standard_error(sigma: float, count: int) -> float:
-    """Return the standard error of the median of `count` normal values of deviation `sigma`."""
+    """Return the standard error of the median of `count` normal values.
+
+    sigma: standard deviation of one value; the result has its unit.
+    """
     return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))
 
 
@@ -75,12 +78,12 @@ def is_no_worse(
     best_errors: NDArray[np.floating],
     groups: NDArray[Any] | None = None,
 ) -> bool:
-    """Return whether a model's held-out errors are within one standard error of the best model's.
+    """Return whether a model's mean held-out error is at most one standard error above the best's.
 
-    errors, best_errors [n]: of the same data in the same order. The standard error is that of the
-    paired differences, by `groups` as in `standard_error`: easy and difficult days are the same for
-    both models, so that their spread does not describe the difference. With one value or one group
-    the standard error counts as 0.
+    errors, best_errors [n]: of the model and of the best model, for the same data in the same
+    order. The standard error is that of the mean of errors - best_errors, by `groups` as in
+    `standard_error`: easy and difficult days are the same for both models, so that their spread
+    does not describe the difference. With one value or one group the standard error counts as 0.
     """
     difference = np.asarray(errors, float) - np.asarray(best_errors, float)
     return bool(difference.mean() <= np.nan_to_num(standard_error(difference, groups)))

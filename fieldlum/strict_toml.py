@@ -20,9 +20,11 @@ _MAX_BYTES = 4_000_000
 
 
 def build(cls: type[T], table: dict[str, Any], where: str) -> T:
-    """Build a frozen dataclass from a TOML table; check nested dataclasses, tuples and Literals.
+    """Build the dataclass `cls` from a TOML table, and check every key and value by its type hints.
 
-    Raises InputError with `where`, the key, the value found and what was expected.
+    Nested dataclasses, tuples and Literals are built and checked too. A key that is not in the
+    table gets the field's default. where: name of the file or table, for errors. Raises InputError
+    for an unknown key, a missing key without a default, and a value of another type.
     """
     known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(cls)
@@ -129,7 +131,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a dataclass as nested dicts and lists for TOML; fields that are None are omitted."""
+    """Return a value in the types of TOML: a dataclass becomes a dict, and a tuple a list.
+
+    This applies at any depth. Fields and dict entries that are None are omitted.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):

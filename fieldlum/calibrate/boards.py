@@ -32,9 +32,10 @@ _MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 class Boards:
     """Chessboard corners on the sensor, their places on the board, and start values of a fit.
 
-    corners [boards, points, 2] px; points [points, 3] in squares; poses [boards, 6] : rotation
-    vector and position in OpenCV's camera frame; targets : rays of OpenCV's model in the part of
-    the picture that has corners.
+    corners [boards, points, 2] : x and y on the sensor [px]; points [points, 3] : their places on
+    the board, with the side of a square as unit; poses [boards, 6] : start value of each board's
+    rotation vector [rad] and position [squares] in OpenCV's camera frame; targets : rays of
+    OpenCV's model, with their pixels, in the part of the picture that has corners.
     """
 
     corners: Array
@@ -44,9 +45,10 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Return a chessboard's inner corners [rows * columns, 2] in px; None if no board is found.
+    """Return a chessboard's inner corners, x and y [rows * columns, 2] px; None without a board.
 
-    Raises InputError if the file cannot be read as a picture.
+    columns, rows : numbers of inner corners along the board's sides. Raises InputError if the file
+    cannot be read as a picture.
     """
     import cv2
 
@@ -67,15 +69,17 @@ def from_boards(
 ) -> Boards:
     """Fit OpenCV's omnidirectional model to the corners of n boards; return its rays and poses.
 
-    corners : one [rows * columns, 2] px per picture; size_px : width, height; paths : files of the
-    boards. Raises NotEnoughDataError for fewer than four boards, InputError if the fit fails or its
-    residual is above 3 px.
+    corners : results of `chessboard_corners`, one for each picture with a board; size_px : width
+    and height of the pictures; paths : their files, for errors and the profile. Boards that OpenCV
+    rejects are omitted. Raises NotEnoughDataError for fewer than four boards, InputError if the fit
+    fails or its residual is above 3 px.
     """
     import cv2
 
     if len(corners) < LEAST:
         raise NotEnoughDataError(
-            f"the chessboard was detected in {len(corners)} pictures; expected at least {LEAST}; "
+            f"pictures in which the chessboard was detected: {len(corners)}; expected at least "
+            f"{LEAST}; "
             "check the number of inner corners after --chessboard, and take sharp pictures in "
             "which the board reaches the edge of the lens circle"
         )
@@ -113,8 +117,9 @@ def from_boards(
 def fit(boards: Boards, lens: Lens) -> LensFit:
     """Fit the lens to the rays of OpenCV's model, then lens and board poses to the corners.
 
-    The start is `lens`, and its pose does not change. rms_px of the result is the residual of the
-    corners. Raises the errors of `lens.fit`.
+    The fit starts from `lens`. The result has the pose (azimuth, tilt, roll) of `lens`, because
+    boards do not determine it; its rms_px is the residual of the corners. Raises InputError or
+    NotEnoughDataError as `fieldlum.calibrate.lens.fit` does.
     """
     from scipy.optimize import least_squares
 

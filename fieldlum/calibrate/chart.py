@@ -50,9 +50,11 @@ _LONGEST = 1600  # longest side [px] of the picture at size 1; chosen, limits th
 
 
 def misfit(rgb: Array) -> float:
-    """Return the rms relative difference of camera colours [24, 3] from a chart's.
+    """Return the rms relative difference of 24 camera colours from those of a chart.
 
-    The best 3 x 3 matrix between the two is applied first.
+    rgb : [24, 3], linear, in any unit, row by row from the dark skin patch. The 3 x 3 matrix that
+    fits camera colours best to the chart's is applied first. 0 is a perfect chart; the colours in
+    another order give 0.6 and more.
     """
     from fieldlum.photometry import srgb_table
 
@@ -64,15 +66,19 @@ def misfit(rgb: Array) -> float:
 
 
 def in_order(luminance: Array) -> bool:
-    """Return whether luminances [24], in any unit, rise and fall like those of the chart."""
+    """Return whether luminances [24] of patches, in any unit, rise and fall like the chart's.
+
+    Row by row from the dark skin patch. True for a correlation of the logarithms above 0.9.
+    """
     logs = np.log(np.maximum(np.asarray(luminance, float), 1e-12))
     return float(np.corrcoef(logs, np.log(CHART_Y))[0, 1]) > _IN_ORDER
 
 
 def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
-    """Return the centres [24, 2] of a chart's patches, and a radius within a patch, in px.
+    """Return the centres of a chart's patches, x and y [24, 2] px, and a radius within each [px].
 
-    corners : [4, 2] px, outer corners of the field of patches, clockwise from the dark skin patch.
+    corners : x and y [4, 2] px of the outer corners of the field of patches, clockwise from the
+    corner at the dark skin patch. Centres are row by row from that patch.
     """
     import cv2
 
@@ -85,9 +91,10 @@ def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
 
 
 def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
-    """Return the centres [24, 2] of a chart's patches [px], and a radius within each patch.
+    """Return the centres of a chart's patches, x and y [24, 2], and a radius within each patch.
 
-    Both are in sensor pixels. Raises InputError if no chart is detected.
+    Both are in sensor pixels; patches are row by row from the dark skin patch. Raises InputError if
+    no chart is detected.
     """
     shown = np.clip(frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9), 0, 1) ** (
         1 / 2.2

@@ -40,10 +40,11 @@ _QUARTER = np.array([[0, 1], [-1, 0]])  # of a turn, of row vectors
 
 
 def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads]:
-    """Yield candidates [rows * columns, 4, 2] in pixels of picture [h, w, 3], row by row.
+    """Yield candidates for a chart's patches in a picture [h, w, 3].
 
-    The lattice with most detected patches comes first; mirror images are omitted. The caller must
-    check that the colours are those of a chart.
+    A candidate [rows * columns, 4, 2] has the corners x, y [px] of all patches, row by row. The
+    lattice with most detected patches comes first; mirror images are omitted. The caller must check
+    that the colours are those of a chart.
     """
     quads = _quads(picture)
     fits = (_fitted(quads, members, places) for members, places in _components(quads))

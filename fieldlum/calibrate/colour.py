@@ -39,8 +39,10 @@ CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
 class Colours:
     """Camera colours and luminances of n readings.
 
-    rgb [n, 3] : camera colours; y [n] : luminances, all in one unit; u_rel [n] : relative
-    uncertainty of y; labels [n] : names for messages; matrix [3, 3] : of the frames, XYZ to camera.
+    rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
+    : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
+    uncertainty of the comparison; labels [n] : names for messages; frames : the files; matrix
+    [3, 3] : XYZ to camera colours, as stored in the frames.
     """
 
     rgb: Array
@@ -55,7 +57,9 @@ class Colours:
 class ColourFit:
     """Fitted coefficients, their relative uncertainty, and relative residuals of the readings.
 
-    scale : luminance of the readings over that of the new coefficients, a factor on k.
+    y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over that by
+    y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance by camera,
+    with `scale`, over the reading minus 1, also for omitted readings.
     """
 
     y_from_rgb: tuple[float, float, float]
@@ -72,8 +76,10 @@ class ColourFit:
 def from_table(path: Path, profile: CameraProfile) -> Colours:
     """Read spot readings from a csv with the columns file, x_px, y_px and luminance_cdm2.
 
-    Optional columns: radius_px (default 12) and u_rel of the reading (default 0.02). The profile's
-    vignetting is corrected.
+    x_px, y_px : place of the reading on the sensor. Optional columns: radius_px of the averaged
+    disc (default 12) and u_rel of the reading (default 0.02). The profile's vignetting is
+    corrected. Raises InputError for an invalid csv, an unreadable frame, or a place that is clipped
+    or outside the picture.
     """
     rows = read_table(path, ("file", "x_px", "y_px", "luminance_cdm2"), ("radius_px", "u_rel"))
     frames: dict[Path, LinearFrame] = {}
@@ -195,8 +201,7 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
         raise InputError(
             colours.frames[0],
             f"the error of held-out readings is {100 * choice.rms:.0f} %: the meter readings do "
-            "not "
-            "fit the colours of the patches",
+            "not fit the colours of the patches",
             f"an error of at most {100 * MOST_U:.0f} %",
             "check that each line states the place of its reading, and that the light was steady",
         )

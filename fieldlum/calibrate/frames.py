@@ -33,8 +33,9 @@ _MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not m
 class Patch:
     """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
 
-    The mean is trimmed by a tenth at each end. u_rel : relative standard uncertainty of the mean
-    green; clipped : share of the disc's pixels that are bad and therefore omitted.
+    The tenth of the pixels with the smallest and the tenth with the largest values do not count.
+    u_rel : relative standard uncertainty of the mean green. clipped : share (0 to 1) of the disc's
+    pixels that are saturated, or too dark for the response, and therefore omitted.
     """
 
     rgb: NDArray[np.float64]
@@ -46,9 +47,10 @@ class Patch:
 class LinearFrame:
     """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting.
 
-    bad [h, w] : above 0.97 of the saturation, or outside the codes for which a JPEG's response is
-    valid; step : sensor pixels along the edge of a pixel of rgb, 2 for raw and 1 for JPEG;
-    colour_matrix : XYZ to camera as stored in a raw file, else None.
+    rgb [h, w, 3]; bad [h, w] : True for pixels not to use: above 0.97 of the saturation, or outside
+    the codes for which a JPEG's response is valid; step : sensor pixels along the edge of a pixel
+    of rgb, 2 for raw and 1 for JPEG; colour_matrix : XYZ to camera colours [3, 3] as stored in a
+    raw file, else None. A filter in front of the lens is not corrected.
     """
 
     path: Path
@@ -152,16 +154,20 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 
 
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
-    """Return the angle of a place on the sensor from the axis, over half of the full angle."""
+    """Return a place's angle from the lens's axis, over half of the lens's full angle.
+
+    x_px, y_px : on the sensor. 0 on the axis, 1 at the edge of the image circle.
+    """
     geometry = lens.geometry
     radius = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
 
 
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
-    """Return the vignetting factor of the nearest lens at a place on the sensor; 1 without a curve.
+    """Return the transmission relative to the axis of the nearest lens, at a place on the sensor.
 
-    Raises InputError if the profile only has curves for other apertures.
+    A value divided by it is corrected for vignetting. It is 1 if the lens has no curve. Raises
+    InputError if the lens only has curves for other apertures.
     """
     lens = profile.lens[nearest_lens(profile, x_px, y_px)]
     coefficients, _ = vignetting_of(lens, f_number)

@@ -39,8 +39,9 @@ TURNED_DEG = 30.0  # a larger difference from the profile's pose causes a warnin
 class Targets:
     """Known directions of n targets, and their places on the sensor.
 
-    x_px, y_px [n]; rays [n, 3] : unit vectors, x east, y north, z up, with north in the camera's
-    heading; pose_known : the rays are relative to the optical axis (y) instead.
+    x_px, y_px [n] : x to the right, y down. rays [n, 3] : unit vectors towards the targets, with y
+    in the camera's heading, x to the right, z up. With pose_known y is the optical axis instead,
+    and the fit does not change the lens's pose. frames : files, for errors and the profile.
     """
 
     x_px: Array
@@ -57,9 +58,10 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A fitted lens, the residuals [n] of its targets in px, its held-out error, and warnings.
+    """A fitted lens, its held-out error, and warnings.
 
-    rms_px, rms_deg : of held-out targets; of chessboard corners after `boards.fit`.
+    residual_px [n] : distance of each target from its fitted place, omitted targets included;
+    rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners after `boards.fit`.
     """
 
     lens: Lens
@@ -79,7 +81,8 @@ class LensFit:
 def from_table(path: Path) -> Targets:
     """Read targets from a csv with the columns x_px, y_px, azimuth_deg and altitude_deg.
 
-    Angles are relative to the camera's heading and to the horizon.
+    azimuth_deg is clockwise from the camera's heading, altitude_deg upwards from the horizon; x_px
+    is to the right, y_px down. Raises InputError for an invalid csv.
     """
     rows = read_table(path, ("x_px", "y_px", "azimuth_deg", "altitude_deg"))
     columns = {n: np.array([needed(row, n, path) for row in rows]) for n in rows[0]}
@@ -92,8 +95,10 @@ def geometry_of_figures(
 ) -> LensGeometry:
     """Return the lens geometry that the parameter vector of a fit describes.
 
-    figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose`, then
-    the polynomial's terms of all `powers` but the first.
+    figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose` (else
+    those of `lens` are used), then the polynomial's coefficients of all `powers` of the angle but
+    the first, which follows because they add up to 1. powers : empty for other mappings. The full
+    angle is that of `lens`.
     """
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
@@ -180,7 +185,10 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
 
 
 def with_mapping(lens: Lens, found: LensGeometry) -> Lens:
-    """Return the lens with the fitted centre, radius and mapping, rounded for the profile."""
+    """Return `lens` with the centre, radius and mapping of `found`, rounded for the profile.
+
+    Its full angle, pose and vignetting do not change.
+    """
     return replace(
         lens,
         centre_px=(round(found.centre_px[0], 3), round(found.centre_px[1], 3)),

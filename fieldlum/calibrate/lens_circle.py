@@ -22,6 +22,7 @@ EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 def grey_picture(path: Path) -> NDArray[np.uint8]:
     """Read a raw, JPEG, PNG or TIFF file as grey codes 0 to 255 at sensor size, [h, w].
 
+    A raw frame is stretched to its own brightness, so that its codes have no absolute meaning.
     Raises InputError for a file that cannot be read.
     """
     import cv2
@@ -48,7 +49,10 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """The image circle of a fisheye: centre, radius and spread of its edge points, in px."""
+    """The image circle of a fisheye: centre (x, y), radius and spread of its edge points, in px.
+
+    u_px: standard deviation of the edge points' distance from the circle.
+    """
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -128,9 +132,10 @@ def _size(picture: NDArray[np.uint8]) -> str:
 
 
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
-    """Return how far the picture `after` moved from `before` [px], right and down.
+    """Return how far the scene in `after` moved from its place in `before` [px]: right, down.
 
-    By cross-correlation of grey pictures [h, w]. Raises InputError for different sizes.
+    Negative numbers are left or up. By cross-correlation of grey pictures [h, w]. Raises InputError
+    for different sizes.
     """
     from skimage.registration import phase_cross_correlation
 
@@ -164,10 +169,10 @@ def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
 
 
 def trimmed(lens: Lens, width_deg: float) -> Lens:
-    """Return the lens with a half angle that is `width_deg` smaller.
+    """Return the lens without the outer `width_deg` of its image: half of its full angle shrinks.
 
-    Angles map to the same pixels, with the same vignetting. Raises ValueError for a width that is
-    not positive or leaves no picture.
+    Directions inside map to the same pixels, with the same vignetting. Raises ValueError for a
+    width that is not positive or leaves no picture.
     """
     half_deg = lens.full_angle_deg / 2.0 - width_deg
     if width_deg <= 0.0 or half_deg <= 0.0:

@@ -43,8 +43,9 @@ _OFFSET_SIGMA = 4.0
 class Levels:
     """Mean raw counts of blocks of each frame, for a fit of linearity.
 
-    share: mean above black over the full scale, [frames, blocks], NaN where a block is saturated or
-    dark; weight: of each share, [frames, blocks]; seconds: true times by the profile, [frames] s.
+    share: mean counts above black over the full scale, [frames, blocks], NaN where a block is
+    saturated or dark; weight: 1 / (relative uncertainty of the share)^2, [frames, blocks]; seconds:
+    true shutter times by the profile, [frames].
     """
 
     share: Array
@@ -57,9 +58,10 @@ class Levels:
 class LinearityFit:
     """A fitted linearity.
 
-    coefficients: a of the factor 1 + a1 x + a2 x2 + ... on the counts, with x the share of the full
-    scale; offset_s: the shutter's offset [s], 0 unless it is above four standard errors;
-    u_offset_s: its standard error [s]; u_rel: relative held-out rms of the light, at least 5e-4.
+    coefficients: (a1, a2, ...) of the factor 1 + a1 x + a2 x^2 + ... that corrects the counts above
+    black, with x their share of the full scale. offset_s: constant to add to the shutter times of
+    `Levels` [s]; 0 unless it exceeds four standard errors. u_offset_s: its standard error [s].
+    u_rel: relative held-out rms of the light, at least 5e-4.
     """
 
     coefficients: tuple[float, ...]
@@ -70,9 +72,10 @@ class LinearityFit:
 
 
 def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
-    """Read raw frames of one steady scene with many exposure times as block means.
+    """Read raw frames of one steady scene with many exposure times as means over blocks.
 
-    Raises InputError for a frame of another camera, or of another aperture or ISO than the first.
+    A frame has 8 x 8 blocks for each of R, G1, G2 and B. Raises InputError for a frame that cannot
+    be read, is of another camera, or has another aperture or ISO than the first.
     """
     shares: list[Array] = []
     weights: list[Array] = []

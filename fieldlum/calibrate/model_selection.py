@@ -48,8 +48,10 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    what, unit, scale : name of the fit, and unit and factor of the rms in that line; negligible : a
-    candidate whose rms is larger by at most this counts as equal to the best.
+    The best has the smallest mean of `errors`; the smallest has the lowest `size`. what : name of
+    the fit, for the line of text; unit, scale : unit of the rms in that line, and the factor that
+    converts it to that unit. negligible : a candidate whose rms is larger by at most this (in the
+    unit of the errors' root) counts as equal to the best.
     """
     means = np.array([candidate.errors.mean() for candidate in candidates])
     best = int(np.argmin(means))
@@ -72,9 +74,10 @@ def choose(
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:
-    """Yield masks [n] of the data to hold out: one group each, or with over 24 groups `count` sets.
+    """Yield masks [n], one for each fit of a cross-validation, True for the data to hold out.
 
-    groups [n] : group of each datum; a group is never divided.
+    groups [n] : number of each datum's group; a group is never divided. With up to 24 groups each
+    is held out alone; with more, they are divided into `count` sets. Each datum is held out once.
     """
     names = np.unique(groups)
     parts = len(names) if len(names) <= LEAVE_ONE_OUT else count

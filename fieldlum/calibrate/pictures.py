@@ -66,7 +66,10 @@ def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> 
 
 
 def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
-    """Draw the response tables, and the residuals of the sampled places over the code."""
+    """Draw the response tables, and the residuals of the sampled places over the code.
+
+    A residual is the light of a place by one frame less the mean by all frames [%].
+    """
     figure, left, right = _two(
         f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
     )
@@ -94,7 +97,10 @@ def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
 def of_vignette(
     samples: vignette.Samples, found: vignette.VignettingFit, half_angle_deg: float
 ) -> Figure:
-    """Draw transmission over the angle from the axis, readings and fit, and the residuals."""
+    """Draw readings and fit of the transmission over the angle from the axis, and the residuals.
+
+    half_angle_deg : half of the lens's full angle. Residuals are reading less fit [%].
+    """
     figure, left, right = _two(
         f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * found.u_rel:.2g} %"
     )
@@ -125,7 +131,10 @@ def of_vignette(
 
 
 def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> Figure:
-    """Draw the values of the pictures over the meter's readings, and the residuals."""
+    """Draw the pictures' values, corrected by the fit, over the meter's readings, and residuals.
+
+    A residual is the meter's reading less the corrected value of the picture [%].
+    """
     figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
     meter = np.array([r.meter for r in readings])
     image = np.array([r.image for r in readings]) * found.factor
@@ -193,7 +202,7 @@ def of_circle(picture: NDArray[np.uint8], found: lens_circle.Circle) -> Figure:
 
 
 def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
-    """Draw the fitted luminance (y) against the readings (x), and the residuals."""
+    """Draw the fitted luminance (y) against the readings (x), and the residuals [%] by patch."""
     figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
     new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
@@ -212,7 +221,10 @@ def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
 
 
 def of_shutter(found: shutter.ShutterFit) -> Figure:
-    """Draw the fitted times over the nominal and over the previously assumed times."""
+    """Draw how much the fitted times differ from the nominal and from the assumed times [%].
+
+    Positive where the true time is longer. The bars are two standard uncertainties long each way.
+    """
     figure, left, right = _two(
         f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
     )

@@ -20,6 +20,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import Mosaic, channel_positions, is_jpeg, possible_frames, read_mosaic
+from fieldlum.records import counted
 
 # Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
 # real sensors.
@@ -46,8 +47,8 @@ Detail = NDArray[np.int8]
 class PixelDefects:
     """Bad pixels (column, row) on the sensor, and the evidence.
 
-    views : number of different views; frames : the frames used; by_chance : number of pixels
-    expected by chance.
+    views : number of different views, or of dark frames; frames : the frames that were read;
+    by_chance : number of good pixels expected among bad_px by chance; line : text for the profile.
     """
 
     bad_px: tuple[tuple[int, int], ...]
@@ -60,10 +61,11 @@ class PixelDefects:
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
     """Find the bad pixels of a raw camera.
 
-    sources : frames, or folders of frames; frames with the same details count as one view. dark :
-    the cap was on, and each frame counts as a view. Raises InputError for frames that are not raw
-    frames of this camera, or not dark with `dark`; NotEnoughDataError if there are fewer than three
-    different views (two dark frames), or if too many pixels deviate.
+    sources : frames, or folders of frames; frames with the same details count as one view, and
+    frames with too little detail are not used. dark : the frames were taken with the cap on, and
+    each counts as a view. Raises InputError for frames that are not raw frames of this camera, and
+    for a frame with light if `dark`; NotEnoughDataError for fewer than three different views (or
+    two dark frames), or if too many pixels deviate.
     """
     if profile.camera.kind != "raw":
         raise InputError(
@@ -106,10 +108,9 @@ def _decide(
         least, kind = LEAST_VIEWS, "views"
         remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
     if len(views) < least:
-        blank = f" ({plain} frames have too little detail)" if plain else ""
-        raise NotEnoughDataError(
-            f"bad pixels: {len(views)} different {kind}{blank}; expected at least {least}; {remedy}"
-        )
+        blank = f" ({counted(plain, 'frame')} with too little detail)" if plain else ""
+        found = counted(len(views), f"different {kind.removesuffix('s')}")
+        raise NotEnoughDataError(f"bad pixels: {found}{blank}; expected at least {least}; {remedy}")
     count = np.zeros(views[0].shape, np.uint16)
     for view in views:
         count += view
@@ -207,10 +208,11 @@ def _planes(
 def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
     """Return a mask [h, w] of the raw pixels that deviate from the median of their neighbourhood.
 
-    The neighbourhood is nine pixels of one colour. A pixel deviates if it differs by more than six
-    times the noise, a tenth of the light, and four times the spread of the nine. Pixels in nearly
-    saturated neighbourhoods are omitted. alone : also omit pixels with three or more neighbours
-    that deviate likewise, as at the corner of an object.
+    True for a pixel that deviates. The neighbourhood is the pixel and the eight next to it of the
+    same colour. A pixel deviates if it differs by more than each of these: six times the noise, a
+    tenth of the light, four times the spread of the neighbourhood. False in nearly saturated
+    neighbourhoods. alone : also False for a pixel with three or more neighbours that differ like
+    it, as at the corner of an object.
     """
     import cv2
 

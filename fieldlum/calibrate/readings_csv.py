@@ -42,7 +42,7 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
         if any(text.strip() for text in row.get(None) or ()):
             raise InputError(
                 f"{path}:{number}",
-                "more cells than the header has columns",
+                "this line has more cells than the header has columns",
                 f"{len(names)} cells",
                 "write decimals with a point, or put semicolons between the cells",
             )
@@ -76,7 +76,10 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def columns_of(path: Path) -> list[str]:
-    """Return the column names in the header of a csv. Raises InputError if it cannot be read."""
+    """Return the column names in the header of a csv, without spaces around them.
+
+    The list is empty for an empty file. Raises InputError if the file cannot be read.
+    """
     lines = [line for _, line in _lines(path)[:1]]
     return [name.strip() for name in next(csv.reader(lines, delimiter=_separator(lines)), [])]
 
@@ -104,7 +107,10 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
 
 
 def needed(row: dict[str, Any], name: str, path: Path) -> Any:
-    """Return the cell `name` of a row of `read_table`. Raises InputError if it is empty."""
+    """Return the cell `name` of a row of `read_table`; raise InputError if it is empty.
+
+    path : the csv, for the error.
+    """
     if row.get(name) is None:
         raise InputError(
             path,

@@ -44,9 +44,10 @@ TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 class Places:
     """Codes of the same places in all frames of a bracket, pooled over brackets.
 
-    codes [places, exposures, 3] : 0 if the bracket has no such exposure; log_exposure [exposures] :
-    ln of shutter time [s] times ISO; bracket [places] : index of the bracket; frames : files; law :
-    shutter law that log_exposure assumes.
+    codes [places, exposures, 3] : code of a place in R, G, B; 0 if its bracket has no such
+    exposure. log_exposure [exposures] : ln of (true shutter time [s] times ISO); bracket [places] :
+    index of each place's bracket; frames : files of all brackets; law : how log_exposure follows
+    from the nominal shutter times.
     """
 
     codes: NDArray[np.uint8]
@@ -58,7 +59,10 @@ class Places:
 
 @dataclass(frozen=True, slots=True)
 class ResponseFit:
-    """A fitted JPEG response, its residual for each colour, and the line about the choice."""
+    """A fitted JPEG response, its residuals, and the choice among the tried responses.
+
+    residual : for R, G, B the rms relative difference of a place's light between frames.
+    """
 
     response: Response
     residual: tuple[float, float, float]  # rms of ln z for each colour, within places
@@ -249,10 +253,11 @@ def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 def residuals(
     table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64], low: int = LOW
 ) -> NDArray[np.float64]:
-    """Return the variance of ln(z / exposure) within each place, [places].
+    """Return for each place the variance of ln(z / exposure) over its frames, [places].
 
-    table [256] : z of each code; codes [places, frames]; log_e [frames] : ln of exposure. Codes
-    from `low` to 228 count; NaN for places with fewer than two.
+    With the right table it contains only noise, because the light of a place is the same in all
+    frames. table [256] : linear light z of each code; codes [places, frames] : of one colour; log_e
+    [frames] : ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than two.
     """
     counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
@@ -305,8 +310,7 @@ def fit(places: Places) -> ResponseFit:
     if u > DOUBTFUL:
         doubt = (
             f"CAUTION: the fitted light of the same places differs by {100 * u:.0f} % between "
-            "frames: "
-            "check that camera and light did not change, and take the bracket again"
+            "frames: check that camera and light did not change, and take the bracket again"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
     u_rel = round(max(u, 0.001), 5)
@@ -335,7 +339,7 @@ def _pooled(
     valid = errors[np.isfinite(errors)]
     if len(valid) < 20:
         raise NotEnoughDataError(
-            f"{len(valid)} places are well exposed in two frames; expected at least 20 to "
-            f"fit a response; take more frames"
+            f"places that are well exposed in two frames: {len(valid)}; expected at least 20 to "
+            "fit a response; take more frames"
         )
     return valid

@@ -62,7 +62,11 @@ class LuminanceReading:
 
 @dataclass(frozen=True, slots=True)
 class ScaleFit:
-    """A fitted factor on k, its relative uncertainty, all residuals, and the labels of outliers."""
+    """A fitted factor on k, its relative uncertainty, and how well the readings agree with it.
+
+    u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count less
+    in the fit.
+    """
 
     factor: float  # multiplies the profile's k
     u_rel: float
@@ -125,9 +129,8 @@ def from_table(
         )
     if uneven:
         notes += (
-            f"the luminance is uneven around the readings {', '.join(uneven)}, which therefore "
-            "have "
-            "a low weight: measure places that are even over two degrees",
+            f"the luminance is uneven around these readings, which therefore have a low weight: "
+            f"{', '.join(uneven)}: measure places that are even over two degrees",
         )
     return readings, list(pictures), notes
 
@@ -207,8 +210,9 @@ def spot_cdm2(
 ) -> tuple[float, float]:
     """Return the trimmed mean luminance [cd/m2] of a spot meter's field, and its relative u.
 
-    The field is a disc of 1 degree around the direction, at least a few pixels. file : for errors.
-    Raises InputError for a place that is clipped or without light.
+    The field is a disc of 1 degree diameter around the direction, at least a few pixels wide.
+    azimuth_deg : clockwise from north; file : for errors. Raises InputError for a place that is
+    clipped or without light.
     """
     from scipy.stats import trim_mean
 
@@ -240,9 +244,10 @@ def fit(
 ) -> ScaleFit:
     """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
 
-    meter_u : relative u of the meter, part of u(k); source : for errors. Raises NotEnoughDataError
-    without readings, InputError if a reading is not positive, or if more than a third of them are
-    outliers.
+    meter_u : relative standard uncertainty of the meter's calibration, common to all readings, part
+    of u(k); source : the csv, for errors. A reading is an outlier if it differs by more than three
+    u_rel and by more than 10 %. Raises NotEnoughDataError without readings, InputError if a reading
+    is not positive, or if more than a third of them are outliers.
     """
     if not readings:
         raise NotEnoughDataError(
@@ -282,9 +287,10 @@ def fit(
 
 
 def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
-    """Return a text on each outlier with its ratio to the picture.
+    """Return a text on each outlier with its ratio to the corrected picture.
 
-    If the ratio is that of two units, or 10 or 1000, the text names this as the likely error.
+    If the ratio is that of two units, or a factor of 10 or 1000 either way, the text names this as
+    the likely error. The list is empty without outliers.
     """
     texts = []
     for reading in readings:
@@ -304,10 +310,10 @@ def _slip(ratio: float) -> str:
 
 
 def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
-    """Return a warning if the fitted k, summed over R, G and B, is not 0.5 to 2, else "".
+    """Return a warning if the fitted k times the sum of y_from_rgb is not 0.5 to 2, else "".
 
     Cameras are in this range. path: the csv of readings, for the error. Raises InputError if k also
-    differs from the profile's k by more than a factor of ten.
+    differs from the profile's k by more than a factor of ten, either way.
     """
     level = profile.scale.k * found.factor * sum(profile.colour.y_from_rgb)
     low, high = SENSIBLE_K

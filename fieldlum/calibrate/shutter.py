@@ -23,7 +23,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import SAME_TIME, true_shutter_s
 from fieldlum.photometry import AUTO
 from fieldlum.profiles import CameraProfile, ShutterTime
-from fieldlum.records import shutter_text
+from fieldlum.records import counted, shutter_text
 from fieldlum.session import Session
 from fieldlum.session.files.merge_report import FrameQuality, NeighbourQuality
 from fieldlum.session.files.sidecar import Sidecar
@@ -44,8 +44,9 @@ Pair = tuple[float, float]  # nominal times of the longer and the shorter frame 
 class ShutterReading:
     """The measured ratio of two neighbouring frames of a bracket.
 
-    log_ratio : ln(true / assumed exposure) of the shorter frame minus that of the longer one;
-    u_log : its uncertainty; seconds : from the longer to the shorter frame, None if unknown.
+    pair : nominal times of the longer and of the shorter frame [s]. log_ratio : ln(true / assumed
+    exposure) of the shorter frame minus that of the longer one; u_log : standard uncertainty of
+    log_ratio; seconds : time from the longer to the shorter frame, None if unknown.
     """
 
     pair: Pair
@@ -58,9 +59,10 @@ class ShutterReading:
 class FramePairTable:
     """Summary of one pair of shutter times over all brackets.
 
-    median : of log_ratio; spread : its standard deviation over brackets beyond the noise; error :
-    standard error of the median; brackets : their number; seconds : median time between the two
-    frames.
+    pair : nominal times of the longer and of the shorter frame [s]. median : of log_ratio, see
+    `ShutterReading`, over brackets; spread : standard deviation of log_ratio over brackets, without
+    its noise; error : standard error of the median; brackets : number of readings of the pair;
+    seconds : median time from the longer to the shorter frame.
     """
 
     pair: Pair
@@ -96,8 +98,10 @@ def from_session(
 ) -> tuple[list[list[ShutterReading]], tuple[Path, ...]]:
     """Return the readings of every bracket that was merged with this profile, and their sidecars.
 
-    Brackets without a usable ratio are omitted. Raises InputError if none remains and some were
-    merged with another profile, NotEnoughDataError if none remains otherwise.
+    profile_sha256 : of the profile's file, as the sidecars record it. One list of readings for each
+    bracket, in the order of the sidecars. Brackets without a usable ratio are omitted. Raises
+    InputError if no bracket remains and some were merged with another profile, NotEnoughDataError
+    if none remains otherwise.
     """
     brackets, files, others = [], [], 0
     for path in session.sidecar_files():
@@ -113,7 +117,7 @@ def from_session(
     if not brackets and others:
         raise InputError(
             session.panoramas,
-            f"{others} panoramas were merged with another profile",
+            f"{counted(others, 'panorama')} merged with another profile",
             "panoramas merged with the stated profile",
             "merge again (fieldlum merge), or name the other profile",
         )
@@ -128,7 +132,8 @@ def from_session(
 def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
     """Return the profile; a shutter law "auto" is replaced by the law of the merged brackets.
 
-    sidecars : of the brackets. Raises InputError if they were merged with several laws.
+    Another law of the profile does not change. sidecars : files of the merged brackets. Raises
+    InputError if the law is "auto" and the brackets were merged with several laws.
     """
     reports = [Sidecar.read(path).report for path in sidecars]
     laws = {report.shutter_law.law for report in reports if report.shutter_law}
@@ -198,9 +203,10 @@ def _reading(
 def pool(
     brackets: Sequence[Sequence[ShutterReading]], drift: bool = True
 ) -> dict[Pair, FramePairTable]:
-    """Return a summary of each pair of shutter times over all brackets.
+    """Return a summary of each pair of shutter times over all brackets, by the pair.
 
-    drift : first remove the drift of the light, a line over time, from each bracket.
+    brackets : one list of readings for each. drift : first remove the drift of the light, a line
+    over time, from each bracket.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
@@ -246,10 +252,12 @@ def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
 
 
 def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) -> ShutterFit:
-    """Fit the true times of the largest set of connected pairs in which enough brackets agree.
+    """Fit the true times of a raw camera's shutter to the measured ratios of many brackets.
 
-    Raises NotEnoughDataError if brackets are too few or disagree, or if the fit is not better than
-    the assumed times; InputError for a JPEG camera.
+    A pair of times is used if at least five brackets have it and agree within 2 %. Of these pairs,
+    those that are connected by common times and contain most times are fitted; their mean level
+    stays that of the assumed times. Raises NotEnoughDataError if brackets are too few or disagree,
+    or if the fit is not better than the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
         raise InputError(

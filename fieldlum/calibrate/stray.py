@@ -47,8 +47,10 @@ MOST_SHARE = 0.3
 class StrayReading:
     """The stray light at one dark place, and the light that may cause it.
 
-    stray_cdm2 : recorded minus true luminance; angle_rad [n] : angle of each lit pixel, and of the
-    sun disc, from the place; flux [n] : its luminance times solid angle [lx].
+    label : name of the place, for messages; picture : its file. stray_cdm2 : recorded minus true
+    luminance of the place. angle_rad [n] : angle from the place to each lit pixel of the same
+    lens's field, and to the sun disc if the field contains it; flux [n] : luminance of that pixel
+    times its solid angle, or the disc's illuminance on a plane normal to it [lx].
     """
 
     label: str
@@ -60,9 +62,10 @@ class StrayReading:
 
 @dataclass(frozen=True, slots=True)
 class StrayFit:
-    """A fitted kernel, and the stray light that it predicts for each reading [cd/m2].
+    """A fitted kernel, and the stray light that it predicts for each reading [n] in cd/m2.
 
-    total_share : share of a source's light that the kernel spreads.
+    kernel : the table [stray] for a profile. total_share : share (0 to 1) of a source's light that
+    the kernel spreads.
     """
 
     kernel: StrayLight
@@ -122,9 +125,10 @@ def reading(
 ) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    at_deg : azimuth and altitude of the place; true_cdm2, radius_deg : its own luminance, its
-    radius. Only the field of the lens whose axis is nearest to the place counts. Raises InputError
-    for a place that is clipped, that no lens sees, or that is not brighter than true_cdm2.
+    file : for the label and errors. at_deg : azimuth (clockwise from north) and altitude of the
+    place; true_cdm2 : its true luminance; radius_deg : radius of the averaged disc. Only the field
+    of the lens whose axis is nearest to the place counts. Raises InputError for a place that is
+    clipped, that no lens sees, or that is not brighter in the picture than true_cdm2.
     """
     height, width = picture.luminance_cdm2.shape
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
@@ -176,14 +180,16 @@ def _field_of_nearest_lens(
 
 
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
-    """Fit a kernel K >= 0 that falls with the angle; held-out readings choose the number of nodes.
+    """Fit a kernel K >= 0 that falls with the angle from a source.
 
-    Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that spreads
-    over 30 % of a source's light.
+    Held-out readings choose the number of angles at which K is fitted. source : the csv, for
+    errors. Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that
+    spreads over 30 % of a source's light.
     """
     if len(readings) < FEWEST_READINGS:
         raise NotEnoughDataError(
-            f"{source}: {len(readings)} dark places; expected at least {FEWEST_READINGS}; "
+            f"{source}: readings of dark places: {len(readings)}; expected at least "
+            f"{FEWEST_READINGS}; "
             "add dark places at other angles from the light"
         )
     stray = np.array([r.stray_cdm2 for r in readings])

@@ -41,7 +41,8 @@ RISING = 0.03  # a parabola that rises by more than this to the edge means a wro
 class Samples:
     """Readings [n] of one aperture and lens.
 
-    r : angle over half of the full angle; value : in any unit; u_rel : relative uncertainty.
+    r : angle from the axis over half of the lens's full angle; value : in any linear unit; u_rel :
+    relative uncertainty of the value; lens : index of the lens in the profile; frames : files.
     Readings of equal angle are held out together.
     """
 
@@ -55,7 +56,11 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class VignettingFit:
-    """A fitted vignetting curve, its uncertainty, and relative residuals [n] of the readings."""
+    """A fitted vignetting curve: transmission relative to the axis, in powers of r of `Samples`.
+
+    u_rel : relative rms of held-out readings; residual_rel [n] : reading over fit minus 1, also for
+    omitted readings.
+    """
 
     coefficients: tuple[float, ...]  # powers of r, c_0 = 1
     level: float  # the value on the axis
@@ -125,8 +130,9 @@ def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
     """Read frames of an evenly lit field (a sphere, a diffuser) as medians over 60 rings.
 
-    lens : index. Raises InputError for frames of several apertures, or if all pixels are saturated
-    or dark.
+    lens : index of the lens in the profile; rings are of equal angle from its axis. Each frame
+    gives its own readings. Raises InputError for frames of several apertures, or if all pixels are
+    saturated or dark.
     """
     geometry, rings = profile.lens[lens].geometry, []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
@@ -307,7 +313,7 @@ def _refuse_rising(samples: Samples) -> None:
 
 
 def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:
-    """Return the lens with this curve for the aperture f_number; an older one is replaced."""
+    """Return the lens with the fitted curve added; an older curve of this aperture is replaced."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     curve = Vignetting(
         f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5)

@@ -27,7 +27,10 @@ _XYZ_TO_SRGB = (
 
 
 def channel_positions(cfa: str) -> tuple[tuple[int, int], ...]:
-    """Return (row, column) in the 2 x 2 cell of R, G1 (in the rows of red), G2, B."""
+    """Return the places (row, column) of R, G1, G2 and B in a mosaic's 2 x 2 cell, from 0.
+
+    cfa: colours of the cell row by row, such as "RGGB". G1 is the green in the row of red.
+    """
     red, blue = divmod(cfa.index("R"), 2), divmod(cfa.index("B"), 2)
     return red, (red[0], blue[1]), (blue[0], red[1]), blue
 
@@ -75,7 +78,9 @@ def write_dng(
 ) -> None:
     """Write an uncompressed DNG with an EXIF directory; LibRaw returns the same counts exactly.
 
-    counts : [h, w] 16-bit; black_dn : for R, G1, G2, B; colour_matrix : [3, 3] XYZ to camera.
+    counts : [h, w] 16-bit, black included; black_dn, white_dn : levels stated in the file, black
+    for R, G1, G2, B; cfa : colours of the top left 2 x 2 pixels row by row; t_camera : time for the
+    EXIF, None for no time; colour_matrix : [3, 3], XYZ to camera RGB. A file at `path` is replaced.
     """
     exif: dict[int, tuple[int, Any]] = {
         33434: (_RATIONAL, [rational(exposure.shutter_s)]),

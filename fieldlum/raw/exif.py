@@ -35,8 +35,9 @@ class FrameInfo:
     """The EXIF of a frame.
 
     t_camera is the camera's own clock: naive unless the file states its offset from UTC
-    (OffsetTimeOriginal). The exposure's nd comes from an ImageDescription ``ND=name``, which
-    fieldlum and exiftool write and cameras do not.
+    (OffsetTimeOriginal), None if the file has no valid time. make, model: "" if not recorded. The
+    exposure's nd, the name of a filter, comes from an ImageDescription ``ND=name``, which fieldlum
+    and exiftool write and cameras do not.
     """
 
     exposure: Exposure
@@ -70,7 +71,10 @@ def tags_of(path: Path) -> dict[str, ExifTag]:
 
 
 def numbers(tags: Mapping[str, ExifTag], *names: str) -> list[float]:
-    """Return the values of the first of `names` that exists and has finite numbers only."""
+    """Return the values of the first tag of `names` that has finite numbers only.
+
+    The list is empty if there is no such tag.
+    """
     for name in names:
         values = getattr(tags.get(name), "values", None)
         with suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
@@ -150,10 +154,10 @@ def info_of(
 
 
 def roll_deg_of(path: Path) -> float | None:
-    """Return the roll that EXIF Orientation states; None if it is missing or mirrored.
+    """Return the camera's roll that EXIF Orientation states; None if it is missing or mirrored.
 
-    Roll is in deg, clockwise as seen from behind the camera. Pixels are never turned by it. Raises
-    InputError for a file that is missing or empty.
+    The roll is 0, 90, 180 or -90 deg, clockwise as seen from behind the camera. fieldlum never
+    turns pixels by it. Raises InputError for a file that is missing or empty.
     """
     tag = numbers(tags_of(path), "Image Orientation")
     return _ROLL_DEG.get(int(tag[0])) if tag else None
@@ -162,14 +166,18 @@ def roll_deg_of(path: Path) -> float | None:
 def same_model(found: str, wanted: str) -> bool:
     """Return whether two camera names are equal, or one is a sequence of words in the other.
 
-    A frame may state the maker's name in front of the model.
+    Case and spaces do not count; an empty name equals no other. The second rule exists because a
+    frame may state the maker's name in front of the model.
     """
     a, b = (f" {' '.join(name.split())} ".casefold() for name in (found, wanted))
     return bool(a.strip() and b.strip()) and (a in b or b in a)
 
 
 def rational(value: float) -> Fraction:
-    """Return a fraction as a camera writes it: 1/250, 28/5 for 5.6; exact to 1e-6."""
+    """Return a positive number as the fraction that a camera writes: 1/250, or 28/5 for 5.6.
+
+    A unit fraction within a relative difference of 1e-6 is preferred.
+    """
     inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
     if inverse and abs(float(inverse) / value - 1) < 1e-6:
         return inverse
@@ -177,9 +185,10 @@ def rational(value: float) -> Fraction:
 
 
 def time_tags(t_camera: datetime | None) -> dict[int, str]:
-    """Return DateTimeOriginal, SubSecTimeOriginal and, for an aware time, OffsetTimeOriginal.
+    """Return the EXIF tags of a time: tag number and text; no tags for None.
 
-    The keys are the numbers of the EXIF tags.
+    They are DateTimeOriginal, SubSecTimeOriginal (three digits) and, for a time with an offset from
+    UTC, OffsetTimeOriginal.
     """
     if t_camera is None:
         return {}

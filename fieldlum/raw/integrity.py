@@ -33,13 +33,16 @@ def is_jpeg(path: Path) -> bool:
 
 
 def possible_frames(folder: Path) -> list[Path]:
-    """Return the files in a folder that can be frames, sorted by name."""
+    """Return the files in a folder that can be frames, sorted by name.
+
+    Hidden files and files with the suffix of a text or of an unfinished copy are omitted.
+    """
     files = (path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
     return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
 
 
 def unreadable(path: Path) -> str:
-    """Return why the pixels of a frame cannot be read, or an empty text.
+    """Return why the pixels of a frame cannot be read; "" if they can.
 
     Decodes the frame, which takes some seconds for a large raw file.
     """

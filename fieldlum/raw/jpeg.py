@@ -17,7 +17,11 @@ from fieldlum.session import replacing
 
 @dataclass(frozen=True, slots=True)
 class JpegFrame:
-    """A JPEG frame: codes [h, w, 3], red first, not turned by the orientation tag."""
+    """A JPEG frame: codes [h, w, 3], red first, not turned by the orientation tag.
+
+    t_camera: the camera's own clock, naive unless the EXIF states its offset from UTC; None if not
+    recorded. make, model: of the camera, "" if not recorded.
+    """
 
     codes: NDArray[np.uint8]
     exposure: Exposure
@@ -29,7 +33,8 @@ class JpegFrame:
 def read_jpeg(path: Path) -> JpegFrame:
     """Read a JPEG frame.
 
-    Raises InputError for an incomplete JPEG, or EXIF without exposure time, f-number or ISO.
+    Raises InputError for a file that cannot be read, is no complete JPEG, or whose EXIF lacks
+    exposure time, f-number or ISO.
     """
     import warnings
 
@@ -63,7 +68,10 @@ def write_jpeg(
     model: str = "",
     quality: int = 97,
 ) -> None:
-    """Write codes [h, w, 3] with EXIF, without chroma subsampling."""
+    """Write codes [h, w, 3], red first, as a JPEG with EXIF, without chroma subsampling.
+
+    t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
+    """
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 

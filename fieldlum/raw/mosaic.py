@@ -37,9 +37,11 @@ _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a p
 class Mosaic:
     """One raw frame.
 
-    counts [h, w]; cfa names the colours of the top left 2 x 2 pixels row by row; black_dn is for R,
-    G1, G2, B, with G1 the green in the rows of red. white_dn is the file's tag, often above the
-    true saturation. colour_matrix [3, 3] takes XYZ to camera RGB, if the file or LibRaw has it.
+    counts [h, w], black included; cfa names the colours of the top left 2 x 2 pixels row by row;
+    black_dn is for R, G1, G2, B, with G1 the green in the rows of red. white_dn is the file's tag,
+    often above the true saturation. t_camera: the camera's own clock, naive unless the file states
+    its offset from UTC. colour_matrix [3, 3] converts XYZ to camera RGB; None if neither the file
+    nor LibRaw has it.
     """
 
     counts: NDArray[np.uint16]
@@ -102,7 +104,7 @@ def _check_strips(path: Path) -> None:
 
 
 def _cut_short(path: Path, size: int) -> InputError:
-    return _damaged(path, f"{size} bytes, but its pixels end later", "a complete file")
+    return _damaged(path, f"the file has {size} bytes, but its pixels end later", "a complete file")
 
 
 def _check_variant(path: Path, magic: bytes) -> None:
@@ -131,7 +133,10 @@ def _bytes_at(path: Path, at: int) -> bytes:
 
 
 def opened(path: Path) -> Any:
-    """Return rawpy's object, unpacked. Raises InputError for a file that LibRaw cannot open."""
+    """Return a raw file as rawpy's object with unpacked pixels, which the caller must close.
+
+    Raises InputError for a file that is damaged, no raw file, or not supported by LibRaw.
+    """
     import rawpy
 
     with path.open("rb") as file:
@@ -162,7 +167,8 @@ def opened(path: Path) -> Any:
             path,
             f"LibRaw: {text}",
             "a raw file that LibRaw supports",
-            "name only frames; if this is one, copy it from the card again or convert it to DNG",
+            "name only frames; if this file is a frame, copy it from the card again or convert it "
+            "to DNG",
         ) from None
     if damage:
         raw.close()
@@ -198,7 +204,10 @@ def _damage_messages() -> Iterator[list[str]]:
 
 
 def libraw_exposure(raw: Any) -> tuple[float, float, float]:
-    """Return shutter [s], f-number and ISO of LibRaw, 0 where it has none."""
+    """Return shutter time [s], f-number and ISO that LibRaw read from a file; 0 for a missing one.
+
+    raw : an object of `opened`.
+    """
     other = raw.other
     return (
         float(other.shutter_speed or 0.0),
@@ -256,7 +265,7 @@ def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64]
 
 
 def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
-    """Read the visible mosaic of a raw frame.
+    """Read the visible mosaic of a raw frame, without the masked pixels at its edges.
 
     lens_f_number : f-number to use if the frame states none; with 0 that is an error. Raises
     InputError for a file that LibRaw cannot open, without a Bayer mosaic, or without exposure time,
