@@ -37,7 +37,7 @@ from fieldlum.scene_fit.parameters import room_parameters
 from fieldlum.scene_fit.pictures import draw as draw_scene
 from fieldlum.scene_fit.scene_file import Scene
 from fieldlum.scene_fit.stage import judged_scene
-from fieldlum.scene_fit.verdict import sunny_hours
+from fieldlum.scene_fit.sunny import sunny_hours
 
 Array = NDArray[Any]
 

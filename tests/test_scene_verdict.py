@@ -17,10 +17,12 @@ from fieldlum.models.year_sample import light_of_year
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
 from fieldlum.scene_fit.apply import with_patches
+from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import stated_albedo
+from fieldlum.scene_fit.sunny import direct_on_windows_lx, sunny_hours
 from fieldlum.scene_fit.verdict import (
     GeometryCandidate,
     GeometryScore,
@@ -29,7 +31,6 @@ from fieldlum.scene_fit.verdict import (
     judge,
     outside_hours,
     sun_blocks,
-    sunny_hours,
 )
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
@@ -107,6 +108,42 @@ def test_no_sunny_hour_outside_the_search_has_a_neighbour_inside() -> None:
     for block in np.unique(blocks):
         assert len(np.unique(outside[sunny[blocks == block]])) == 1
     assert 0.1 < outside[sunny].mean() < 0.6
+
+
+def _under(dni_wm2: np.ndarray) -> Dataset:
+    """Return the captures under other direct irradiance, with suns over 3 degrees."""
+    light = CAPTURES.light
+    up = light.sun_altitude_deg > 3.0
+    light = light_at(light.t_utc, SEATTLE, np.where(up, dni_wm2, 0.0), light.dhi_wm2)
+    return replace(CAPTURES, light=light)
+
+
+@pytest.mark.property
+def test_the_faint_sun_of_overcast_days_is_no_sunny_hour() -> None:
+    """Sunshine is direct irradiance of at least 120 W/m2 (WMO-No. 8)."""
+    faint = _under(np.full(len(CAPTURES), 60.0))
+    assert direct_on_windows_lx(faint, ROOM).max() > 1000.0
+    for near_strongest in (False, True):
+        assert not sunny_hours(faint, ROOM, near_strongest=near_strongest).any()
+    with pytest.raises(NotEnoughDataError) as refused:
+        gather(faint, ROOM)
+    line = str(refused.value)
+    assert line.startswith("0 captures have direct sun of at least 120 W/m² on a window")
+    assert "capture clear hours" in line and "\n" not in line
+    few = np.full(len(CAPTURES), 60.0)
+    few[3:6] = 700.0  # with three hours of sunshine, only these count
+    assert (np.flatnonzero(sunny_hours(_under(few), ROOM, near_strongest=True)) == [3, 4, 5]).all()
+
+
+@pytest.mark.property
+def test_with_sunshine_strong_hours_count_by_their_light_alone() -> None:
+    weak = np.where(np.arange(len(CAPTURES)) % 2, 100.0, 800.0)
+    data = _under(weak)
+    onto = direct_on_windows_lx(data, ROOM)
+    near = sunny_hours(data, ROOM, near_strongest=True)
+    assert (near == (onto > 0.1 * onto.max())).all() and near[weak < 120.0].any()
+    strong = (onto > 1000.0) & (onto > 0.1 * data.light.total_lx)
+    assert (sunny_hours(data, ROOM) == strong).all() and strong[weak < 120.0].any()
 
 
 def _with_patches_of(data: Dataset, room: Room) -> Dataset:

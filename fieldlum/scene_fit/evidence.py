@@ -18,6 +18,12 @@ from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.light_below import LEAST_CDM2, levelled, light_below
 from fieldlum.scene_fit.renderer import FLOOR, SHELL, Surfaces, lit_entries, surfaces, unit_patches
+from fieldlum.scene_fit.sunny import (
+    MIN_SUNNY_HOURS,
+    SUNSHINE_WM2,
+    direct_on_windows_lx,
+    sunny_hours,
+)
 from fieldlum.scene_fit.window_view import WindowView, window_view
 
 if TYPE_CHECKING:
@@ -33,13 +39,9 @@ PIXELS = 4000
 # truth, the misfit of the others rose (docs/scene.md).
 COARSE_PIXELS = 1000
 SUB = 2  # rays into which a pixel is divided, in each direction
-# least number of sunny hours: with every third held out, four hours are left to fit; chosen
-MIN_SUNNY_HOURS = 6
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; chosen with the study, not varied
 _WALLS_FACTOR = 2.0  # between the albedos of walls; chosen (decision 28)
 _KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
-# chosen: share of the strongest direct sun on a window, below which an hour is not sunny
-_FAINT_SUN = 0.1
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
 # pixels nearer to a window are omitted, because they may look through it; chosen
 _WINDOW_MARGIN_DEG = 4.0
@@ -286,19 +288,19 @@ def gather(
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
-    Hours have over a tenth of the strongest direct sun on a window; at most the 60 strongest are
-    used. room: the stated box; pixels: number of pixels to draw, by solid angle, outside the
+    Hours are those of `sunny_hours` near the strongest one; at most the 60 strongest are used.
+    room: the stated box; pixels: number of pixels to draw, by solid angle, outside the
     windows. Raises InputError for a room that is not a box, has no window or is impossible,
     NotEnoughDataError for fewer than `min_hours` hours.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)
-    rows = _sunny(data, guess)
+    rows = _sunny(data, room)
     if len(rows) < min_hours:
         raise NotEnoughDataError(
-            f"{len(rows)} captures have direct sun on a window, but at least "
-            f"{min_hours} are needed: capture clear hours; until then train uses the stated [room] "
-            f"or no sun patch, and states why"
+            f"{len(rows)} captures have direct sun of at least {SUNSHINE_WM2:.0f} W/m² on a "
+            f"window, but at least {min_hours} are needed: capture clear hours; until then train "
+            f"uses the stated [room] or no sun patch, and states why"
         )
     chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
     rays, pixel = _rays(data, chosen)
@@ -320,22 +322,13 @@ def gather(
     return evidence.relit(data, np.zeros_like(evidence.below))
 
 
-def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
+def _sunny(data: Dataset, room: Room) -> NDArray[np.intp]:
     """Return the rows with direct sun on a window, in order of time.
 
     At most the strongest `MAX_HOURS`.
     """
-    from fieldlum.scene.geometry import WALLS
-
-    suns = data.light.shown_sun_direction @ guess.turn.T
-    through = np.zeros(len(data))
-    for rect in guess.windows:
-        axis, side = WALLS[rect.wall]
-        outward = suns[:, axis] * (1.0 if side else -1.0)
-        through = np.maximum(through, np.clip(outward, 0.0, None) * data.light.direct_lx)
-    through[data.light.sun_altitude_deg < 2.0] = 0.0
-    order = np.argsort(through)[::-1][:MAX_HOURS]
-    return np.sort(order[through[order] > _FAINT_SUN * max(through.max(), 1.0)])
+    order = np.argsort(direct_on_windows_lx(data, room))[::-1][:MAX_HOURS]
+    return np.sort(order[sunny_hours(data, room, near_strongest=True)[order]])
 
 
 def _draw(

@@ -14,13 +14,14 @@ import numpy as np
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.apply import in_scene, with_patches, with_scene
-from fieldlum.scene_fit.evidence import MIN_SUNNY_HOURS, gather
+from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_file import Chosen, Scene
 from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY
 from fieldlum.scene_fit.stage import MIN_HOURS_OUTSIDE
-from fieldlum.scene_fit.verdict import SAME_MISFIT, sunny_hours
+from fieldlum.scene_fit.sunny import MIN_SUNNY_HOURS, sunny_hours
+from fieldlum.scene_fit.verdict import SAME_MISFIT
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.light import facades_of
 from fieldlum.models.year_sample import Predictor, expect, light_of_year
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, Room, quiet
+from fieldlum.scene_fit.sunny import sunny_hours
 
 if TYPE_CHECKING:
     from fieldlum.models import Patch
@@ -30,11 +30,6 @@ Array = NDArray[np.float64]
 BLOCK_DEG = 9.0
 OUTSIDE_EVERY = 3  # chosen: a third of the sun's directions is outside the search
 PIXELS = 250  # drawn by solid angle; measured: the ranking of three geometries is that with 500
-# Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
-# several times brighter than the room; a sun below which refraction and horizon are uncertain.
-_SUNNY_SHARE = 0.1
-_LEAST_SUN_LX = 1000.0
-_LOWEST_SUN_DEG = 2.0
 # Largest error of a richer geometry over that of a simpler one with as many wrong pixels. Chosen
 # with three rooms by plain Radiance (bench/scene_rooms.py), when errors alone decided.
 _WORTH = 0.95
@@ -102,19 +97,6 @@ def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
 
     near = suns @ suns.T > np.cos(np.radians(reach_deg))
     return connected_components(csr_matrix(near), directed=False)[1].astype(np.intp)
-
-
-def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
-    """Return a mask [n], True for hours with strong direct sun on the plane of a window.
-
-    Strong is over 1 000 lx and over a tenth of the total light, from a sun over 2 degrees. Without
-    a box room with windows, the planes are eight vertical ones, every 45 degrees.
-    """
-    normals = facades_of(room).normals
-    facing = np.maximum(data.light.sun_direction @ normals.T, 0.0).max(axis=1)
-    onto = facing * data.light.direct_lx
-    strong = (onto > _SUNNY_SHARE * data.light.total_lx) & (onto > _LEAST_SUN_LX)
-    return strong & (data.light.sun_altitude_deg > _LOWEST_SUN_DEG)
 
 
 def outside_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
