@@ -38,12 +38,14 @@ WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 @dataclass(frozen=True)
 class Light:
-    """The light at n times: irradiance and sun (true altitude; azimuth clockwise from north).
+    """The light outside at n times.
 
-    `perez` : a sky known from elsewhere (the coefficients of a rendering); None: computed from the
-    irradiance. `states` : the room's state at each time, as in `fieldlum.room_states`; None: the
-    usual state. `refraction` : whether pictures show the sun as raised by refraction, as a camera
-    does, or at the true altitude, as some renderings do.
+    t_utc: times with a zone; dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance [n]
+    W/m2; sun_altitude_deg, sun_azimuth_deg: the sun without refraction, azimuth clockwise from
+    north [n]; perez: skies known from elsewhere (such as a rendering), None to compute them from
+    the irradiance; states: the room's state at each time, as text of `fieldlum.room_states`, None
+    for the usual state; refraction: True if pictures show the sun raised by refraction, as a camera
+    does, False if they show it at the true altitude, as some renderings do.
     """
 
     t_utc: tuple[datetime, ...]
@@ -131,9 +133,10 @@ class Light:
 
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
-    """Return the light at n times, with the sun by SPA. Raises ValueError for times without a zone.
+    """Return the light at n times, with the sun's position computed by SPA (NREL).
 
-    dni_wm2, dhi_wm2 : [n] or one value, W/m2.
+    dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance, [n] or one value for all
+    times [W/m2]. Raises ValueError for times without a zone.
     """
     at = sun.position(times_utc, site)
     dni, dhi = (
@@ -148,19 +151,23 @@ def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2:
 
 @dataclass(frozen=True, slots=True)
 class Facades:
-    """Walls that let light in: azimuths of their outward normals [f] in deg, and weights [f]."""
+    """The f walls that let light in.
+
+    azimuths_deg: of their outward normals, clockwise from north [f]; weights: importance of each
+    wall's sunlight in the kernel, 1 for the most important wall of a known room [f].
+    """
 
     azimuths_deg: Array
     weights: Array
 
     @property
     def normals(self) -> Array:
-        """The outward normals as unit vectors, [f, 3]."""
+        """The outward normals as unit vectors, [f, 3]: x east, y north, z up (always 0)."""
         return sun.direction(0.0, self.azimuths_deg)
 
 
 def one_facade(azimuth_deg: float) -> Facades:
-    """Return a single facade of weight 1 with this azimuth of its outward normal."""
+    """Return one facade of weight 1; azimuth_deg: of its outward normal, clockwise from north."""
     return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
 
 
@@ -172,8 +179,9 @@ def facades_unknown() -> Facades:
 def facades_of(room: Room | None) -> Facades:
     """Return the walls of a box room that have windows, as facades.
 
-    A weight is the root of the wall's glass area times transmittance, over that of the wall with
-    most glass. Without a box room or windows the result is `facades_unknown`.
+    A wall's weight is the square root of (the sum over its windows of area times transmittance)
+    divided by the largest such sum of any wall: 1 for the wall with most glass. Without a box room
+    or windows the result is `facades_unknown`.
     """
     if room is None or room.kind != "box" or not room.window:
         return facades_unknown()
@@ -191,14 +199,16 @@ def facades_of(room: Room | None) -> Facades:
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """The quantities that the kernel compares, per unit of total light.
+    """The quantities of n hours that the kernel compares, divided by the hour's total light.
 
-    sky [n, P] : luminances weighted by the root of the solid angle; beam [n] : the sun's share;
-    direction [n, 3] : of the sun; cells [n, c] : direct sun in view by cells of the picture, if sun
-    patches are known; bounced [n, k] : the sun's light in a coarse model of the room, if there is
-    one; lamps [n, l] : electric light, which does not follow daylight, 1 000 lx over the total
-    light while on, else 0; changed [n, m] : 1 while the room is in a state (such as a blind down)
-    that changes its response.
+    Total light is `Light.total_lx`. sky [n, 2305]: luminance of each sky patch times the root of
+    its solid angle; beam [n]: the sun's normal illuminance, so its share of the total, 0 to 1;
+    direction [n, 3]: unit vector to the true sun; cells [n, c]: light of the sun patches in each
+    cell of the picture (`PatchDescriptor`), None if unknown; bounced [n, k]: the sun's reflected
+    light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: 1 000 lx
+    over the total light while lamp l is on, else 0, None without lamps; changed [n, m]: 1 while the
+    room is in state m (such as blind=down), which changes its response to daylight, else 0, None
+    without such states.
     """
 
     sky: NDArray[np.float32]
@@ -213,6 +223,7 @@ class Features:
         return len(self.beam)
 
     def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Features:
+        """Return the hours that an index array, a boolean array or a slice selects."""
         return Features(
             self.sky[rows],
             self.beam[rows],
@@ -233,11 +244,13 @@ def light_features(light: Light) -> Features:
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Prior covariance between hours of the light that reaches a pixel, per unit of total light.
+    """Prior covariance, between two hours, of a pixel's luminance divided by the total light.
 
-    The defaults are from a study of one room and may change threefold with little effect
-    (docs/decisions/0003-light-kernel.md). Widths are chords of the sun's direction (0.5 is about 29
-    degrees).
+    Values are relative to the pixel's usual luminance per total light. Each field except `facades`
+    and `beam_width` is the weight (prior variance) of one term. beam_width: distance between two
+    unit vectors to the sun over which the facade term changes (0.5 is about 29 degrees). The
+    defaults are from a study of one room and may change threefold with little effect
+    (docs/decisions/0003-light-kernel.md).
     """
 
     facades: Facades
@@ -251,7 +264,10 @@ class Kernel:
     changed: float = 1.0  # effect of a state of the room on its response to light
 
     def __call__(self, a: Features, b: Features) -> Array:
-        """Return the covariance matrix, [len(a), len(b)]."""
+        """Return the covariance between each hour of `a` and each hour of `b`, [len(a), len(b)].
+
+        A term is omitted if `a` or `b` has None for its features.
+        """
         cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
         beam = np.outer(a.beam, b.beam)
         k = self.constant * (1.0 + beam + np.outer(_ground(a), _ground(b)))
@@ -269,7 +285,7 @@ class Kernel:
         return k
 
     def diagonal(self, a: Features) -> Array:
-        """Return the prior variance of each hour, [len(a)]."""
+        """Return the prior variance of each hour of `a`: the diagonal of kernel(a, a), [len(a)]."""
         k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
         k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
         k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
@@ -300,10 +316,11 @@ def _facade(a: Features, facades: Facades) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class GreedySelection:
-    """The hours of a greedy choice.
+    """The k hours that `greedy_hours` chose.
 
-    index [k] : into the pool, in the order of choice; variance [k + 1] : mean predictive variance
-    over the year, before any choice and after each, over the prior variance.
+    index [k]: their rows in the pool, in the order of choice; variance [k + 1]: weighted predictive
+    variance of the year divided by its prior variance (1: nothing known, 0: everything); the first
+    value is before any choice, then one after each choice.
     """
 
     index: NDArray[np.intp]
@@ -323,10 +340,11 @@ def greedy_hours(
 ) -> GreedySelection:
     """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.
 
-    year, pool : features of the hours to predict and of the hours that can be chosen. Only weather
-    is needed, no picture. taken : hours already captured; weights [len(year)] : importance of each
-    hour of the year; noise : variance of one capture, in units of the kernel. Cost: O((len(year) +
-    len(pool)) len(pool) count).
+    year, pool: features of the hours to predict and of the hours that can be chosen; no picture is
+    needed. All of `pool` is chosen if it has fewer than `count` hours. taken: features of hours
+    already captured, which reduce the variance first; None for none. weights [len(year)]:
+    importance of each hour of the year, None for equal; noise: variance of one capture, in units of
+    the kernel. Cost: O((len(year) + len(pool)) len(pool) count).
     """
     w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
     cross, own = kernel(year, pool), kernel(pool, pool)

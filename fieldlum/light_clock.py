@@ -34,21 +34,24 @@ _SEEN_DARK_S = 900.0
 
 
 def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
-    """Return the median over days of the logged middle of the light minus solar noon [s].
+    """Return how fast the log's clock is: logged middle of the light minus solar noon [s].
 
-    t_unix_s, ghi_wm2 [n] : rows in order of time. A positive value means that the clock is fast, or
-    that the stated offset from UTC is too small: -43 200 to 43 200 s. Return None without a
-    complete day.
+    It is the median over the complete days, -43 200 to 43 200 s. A positive value means that logged
+    times are later than the true ones: the clock is fast, or the stated offset from UTC is too
+    small. t_unix_s, ghi_wm2 [n]: logged times and global irradiance, in order of time; rows with
+    NaN irradiance are ignored. Return None without a complete day.
     """
     off = days_off_s(t_unix_s, ghi_wm2, site)[1]
     return float(np.median(off)) if len(off) else None
 
 
 def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[datetime], Array]:
-    """Return the middle of the light of each complete day (UTC), and its distance from solar noon.
+    """Return the middle of the light of each complete day, and that time minus solar noon.
 
-    The middle is half way between the first and the last light. The distance is [days] s, positive
-    after solar noon. t_unix_s, ghi_wm2 : [n] rows in order of time.
+    The middle is half way between the first and the last lit row (`complete_days`), a time in UTC.
+    The difference is an array [days] in seconds, positive if the middle is after solar noon. Days
+    at which the sun does not both set and rise by 5 degrees are omitted. t_unix_s, ghi_wm2: [n]
+    rows in order of time; rows with NaN irradiance are ignored.
     """
     known = np.isfinite(ghi_wm2)
     middles = [
@@ -63,11 +66,12 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
 
 
 def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
-    """Return the first day after the clock was set, and the step [s]; None without a step.
+    """Return the first day after the log's clock was set, and by how much it was set forward [s].
 
-    The days are split so that the scatter on both sides is least, with at least three days on each.
-    A step must be at least half an hour and remove half of all scatter, because the middle of one
-    day of broken clouds can be wrong by an hour. t_unix_s, ghi_wm2 : [n] rows in order of time.
+    A negative step means that the clock was set back. None if there is no step. The days are split
+    so that the scatter on both sides is least, with at least three days on each. A step must be at
+    least half an hour and remove half of all scatter, because the middle of one day of broken
+    clouds can be wrong by an hour. t_unix_s, ghi_wm2: [n] rows in order of time.
     """
     days, off = days_off_s(t_unix_s, ghi_wm2, site)
     splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
@@ -93,9 +97,9 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
     """Return the first and last lit time [unix s] of each day between two logged nights.
 
-    A row is lit above 10 W/m2. Darkness under two hours, as in a storm, does not end a day; a day
-    of less than two hours is omitted, and one with a gap of 15 minutes in the rows at its beginning
-    or end. t_unix_s, ghi_wm2 : [n] rows in order of time.
+    A row is lit above 10 W/m2. Darkness under two hours, as in a storm, does not end a day. Omitted
+    are days of less than two hours, and days without a dark row within 15 minutes before the first
+    and after the last lit row. t_unix_s, ghi_wm2: [n] rows in order of time.
     """
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
@@ -120,11 +124,12 @@ def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
 
 
 def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
-    """Return the minutes (UTC) with over 10 W/m2 of light while the sun is below -3 degrees.
+    """Return the logged minutes (UTC) with over 10 W/m2 while the sun is below -3 degrees.
 
-    They show that the logger's clock, the stated offset, or the sign of the longitude is wrong.
-    Unlike `clock_off_s` this needs no complete day, but gives no offset, and can miss one of less
-    than half an hour. t_unix_s, ghi_wm2 : [n] rows.
+    Such minutes show that the logger's clock, the stated offset from UTC, or the sign of the
+    longitude is wrong. Unlike `clock_off_s` this needs no complete day, but it does not estimate
+    the offset, and can miss an offset of less than half an hour. Empty if there are none.
+    t_unix_s, ghi_wm2: [n] rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     if len(minutes) == 0:

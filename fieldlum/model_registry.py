@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ModelKind:
-    """Where a model is and how it is tried.
+    """Where the code of a kind of model is, and how `train` tries it.
 
-    module: its import path. size: order from small to large for the one-standard-error rule.
-    fit: the fitting function's name. baseline: always tried, next to any model that is named;
-    its fit has nothing random. slow: no closed form; it is trained again for each fold within a
-    share of the budget (its fit takes budget_s and least_passes), continues from a checkpoint, and
-    is never refitted for a report.
+    module: import path. size: rank from small (0) to large; of models within one standard error of
+    the best, `train` chooses the one of least rank. fit: name of the fitting function in the
+    module. baseline: True if `train` always tries it, also if the user names another model; its fit
+    has nothing random. slow: True if it is trained step by step, within a time budget: its fit
+    takes budget_s and least_passes, can continue from a checkpoint, and is never repeated for a
+    report.
     """
 
     module: str

@@ -20,9 +20,11 @@ USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in KNOWN.items()
 
 
 def parse_state(text: str) -> tuple[str, ...]:
-    """Return the unusual parts of a state in a fixed order, such as ("blind=half", "lamp=on").
+    """Return the unusual parts of a state, sorted by word, such as ("blind=half", "lamp=on").
 
-    Raises ValueError for a word or a value that is not in KNOWN, or for a repeated word.
+    text: parts ``word=value`` separated by semicolons. Parts with their usual value (lamp=off,
+    blind=up, snow=no) are omitted, so the result is empty for a usual room. Raises ValueError for a
+    word or a value that is not in KNOWN, or for a repeated word.
     """
     parts: dict[str, str] = {}
     for part in filter(None, (piece.strip() for piece in text.split(";"))):
@@ -41,9 +43,10 @@ def state_text(parts: Iterable[str]) -> str:
 
 
 def merged_state(text: str, change: str) -> str:
-    """Return the state `text`, such as ``lamp=on;blind=half``, with the values in `change`.
+    """Return the state `text`, such as ``lamp=on;blind=half``, after the parts of `change` apply.
 
-    A word with its usual value is not in the result. Raises ValueError as `parse_state`.
+    A word in `change` replaces the same word in `text`; other words stay. Words with their usual
+    value are not in the result. Raises ValueError for an unknown word or value in either text.
     """
     parse_state(change)
     words = {part.partition("=")[0].strip() for part in change.split(";") if part.strip()}
@@ -52,6 +55,9 @@ def merged_state(text: str, change: str) -> str:
 
 
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return 1 where a state has the part of a column, such as "lamp=on", else 0, [n, columns]."""
+    """Return a table [len(states), len(columns)]: 1 where a state contains a part, else 0.
+
+    states: texts such as ``lamp=on;blind=half``; columns: one part each, such as "lamp=on".
+    """
     rows = [[float(part in parse_state(text)) for part in columns] for text in states]
     return np.array(rows, float).reshape(len(states), len(columns))

@@ -39,28 +39,33 @@ _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; 
 
 @dataclass(frozen=True, slots=True)
 class ClockByDay:
-    """Days [k] with enough direct sun, and how late their stated times are [k] min.
+    """How late the stated times of the captures are on each of k days.
 
-    Stated times that are later than the true ones are positive. An offset common to all days is
-    included.
+    days: the days with at least three sunny captures [k]; late_min: stated minus true time [k] min,
+    so positive if stated times are later than the true ones. An offset that is common to all days
+    is included.
     """
 
     days: NDArray[np.datetime64]
     late_min: Array
 
     def at(self, days: NDArray[np.datetime64]) -> Array:
-        """Return how late captures on `days` are, [n] min; the median for days that are unknown."""
+        """Return stated minus true time of captures on `days`, [n] min.
+
+        A day that is not in `self.days` gets the median of `late_min`.
+        """
         known = dict(zip(self.days.tolist(), self.late_min.tolist(), strict=True))
         middle = float(np.median(self.late_min))
         return np.array([known.get(day, middle) for day in days.tolist()])
 
 
 def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
-    """Return how late the clock was on each day; None if one clock for all days is as good.
+    """Return how late the camera's clock was on each day; None if it does not differ between days.
 
-    Held-out days decide: with the offsets corrected, they must be better by a tenth and by one
-    standard error. Return None also without sun patches or a box room, and with under three days of
-    three or more sunny captures.
+    Each day's offset is the one under which computed sun patches match the captured ones best. With
+    these offsets corrected, the held-out error must fall by a tenth and by one standard error,
+    else the result is None. It is None also without sun patches or a box room, and if fewer than
+    three days have three or more sunny captures.
     """
     found = evidence_of(data, SUB)
     if found is None or found.points is None:
@@ -101,9 +106,10 @@ def _least(misfits: Array) -> float:
 
 
 def with_clock(data: Dataset, clock: ClockByDay) -> Dataset:
-    """Return the captures with the sun and the computed sun patches of the corrected times.
+    """Return the captures with the sun's position and sun patches computed at the corrected times.
 
-    The stated times and the slots do not change. Sun patches and a box room are required.
+    Corrected times are the stated ones minus `clock.at`. The stated times in `light.t_utc` and the
+    slot names remain, although they are wrong. `data` must have sun patches and a box room.
     """
     light, site, room = data.light, data.setup.site, data.setup.room
     assert room is not None and data.patch_cdm2 is not None

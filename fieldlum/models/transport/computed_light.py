@@ -23,11 +23,12 @@ MOST_GAIN = 20.0
 
 @dataclass(frozen=True, slots=True)
 class ComputedLight:
-    """Light that was computed for the stated room.
+    """Luminance that was computed for the room in SITE.toml, at n hours and P pixels.
 
-    luminance: of surfaces, without direct sun on them [n, P] cd/m2; gain: each pixel's captured
-    over its computed light, 0 at windows [P]; perez: `luminance` under Perez's skies [n, P], set if
-    `luminance` is under the skies that the windows showed.
+    luminance: of surfaces, without direct sun on them [n, P] cd/m2; gain: captured over computed
+    luminance of each pixel, 0 at window pixels [P]; perez: the same as `luminance`, but under
+    Perez's skies [n, P] cd/m2. It is None if `luminance` is already under Perez's skies, and set if
+    `luminance` is under the skies that captures show through the windows.
     """
 
     luminance: NDArray[np.float32]
@@ -35,6 +36,7 @@ class ComputedLight:
     perez: NDArray[np.float32] | None = None
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> ComputedLight:
+        """Return the computed light of the selected pixels, at all hours."""
         perez = None if self.perez is None else self.perez[:, pixels]
         return ComputedLight(self.luminance[:, pixels], self.gain[pixels], perez)
 
@@ -46,10 +48,10 @@ class ComputedLight:
 def computed_light(
     arrays: TrainingArrays, open_sky: NDArray[np.intp], luminance: NDArray[np.float32]
 ) -> ComputedLight:
-    """Return the computed light of surfaces [n, P] with each pixel's gain.
+    """Return the computed luminance [n, P] cd/m2, with the gain of each pixel from the captures.
 
-    open_sky: the pixels that are windows, whose gain is 0. A pixel's gain differs from the median
-    by at most a factor of 20.
+    The gain is captured over computed luminance, limited to a factor of 20 below or above the
+    median of all pixels. open_sky: indices of the window pixels, whose gain is 0.
     """
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(LEAST_COMPUTED_CDM2)))
     middle = np.median(gain)

@@ -31,11 +31,12 @@ FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the pape
 
 @dataclass(frozen=True, slots=True)
 class HeldOutFit:
-    """Each hour as predicted by a fit without its day.
+    """Each of n captured hours, predicted by a fit to the captures of all other days.
 
-    luminance: [n, P] cd/m2; error: log10 of predicted over captured luminance, both at least 1
-    cd/m2 [n, P]; scale: mean luminance per lx of total light [P]; sureness: weight of each hour's
-    irradiance, 0 to 1 [n].
+    luminance: predicted [n, P] cd/m2; error: log10 of predicted over captured luminance, where
+    values below 1 cd/m2 count as 1, and 0 at values without truth [n, P]; scale: each pixel's mean
+    luminance per lx of total light [P]; sureness: weight of each hour, 1 for exact irradiance, less
+    if the irradiance changed or is unknown [n].
     """
 
     luminance: Array
@@ -50,24 +51,26 @@ class HeldOutFit:
 
     @property
     def judged(self) -> Array:
-        """Mean squared log10 error of each hour times its weight, [n].
+        """Mean squared log10 error of each hour times its weight, [n]; recipes are compared by it.
 
-        Unsteady light has less weight; the mean weight is 1.
+        The weights are `sureness` divided by its mean, so their mean is 1 and hours of unsteady
+        light count less.
         """
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """Return log10 of predicted over seen luminance [cd/m2]; values below 1 count as 1."""
+    """Return log10 of predicted over captured (`seen`) luminance; below 1 cd/m2 counts as 1."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 
 @dataclass(frozen=True, slots=True)
 class FirstStage:
-    """The first stage's prediction of each hour without captures of its day, and what was captured.
+    """Each of n captured hours, predicted from other days by the first stage of the fit.
 
-    found (predicted), target (captured) [n, P]: luminance divided by the total light and by
-    `scale`. scale [P]: each pixel's mean luminance per lx of total light.
+    found: predicted luminance, target: captured luminance, both divided by the total light and by
+    `scale`, so about 1 [n, P]; scale: each pixel's mean luminance per lx of total light [P]. The
+    first stage does not include the second stage's correction of the log residual.
     """
 
     found: Array
@@ -76,9 +79,9 @@ class FirstStage:
 
 
 def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> FirstStage:
-    """Predict each hour without its day by the first stage of the fit, in closed form.
+    """Predict each hour from the other days by the first stage of the fit, in closed form.
 
-    Features, robust weights and pixel scales are those of the full fit.
+    No fit is repeated: features, robust weights and pixel scales are those of the fit to all days.
     """
     taught = light_arrays(arrays, recipe)
     scale = pixel_scale(taught)
@@ -107,9 +110,9 @@ def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> Firs
 def hold_out(
     arrays: TrainingArrays, basis: Basis, recipe: Recipe, first: FirstStage | None = None
 ) -> HeldOutFit:
-    """Return each hour as predicted by the hours of other days.
+    """Predict each captured hour from the captures of all other days (`arrays.days`).
 
-    first: the result of the first stage, if it was already computed.
+    first: result of `hold_out_first` for the same arrays, basis and recipe; None to compute it.
     """
     first = first or hold_out_first(arrays, basis, recipe)
     found = first.found
@@ -123,6 +126,9 @@ def hold_out(
 
 
 def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> HeldOutFit | None:
-    """Return `hold_out` with complete seasons held out; None if no gap separates seasons."""
+    """Predict each hour from the captures of all other seasons.
+
+    Return None if all captures are from one season (`seasons` finds no gap).
+    """
     groups = seasons(arrays.days)
     return hold_out(replace(arrays, days=groups), basis, recipe) if groups.max() > 0 else None

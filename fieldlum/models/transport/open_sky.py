@@ -22,10 +22,11 @@ WINDOW_SCATTER = 0.5
 
 @dataclass(frozen=True, slots=True)
 class OpenSky:
-    """The k seen pixels that show sky through glass.
+    """The k window pixels: those of the camera's pixels that show sky through glass.
 
-    index: of the pixels among the seen ones [k]; share: open sky times transmittance [k];
-    directions: [k, 3].
+    index: their positions in the list of the P pixels that the lens saw [k]; share: captured
+    luminance over that of the sky behind the glass (transmittance times unobstructed share, 0 to 1)
+    [k]; directions: unit vectors from the camera, x east, y north, z up [k, 3].
     """
 
     index: NDArray[np.intp]
@@ -33,11 +34,14 @@ class OpenSky:
     directions: Array  # [k, 3]
 
     def luminance(self, light: Light) -> NDArray[np.float32]:
-        """Return the luminance of the sky seen through the glass of these pixels, [n, k] cd/m2."""
+        """Return the Perez sky's luminance behind these pixels times `share`, [n, k] cd/m2."""
         return light.sky_at(self.directions) * self.share
 
     def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask [H, W] of the window pixels; seen: mask [H, W] of what the lenses saw."""
+        """Return a mask [H, W], True at window pixels.
+
+        seen: mask [H, W], True at the P pixels that the lens saw, to which `index` refers.
+        """
         flat = np.zeros(int(seen.sum()), bool)
         flat[self.index] = True
         out = np.zeros(seen.shape, bool)
@@ -50,10 +54,11 @@ def open_sky_from_captures(
 ) -> OpenSky:
     """Find the window pixels without any geometry: they follow the Perez sky behind them.
 
-    luminance, patch: [n, P]; rays: [P, 3]. A pixel above the horizon is a window if the logarithm
-    of its ratio to the sky scatters less than half as much as that of its ratio to the total light,
-    and the ratio is that of glass. Its share is the 10th percentile of the ratio over the hours, so
-    that the sky rarely exceeds the captured light.
+    luminance, patch: of captures and of sun patches [n, P] cd/m2, patch is None if unknown; rays:
+    unit vectors of the pixels [P, 3]. A pixel above the horizon is a window if, over the hours, the
+    logarithm of luminance over sky scatters less than half as much as that of luminance over total
+    light, and luminance over sky is that of glass (0.05 to 1.2). Its `share` is the 10th
+    percentile of luminance over sky, so that the sky rarely exceeds the captured luminance.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     behind = light.sky_at(rays[above])

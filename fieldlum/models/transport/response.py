@@ -19,11 +19,13 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class LightBasis:
-    """The captured hours, with which the kernel compares a new hour.
+    """The n captured hours, and how a new hour becomes r features.
 
-    captured: features of the n captured hours; captured_light: their light, of which only the sun's
-    directions are used; projector: [n, r]; physics: the coarse room model, if hours or the prior
-    mean use it; patches: descriptor of sun patches, if known.
+    The features of new hours are kernel(new, captured) @ projector. captured: what the kernel
+    compares, of the captured hours; captured_light: their light, of which only the sun's directions
+    are used; projector: [n, r]; physics: the coarse room model, None if the fit does not use it;
+    patches: how maps of sun patches become features, None if sun patches are not used; states:
+    lamps and blinds with which captures are marked.
     """
 
     kernel: Kernel
@@ -37,11 +39,13 @@ class LightBasis:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMaps:
-    """Predicted hours at the P seen pixels, and the inputs of their uncertainty.
+    """Predicted luminance of n hours at the P pixels the lens saw, and inputs of its uncertainty.
 
-    luminance: [n, P] cd/m2; patch: the part due to direct sun [n, P] cd/m2; unit: luminance for F b
-    = 1 [n, P] cd/m2; cross: kernel [n, captures]; second: kernel of the second stage [n, captures],
-    or [n, 0] without one.
+    luminance: without the sun's disc [n, P] cd/m2; patch: direct sun on surfaces, which is included
+    in it before the second stage [n, P] cd/m2, None without sun patches; unit: luminance of a
+    surface of usual brightness: total light times the pixel's scale [n, P] cd/m2; features: of the
+    hours; cross: covariance to the captures [n, captures]; second: that of the second stage [n,
+    captures], or [n, 0] without one.
     """
 
     luminance: NDArray[np.floating]
@@ -54,24 +58,27 @@ class SurfaceMaps:
 
 @dataclass(frozen=True, slots=True)
 class RoomResponse:
-    """The fitted response of the seen pixels to light.
+    """The fitted response of the room's pixels to light.
 
-    seen: [H, W]; arrays of pixels have the seen pixels only.
+    seen: mask [H, W], True at the P pixels that the lens saw; all arrays over pixels have these
+    only; basis: captured hours; pixels: fitted values; open_sky: the window pixels; patch_scale:
+    fitted factor on all sun patches; recipe: settings of the fit.
     """
 
     seen: NDArray[np.bool_]
     basis: LightBasis
     pixels: PixelFit
     open_sky: OpenSky
-    patch_scale: float  # fitted factor on all sun patches
+    patch_scale: float
     recipe: Recipe
 
     def features(
         self, light: Light, patch: NDArray[np.float32] | None, sunlight: NDArray[np.float32] | None
     ) -> Features:
-        """Return the features of n hours for the kernel.
+        """Return the features of n hours that the kernel compares.
 
-        patch: [n, H, W] cd/m2, or None; sunlight: result of `Physics.sunlight` [n, k], or None.
+        patch: luminance of sun patches [n, H, W] cd/m2, None without them; sunlight: result of
+        `Physics.sunlight` [n, k], None without a coarse room model.
         """
         basis = self.basis
         features = basis.states.add(light_features(light), light)
@@ -83,7 +90,10 @@ class RoomResponse:
         return basis.patches.add(features, patch, light, self.open_sky.mask(self.seen))
 
     def maps(self, light: Light, patch: NDArray[np.float32] | None) -> SurfaceMaps:
-        """Predict hours without the sun's disc; patch: direct sun [n, H, W] cd/m2, or None."""
+        """Predict n hours without the sun's disc.
+
+        patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun.
+        """
         pixels, basis = self.pixels, self.basis
         sunlight = None if basis.physics is None else basis.physics.sunlight(light)
         features = self.features(light, patch, sunlight)
@@ -110,7 +120,7 @@ class RoomResponse:
 
     @property
     def patch_gain(self) -> NDArray[np.float32]:
-        """Gain of the sun patch at each pixel, [P]."""
+        """Fitted over computed luminance of the sun patch at each pixel, [P]."""
         return np.float32(self.patch_scale) * self.pixels.patch_gain.astype(np.float32)
 
     def _second(self, light: Light, features: Features) -> NDArray[np.float32]:

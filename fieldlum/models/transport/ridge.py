@@ -28,10 +28,11 @@ MOST_THREADS = 8  # limits the memory; chosen
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Covariates of each pixel, and the Gaussian prior of their gains.
+    """The k covariates of each pixel (such as its sun patch), and the prior of their gains.
 
-    values: [k, n, P]; mean, variance: of the prior [k]; surface: the number of leading covariates
-    that are light of the surface itself.
+    values: [k, n, P]; mean, variance: of the Gaussian prior of each gain [k]; surface: how many covariates,
+    counted from the first, are light of the surface itself (0 or 1: the computed light), the others
+    are patches and sky.
     """
 
     values: NDArray[np.floating]
@@ -40,6 +41,7 @@ class Columns:
     surface: int = 0
 
     def __getitem__(self, pixels: slice | NDArray[np.intp]) -> Columns:
+        """Return the covariates of the selected pixels."""
         return Columns(self.values[:, :, pixels], self.mean, self.variance, self.surface)
 
 
@@ -63,7 +65,11 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> 
 
 
 def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return products F_a F_b of each hour for a <= b, [n, r (r + 1) / 2], and indices a and b."""
+    """Return the products of all pairs of features of each hour, and which features they pair.
+
+    features: F [n, r]. The result is F_a F_b for a <= b, [n, r (r + 1) / 2], then the indices a and
+    b of its columns.
+    """
     a, b = np.triu_indices(features.shape[1])
     return features[:, a] * features[:, b], a, b
 
@@ -78,9 +84,9 @@ def normal_matrices(
 ) -> tuple[Array, Array]:
     """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
 
-    x is the deviation from the prior mean. features: [n, r]; target, weights: [n, P]; noise:
-    variance at weight 1. The block that all pixels share is one matrix product of weights and
-    `pair_products`.
+    x is the deviation of coefficients and gains from their prior mean, and A includes the prior.
+    features: shared by all pixels [n, r]; target, weights: [n, P]; noise: variance of a target of
+    weight 1; products: result of `pair_products(features)`, None to compute it here.
     """
     count, r, k = target.shape[1], features.shape[1], len(columns.mean)
     both, i, j = products or pair_products(features)
@@ -112,7 +118,11 @@ def solve(
     noise: float,
     products: tuple | None = None,
 ) -> tuple[Array, Array]:
-    """Return coefficients b [P, r] and gains [P, k] of every pixel, by `normal_matrices`."""
+    """Return the coefficients b [P, r] and the gains [P, k] of every pixel.
+
+    They minimise the sum at the top of this module. features: [n, r]; target, weights: [n, P];
+    noise: variance of a target of weight 1; products: result of `pair_products`, None to compute.
+    """
     r = features.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     found = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
@@ -129,10 +139,11 @@ def held_out_days(
     assumed: Array | None = None,
     assumed_columns: Columns | None = None,
 ) -> Array:
-    """Return each hour as predicted by a fit without its day, [n, P].
+    """Return the target of each hour as predicted by a fit to the hours of other days, [n, P].
 
-    assumed [n, r], assumed_columns: features and covariates with which hours are predicted; None:
-    `features`, `columns`.
+    days [n]: hours of equal values are held out together. assumed [n, r], assumed_columns: features
+    and covariates with which hours are predicted, if they differ from those that are fitted; None
+    for `features`, `columns`. Other arguments: see `solve`.
 
     The fit is not repeated. With hat matrix H = X A^-1 X' W of the full fit, residuals e and a
     day's rows D, the residuals without the day are d = (1 - H_DD)^-1 e_D (block form of the
@@ -192,10 +203,10 @@ def _held_out(
 
 
 def held_out_days_shared(covariance: Array, noise: float, target: Array, days: NDArray) -> Array:
-    """Return each hour as a Gaussian process predicts it from the other days, [n, P].
+    """Return the target of each hour as a Gaussian process predicts it from other days, [n, P].
 
-    All pixels share the process. covariance: between hours [n, n]; noise: variance of each value;
-    target: [n, P]; days: [n].
+    All pixels share the process. covariance: between hours, without noise [n, n]; noise: variance
+    of each value; target: [n, P]; days [n]: hours of equal values are held out together.
     """
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
     solved = inverse @ target
