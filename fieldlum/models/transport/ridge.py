@@ -30,9 +30,9 @@ MOST_THREADS = 8  # limits the memory; chosen
 class Columns:
     """The k covariates of each pixel (such as its sun patch), and the prior of their gains.
 
-    values: [k, n, P]; mean, variance: of the Gaussian prior of each gain [k]; surface: how many covariates,
-    counted from the first, are light of the surface itself (0 or 1: the computed light), the others
-    are patches and sky.
+    values: [k, n, P]; mean, variance: of the Gaussian prior of each gain [k]; surface: how many
+    covariates, counted from the first, are light of the surface itself (0, or 1 for the computed
+    light); the others are sun patch and window sky.
     """
 
     values: NDArray[np.floating]
