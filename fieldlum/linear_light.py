@@ -60,7 +60,7 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
 
 
 def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
-    """Return the black level of R, G1, G2, B in DN: the profile's, else the file's."""
+    """Return the black levels of R, G1, G2, B [DN]: the profile's, or the file's if all are 0."""
     own = profile.sensor.black_dn
     return own if any(own) else mosaic.black_dn
 
@@ -129,9 +129,10 @@ def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
 
 
 def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
-    """Return luminance without a filter over luminance with it, for R, G, B; ones without a filter.
+    """Return the light without a filter over the light through it, for R, G, B.
 
-    Raises InputError for a filter that the profile does not have.
+    name : of the filter; "" for none, which gives (1, 1, 1). Raises InputError for a filter that
+    the profile does not have.
     """
     if not name:
         return (1.0, 1.0, 1.0)

@@ -68,7 +68,7 @@ def slot_id(t_utc: datetime) -> str:
 
 
 class Flag(IntFlag):
-    """Bits that state why a pixel's value must be used with care."""
+    """Bits that state why a pixel's value must be used with care; a pixel without bits is good."""
 
     CLIPPED_HIGH = 1  # every frame is saturated, so that the value is a lower bound
     BELOW_NOISE = 2  # no frame rises above its noise
@@ -196,7 +196,7 @@ class SiteFile:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """Camera settings of one frame: shutter time, f-number, ISO and filter."""
+    """Camera settings of one frame: nominal shutter time [s], f-number, ISO and filter."""
 
     shutter_s: float
     f_number: float
@@ -214,7 +214,10 @@ def counted(count: int, noun: str) -> str:
 
 
 def shutter_text(shutter_s: float) -> str:
-    """Return a time as cameras label it, in s without the unit: 1/250, 0.4, 2."""
+    """Return a time in s as cameras label it, without the unit: 1/250, 0.4, 2.
+
+    Times below 0.3 s become fractions.
+    """
     return f"1/{1 / shutter_s:.6g}" if shutter_s < 0.3 else f"{shutter_s:.6g}"
 
 
@@ -265,7 +268,9 @@ CLIPPED_SUN = "clipped"  # origin of a sun that is clipped in every frame, which
 class SunSource:
     """The sun as the lens sees it, separate from the map.
 
-    Its illuminance is on a plane normal to it, at the lens.
+    normal_illuminance_lx: on a plane normal to the sun, at the lens; a lower bound if origin is
+    "clipped". visible_fraction: share (0 to 1) of the disc's area that is not hidden. origin: where
+    the illuminance comes from; "" if unknown.
     """
 
     altitude_deg: float

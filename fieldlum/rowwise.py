@@ -15,7 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def cosines(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
-    """Return the scalar products [n, m] of vectors a [n, 3] and b [m, 3], in their own dtype."""
+    """Return the scalar products [n, m] of vectors a [n, 3] and b [m, 3], in their own dtype.
+
+    For unit vectors these are the cosines of the angles between them.
+    """
     out = a[:, None, 0] * b[:, 0]  # [n, m]
     out += a[:, None, 1] * b[:, 1]
     out += a[:, None, 2] * b[:, 2]

@@ -16,9 +16,9 @@ _MEDIAN_OVER_MEAN_ERROR = 1.2533
 def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     """Return the standard deviation that the median absolute deviation of `values` implies.
 
-    values: [n], any unit. centre: the value from which deviations are measured; by default the
-    median of `values`. Half of the values may be gross errors (Rousseeuw and Croux, J. Am. Stat.
-    Assoc. 88, 1993).
+    values: [n], any unit, which the result has too. centre: the value from which deviations are
+    measured; None for the median of `values`. Up to half of the values may be gross errors
+    (Rousseeuw and Croux, J. Am. Stat. Assoc. 88, 1993).
     """
     array = np.asarray(values, float)
     middle = np.median(array) if centre is None else centre

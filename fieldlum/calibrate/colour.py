@@ -133,10 +133,10 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 
 
 def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
-    """Return the coefficients [3] from which the fit may start, each with a name.
+    """Return the coefficients [3] of R, G, B from which the fit may start, each with a name.
 
-    These are the profile's coefficients and, if the frames state a colour matrix, its luminance
-    row (camera to XYZ), scaled to the same size.
+    These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
+    inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
     """
     of_profile = np.array(profile.colour.y_from_rgb)
     starts: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]

@@ -63,8 +63,8 @@ class LinearFrame:
     def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
         """Return the mean colour of the good pixels in a disc of the sensor around x_px, y_px.
 
-        Raises InputError for a disc that is not completely in the picture, or over a fifth of which
-        is bad.
+        All in sensor pixels. Raises InputError for a disc that is not completely
+        in the picture, or if over a fifth of its pixels are bad.
         """
         h, w = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)

@@ -21,8 +21,8 @@ LEAVE_ONE_OUT = 24
 class Candidate:
     """One model among those to choose from.
 
-    errors [n] : squared held-out errors of the same n data for every candidate; size : number of
-    free parameters.
+    name : for the line of text; size : number of free parameters, or a rank in their order; errors
+    [n] : squared errors of n held-out data, which are the same for every candidate.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
-    """The index of the chosen candidate, and a line for the profile with the reason."""
+    """The index of the chosen candidate, from 0, and a line for the profile with the reason."""
 
     index: int
     rms: float  # held-out rms of the chosen candidate

@@ -250,7 +250,7 @@ def of_shutter(found: shutter.ShutterFit) -> Figure:
 
 
 def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
-    """Draw the bad pixels on the sensor, and their distance from the middle."""
+    """Draw the bad pixels on the sensor, and a histogram of their distance from its middle."""
     figure, left, right = _two(
         f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1)
     )
@@ -263,7 +263,10 @@ def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figu
 
 
 def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Figure:
-    """Draw light over time of each frame and block, before and after the correction."""
+    """Draw light divided by exposure time of each frame and block, before and after the correction.
+
+    Values are relative to the block's mean [%], over the share of the full scale.
+    """
     figure, left, right = _two(f"Linearity; held-out rms {100 * found.u_rel:.2g} %")
     seconds = levels.seconds[:, None]
     corrected = levels.share * linearity_factor(levels.share, found.coefficients)

@@ -47,9 +47,10 @@ _LIKE = 0.06  # largest relative difference from a ratio of `SLIPS`; chosen
 
 @dataclass(frozen=True, slots=True)
 class LuminanceReading:
-    """One comparison of a meter's reading with the picture's value there.
+    """One comparison of a meter's reading with the picture's value at the same place.
 
-    meter, image : both in cd/m2 (kind "spot") or lx (kind "illuminance"); u_rel : relative
+    label : name of the reading, for messages. meter, image : value by the meter and by the picture,
+    at the profile's k, both in cd/m2 (kind "spot") or lx (kind "illuminance"). u_rel : relative
     uncertainty of their ratio, without that of the meter's calibration.
     """
 
@@ -80,11 +81,12 @@ def from_table(
 ) -> tuple[list[LuminanceReading], list[Path], tuple[str, ...]]:
     """Read a csv with panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or illuminance_lx.
 
-    The column u_rel is optional. Azimuth is clockwise from north. A spot is the trimmed mean over 1
-    degree; an illuminance is that of a plane which faces the direction. Values of the pictures are
-    converted to the profile's k from the k that they were merged with. Return readings, pictures
-    and notes. Raises InputError for a line with both or neither reading, a place that is clipped or
-    without light, and pictures of another calibration.
+    The column u_rel (relative uncertainty of a reading, default 0.02) is optional. Azimuth is
+    clockwise from north. A spot is the trimmed mean over a disc of 1 degree; an illuminance is that
+    of a plane which faces the direction. Values of the pictures are converted to the profile's k
+    from the k that they were merged with. Return the readings, the files of the pictures, and notes
+    for the user (empty without any). Raises InputError for a line with both or neither reading, a
+    place that is clipped or without light, and pictures of another calibration.
     """
     rows = read_table(
         path,

@@ -77,9 +77,10 @@ class FramePairTable:
 class ShutterFit:
     """Fitted shutter times; each replaces the profile's time with the same nominal value.
 
-    assumed_s : the time that the merge assumed before the fit, for each of `times`; brackets :
-    number of brackets that determine each time; left_out : pairs that were not used, with the
-    reason; line : about the choice, for the profile.
+    times : longest first. assumed_s : true time [s] by the profile before the fit, for each of
+    `times`; brackets : largest number of brackets with a pair that contains the time, for each of
+    `times`; left_out : texts on pairs that were not used, with the reason; line : about the choice,
+    for the profile.
     """
 
     times: tuple[ShutterTime, ...]
@@ -153,7 +154,7 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     """Return the measured ratios of neighbouring frames in one merged bracket.
 
     Pairs with a filter, with two ISOs, with equal times or with an uncertainty above 1 % are
-    omitted.
+    omitted. The list is empty if the sidecar is damaged, or if frames of a heading do not overlap.
     """
     headings: list[list[FrameQuality]] = []
     for frame in sidecar.report.frames:

@@ -75,12 +75,12 @@ class StrayFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
-    """Read a csv of dark places: panorama, azimuth_deg, altitude_deg.
+    """Read a csv of places that are dark in reality: panorama, azimuth_deg, altitude_deg.
 
     Optional columns: luminance_cdm2, the true luminance of the place (default 0), and radius_deg of
-    the place (default 0.5). Azimuth is clockwise from north. Raises InputError for an invalid line,
-    for the errors of `reading`, and for a picture that was merged with another calibration or with
-    a stray-light kernel.
+    the averaged disc (default 0.5). Azimuth is clockwise from north. Raises InputError for an
+    invalid line, for a place that `reading` rejects, and for a picture that was merged with another
+    calibration or with a stray-light kernel.
     """
     rows = read_table(
         path, ("panorama", "azimuth_deg", "altitude_deg"), ("luminance_cdm2", "radius_deg")
@@ -245,7 +245,7 @@ def _falling(design: Array, stray: Array) -> Array:
 
 
 def total_share(nodes_deg: Sequence[float], values_per_sr: Array) -> float:
-    """Return the share of a source's light that K spreads over the sphere.
+    """Return the share (0 to 1) of a source's light that the kernel K spreads over the sphere.
 
     nodes_deg, values_per_sr : [n], angles [deg] and K there [1/sr].
     """

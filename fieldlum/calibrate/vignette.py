@@ -210,9 +210,10 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
 def fit(samples: Samples) -> VignettingFit:
     """Fit an even polynomial V(r) of the smallest order that the readings support.
 
+    V is the transmission relative to the axis; r is the angle over half of the lens's full angle.
     Readings that contradict their neighbours, less than a quarter, are omitted and listed in the
-    choice's line. Raises NotEnoughDataError for fewer than five readings, or none beyond half of
-    the half angle; InputError for readings that are not positive or rise to the edge.
+    choice's line. Raises NotEnoughDataError for fewer than five readings, or none from r = 0.5 on;
+    InputError for readings that are not positive or rise to the edge.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:

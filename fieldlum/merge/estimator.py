@@ -66,9 +66,9 @@ class Signal(Protocol):
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the largest luminance that this frame can measure [cd/m2].
+        """Return the largest luminance that this frame can measure before it saturates [cd/m2].
 
-        Its shape broadcasts to the frame's.
+        One value for the frame or each of its colours, in a shape that broadcasts to the frame's.
         """
         ...
 

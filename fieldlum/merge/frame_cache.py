@@ -38,7 +38,7 @@ class FrameStore:
 
     @property
     def resident(self) -> bool:
-        """Whether every frame is in memory."""
+        """Whether every frame is in memory now, because it was read and fitted in the budget."""
         return len(self._kept) == len(self)
 
     def correct(self, factors: NDArray[np.floating]) -> None:
@@ -50,9 +50,9 @@ class FrameStore:
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 
     def noisier(self, shot: float, read: float) -> None:
-        """Multiply the variances of raw frames by factors on their shot noise and read noise.
+        """Multiply the variances of shot noise and of read noise by `shot` and by `read`.
 
-        This applies to stored frames and to later reads.
+        Only for raw frames. This applies to frames in memory and to later reads.
         """
         self._noise = shot, read
         self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}

@@ -42,19 +42,23 @@ class Sample:
 class RatioCurve:
     """Relative standard uncertainty of a merged value due to the exposures, by luminance.
 
-    levels_cdm2 [n]: luminances of the curve, rising; u_rel [n].
+    levels_cdm2 [n]: luminances of the curve [cd/m2], rising; u_rel [n]: relative uncertainty at
+    each of them.
     """
 
     levels_cdm2: NDArray[np.float64]
     u_rel: NDArray[np.float64]
 
     def at(self, value_cdm2: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the relative uncertainty of luminances [n] in cd/m2, by interpolation."""
+        """Return the relative uncertainty of luminances in cd/m2, by interpolation, in their shape.
+
+        Outside the curve it is that of the nearest end.
+        """
         return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
 
 
 def take_samples(store: FrameStore) -> list[Sample]:
-    """Return about 100 000 values of each frame, at the same places in all."""
+    """Return one sample of about 100 000 values for each frame, at the same places in all."""
 
     def sample(signal: Signal) -> Sample:
         small, full = signal.sampled(_ROWS, _COLUMNS)
@@ -180,9 +184,10 @@ def ratio_curve(
 ) -> RatioCurve:
     """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
-    Its square is s C s + extra^2, with C the covariance of the log exposures [frames, frames], s
-    the share of information that each frame has at that luminance, and extra the relative
-    uncertainty that disagreement of the frames adds. Errors of frames are correlated, because
+    samples: one for each frame. The square of the uncertainty is s C s + extra^2, with C the
+    `covariance` of the log exposures [frames, frames], s the share (0 to 1) of the weight that each
+    frame has in a merged value of that luminance, and `extra` the relative uncertainty that
+    disagreement of the frames adds. Errors of frames are correlated, because
     pictures contain only ratios of exposures. A single value for the bracket would be too small at
     luminances that only an uncertain frame can read.
     """

@@ -115,11 +115,12 @@ def info_of(
     *,
     lens_f_number: float = 0.0,
 ) -> FrameInfo:
-    """Return the exposure, time and camera of the tags.
+    """Return the exposure, time and camera that the EXIF tags of a frame state.
 
-    fallback : shutter [s], f-number and ISO of LibRaw, 0 where it has none; used where the tags
-    lack a value. lens_f_number : of a lens without electronics, where both lack it. Raises
-    InputError for an exposure time, f-number or ISO that is missing or impossible.
+    path : of the frame, for errors. fallback : shutter time [s], f-number and ISO by LibRaw, 0 for
+    a missing one; used where the tags lack a value. lens_f_number : f-number to use if tags and
+    fallback lack one, as for a lens without electronics. Raises InputError for an exposure time,
+    f-number or ISO that is missing or impossible.
     """
     shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
     f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1] or lens_f_number]
