@@ -111,7 +111,7 @@ def machine() -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as a cell of a Markdown table."""
+    """Return a value as text for a table: "-" for None, yes or no, floats with three digits."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -126,7 +126,10 @@ def shown(value: object) -> str:
 
 
 def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> str:
-    """Return rows as a Markdown table headed by `columns`; columns without a value are omitted."""
+    """Return rows as a Markdown table; columns without a value in any row are omitted.
+
+    columns: heading of each key, in the order of the table.
+    """
     used = [key for key in columns if any(row.get(key) is not None for row in rows)]
     lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
     lines += ["| " + " | ".join(shown(row.get(key)) for key in used) + " |" for row in rows]
@@ -156,9 +159,10 @@ def store(
 
 
 def patient(scheduler: Scheduler, budget_min: float) -> Scheduler:
-    """Return the scheduler with a time limit per unit that a dense training cannot reach.
+    """Return the scheduler with a time limit per unit that even a dense training never reaches.
 
-    Without a stated limit it is two hours plus four times the budget.
+    A limit that the scheduler has already stays; otherwise it is two hours plus four times the
+    budget.
     """
     limit_s = scheduler.unit_limit_s or _SHORTEST_LIMIT_S + _BUDGETS * 60.0 * budget_min
     return replace(scheduler, unit_limit_s=limit_s)

@@ -22,7 +22,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS
 from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.models.scores import Truth, truth
-from fieldlum.records import Progress, quiet
+from fieldlum.records import Progress, counted, quiet
 from fieldlum.scene_fit.apply import in_scene
 from fieldlum.scene_fit.stated_box import training_captures, with_same_box
 from fieldlum.scheduler import WorkUnit
@@ -214,7 +214,11 @@ def score_pieces(
 
 
 def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
-    """Return training and test hours of the learning curve; None for too few captures."""
+    """Return training hours and test hours of the learning curve, in this order.
+
+    Without stated test hours, a year of data is divided at random. Return None with test hours but
+    under 50 captures, and without test hours if the data are no year.
+    """
     data, test = loaded.data, loaded.test
     if test is None and year.is_year(data):
         order = np.random.default_rng(0).permutation(len(data))
@@ -226,7 +230,10 @@ def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
 
 
 def work(piece: Piece, loaded: BenchData, progress: Progress = quiet) -> Any:
-    """Run one piece in this process; return its table rows, or for a score its row and trial."""
+    """Run one piece in this process; return its table rows.
+
+    For kind "score", return (row, trial); for "rendering", one row, or None without a box room.
+    """
     if piece.kind == "rendering":
         asked = loaded.data if loaded.test is None else loaded.test
         return radiance_row(asked, piece.hours, progress=progress)
@@ -264,8 +271,8 @@ def _split(data: Dataset) -> tuple[Dataset, Dataset]:
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
-            f"{data.source}: {len(data)} usable hour; expected at least 2, to train and to test; "
-            "capture more hours"
+            f"{data.source}: {counted(len(data), 'usable hour')}; expected at least 2, to train "
+            "and to test; capture more hours"
         )
     return data.take(folds[0].teach), data.take(folds[0].check)
 

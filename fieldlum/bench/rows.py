@@ -36,7 +36,11 @@ ERRORS = (
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """A model to compare, parsed from ``NAME``, ``NAME:PATCH`` or the folder of a trained model."""
+    """A model to compare, parsed from ``NAME``, ``NAME:PATCH`` or the folder of a trained model.
+
+    label: its name in tables; name: key of `MODELS`; patch: how sun patches are used; folder: of
+    the trained model, None to train a new one.
+    """
 
     label: str
     name: str
@@ -159,7 +163,11 @@ def _fitted(
 
 
 def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
-    """Return one row for each model: its first seed's, with mean and sd of errors over seeds."""
+    """Return one row for each model, with the mean over seeds of errors and fit times.
+
+    Keys ending in _sd have the standard deviation of errors over seeds, None with one seed; other
+    values are those of the first seed. The key seeds has the number of seeds.
+    """
     out: list[dict[str, object]] = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]

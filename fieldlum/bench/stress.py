@@ -44,7 +44,11 @@ OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A condition to test: its training data, its test data, and the name of its normal case."""
+    """A condition to test.
+
+    name: of the condition; train, test: data with the condition applied; normal: name of the case
+    to whose error this error is compared; seed: of the fit.
+    """
 
     name: str
     train: Dataset
@@ -58,19 +62,28 @@ class Case:
 
 
 def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
-    """Return the same maps with replaced columns of `Light`; a stated Perez sky is removed."""
+    """Return the captures with other arrays in `data.light`; the maps do not change.
+
+    columns: names and values of fields of `Light`. `Light.perez` becomes None.
+    """
     return replace(data, light=replace(data.light, perez=None, **columns))
 
 
 def turned(data: Dataset, degrees: float) -> Dataset:
-    """Return the data with north wrong by `degrees`: sun and computed patches turn, maps do not."""
+    """Return the data with a wrong north: the sun's azimuth is `degrees` larger (clockwise).
+
+    Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
+    """
     return _patched(
         with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
     )
 
 
 def late(data: Dataset, minutes: float) -> Dataset:
-    """Return the data with a clock `minutes` late: sun and computed patches move, maps do not."""
+    """Return the data with the sun where it is `minutes` after the true time, as by a fast clock.
+
+    Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
+    """
     site, step = data.setup.site, timedelta(minutes=minutes)
     now = sun.position(data.light.t_utc, site)
     then = sun.position([t + step for t in data.light.t_utc], site)
@@ -97,7 +110,10 @@ def shifted(data: Dataset, pixels: int) -> Dataset:
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with pixels times log-normal noise of standard deviation `share`."""
+    """Return the data with each pixel's luminance times log-normal noise.
+
+    share: standard deviation of the ln of the factor; seed: of the noise.
+    """
     factor = np.exp(
         share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32)
     )
@@ -105,7 +121,10 @@ def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with DNI and DHI times log-normal noise of standard deviation `share`."""
+    """Return the data with the DNI and DHI of each hour times independent log-normal noise.
+
+    share: standard deviation of the ln of the factors; seed: of the noise.
+    """
     rng, light = np.random.default_rng(seed), data.light
     dni = light.dni_wm2 * np.exp(share * rng.standard_normal(len(data)))
     dhi = light.dhi_wm2 * np.exp(share * rng.standard_normal(len(data)))
@@ -113,7 +132,11 @@ def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with log-normal noise in DNI, and DHI such that global stays the same."""
+    """Return the data with noise in DNI, and DHI changed so that global irradiance stays the same.
+
+    share: standard deviation of the ln of the factor on DNI; seed: of the noise. DHI is at least
+    1 W/m2.
+    """
     light = data.light
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
     total = light.dni_wm2 * rise + light.dhi_wm2
@@ -139,9 +162,10 @@ def from_global(data: Dataset) -> Dataset:
 
 
 def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with a blind down on about that share of the days.
+    """Return the data with a blind down on a share of the days, at least one day.
 
-    The room then has two fifths of its light, and no sun patch.
+    On these days the captured maps have no sun patch and two fifths of the remaining luminance; the
+    sun patches in `data` do not change. seed: of the draw of days.
     """
     days = np.unique(data.days)
     down = np.random.default_rng(seed).permutation(days)[: max(1, round(share * len(days)))]
@@ -238,8 +262,12 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 class StressRow:
     """The result of one condition; the fields are the columns of stress.csv.
 
-    The last columns: whether the tool itself reported the error; the number of gross errors, and of
-    those without any warning, distrust or large expected error; the name of the normal case; the
+    name: of the model; regime: of the condition; n_train, n_test: hours; fit_cpu_s: computing time
+    of the fit [s]; log10_mse_weighted, median, worst: mean, median and greatest error of the test
+    maps; expected_mse: mean error that the model expected, None if it does not estimate it;
+    untrusted_share: share of hours it did not trust; warned: whether training warned; told: whether
+    the tool reported the error in any way; wild: number of gross errors (log10 MSE over 0.04);
+    wild_unflagged: gross errors without any report; beside: name of the normal case; times_normal:
     error over that of the normal case.
     """
 

@@ -28,7 +28,7 @@ YEAR_MONTHS = 10
 
 
 def is_year(data: Dataset) -> bool:
-    """Return whether the data have enough hours and months to count as a year."""
+    """Return whether `data` have at least 1 000 hours in at least 10 calendar months."""
     months = data.days.astype("datetime64[M]").astype(int) % 12
     return len(data) >= YEAR_HOURS and len(np.unique(months)) >= YEAR_MONTHS
 
@@ -65,7 +65,11 @@ def learning_curve(
 
 
 def curve_counts(captures: int) -> list[int]:
-    """Return the numbers of captures, up to `captures`, at which a learning curve is computed."""
+    """Return the numbers of captures at which a learning curve is computed.
+
+    They are 25, 50, 100, 200, 500 and 1 000 as far as they are below `captures`, and `captures`
+    itself if it is at most 1 000.
+    """
     counts = [n for n in COUNTS if n < captures]
     return counts + [captures] * (captures <= COUNTS[-1])
 
@@ -111,7 +115,11 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 def compare_periods(
     spec: Spec, data: Dataset, *, progress: Progress = quiet
 ) -> list[dict[str, object]]:
-    """Train on each collection period; return a row of errors on common hours for each."""
+    """Train on each collection period of `periods`; return a row of errors for each period.
+
+    All periods are tested on the same hours: a random quarter of `data`, at most 300, which no
+    period trains on.
+    """
     order = np.random.default_rng(0).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True

@@ -45,10 +45,10 @@ _TO_BE_FOUND = 2.0  # multiple of the luminance of `bright_spots` that shows an 
 
 
 def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
-    """Return the captures without images of the sun in plane mirrors, and these mirrors.
+    """Remove images of the sun in plane mirrors from the captures; return them and the mirrors.
 
-    The pixels of an image get the luminance of their surroundings. Data without a mirror are
-    returned unchanged.
+    The pixels of an image get the luminance of their surroundings. If no mirror is found, return
+    `data` itself and an empty tuple.
     """
     light, suns = data.light, data.light.shown_sun_direction
     spots = [

@@ -29,10 +29,11 @@ _PLACE_SIGMA = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MirroredSun:
-    """The images of the sun in one mirror, in n hours.
+    """The image of the sun in one plane mirror, in each of n hours.
 
-    towards: their directions [n, 3]; normal_lx: illuminance of a visible image on a plane normal to
-    it [n]; chance: that it is visible [n]; shown: whether it is predicted [n].
+    towards: unit vector from the camera to the image, x east, y north, z up [n, 3]; normal_lx:
+    illuminance by the image, if it is visible, on a plane normal to its direction [n]; chance: that
+    it is visible, 0 to 1 [n]; shown: whether predicted maps get the image [n].
     """
 
     towards: Array
@@ -42,30 +43,31 @@ class MirroredSun:
 
     @property
     def shown_lx(self) -> Array:
-        """Illuminance of the predicted images on a plane normal to them [n]."""
+        """Illuminance by the image on a plane normal to its direction, 0 where not `shown` [n]."""
         return np.where(self.shown, self.normal_lx, 0.0)
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
-        """Mask [n] of the hours in which the captures do not decide whether it is visible."""
+        """Mask [n], True where the chance that `shown` is wrong exceeds 5 %."""
         return np.where(self.shown, 1.0 - self.chance, self.chance) > MOST_DOUBT
 
     @property
     def place_deg(self) -> tuple[Array, Array]:
-        """Altitudes and azimuths of the images [n] deg."""
+        """Altitudes and azimuths (clockwise from north) of the images, [n] deg each."""
         return place_deg(self.towards)
 
 
 @dataclass(frozen=True, slots=True)
 class Mirror:
-    """A plane that mirrors the sun to the camera.
+    """A plane that mirrors the sun to the camera, such as a glass facade.
 
-    normal: unit vector [3] towards the sun's side; u_deg: its standard uncertainty per axis;
-    captures: number that show an image; factor: illuminance of an image over that of the sun times
-    the reflectance of one surface of glass, with all panes on the way; measured: whether the factor
-    is known, not only a bound; judged: captures that showed whether an image is in view; wrong:
-    those of them that the other days predict wrongly; chance: that an image in a pixel is visible
-    [H, W].
+    normal: unit vector (east, north, up) of the plane, on the sun's side; u_deg: standard
+    uncertainty of the normal per axis; captures: how many captures show the sun in it; factor:
+    illuminance by the image, divided by that of the sun and by the reflectance of one glass
+    surface; measured: True if the factor is known, False if it is only a lower bound, because the
+    images are clipped; judged: how many captures show whether the image is visible; wrong: how many
+    of these are predicted wrongly from other days; chance: that an image in the direction of a
+    pixel is visible, 0 to 1 [H, W].
     """
 
     normal: tuple[float, float, float]
@@ -79,11 +81,14 @@ class Mirror:
 
     @property
     def predicted(self) -> bool:
-        """Whether images are predicted: their energy is known, and held-out days want them."""
+        """Whether predicted maps get images: `measured`, and `wrong` is at most `captures`."""
         return self.measured and self.wrong <= self.captures
 
     def images(self, light: Light, heading_deg: float) -> MirroredSun:
-        """Return the images of the sun in the hours of `light`."""
+        """Return the image of the sun in each of the n hours of `light`.
+
+        heading_deg: azimuth of the middle of the map `chance`.
+        """
         suns = light.shown_sun_direction
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
         reach = _PLACE_SIGMA * tolerance_rad(len(self.chance))
@@ -104,7 +109,7 @@ class Mirror:
 
     @property
     def warning(self) -> str:
-        """What `train` warns of, without the number of captures."""
+        """Warning text of `train`, to follow "WARNING: 3 of 40 captures"."""
         azimuth, altitude = (float(v[0]) for v in place_deg(np.array([self.normal]))[::-1])
         return (
             f"show the sun in a plane mirror (normal at azimuth {round(azimuth)}, altitude "
@@ -131,13 +136,19 @@ class Mirror:
 
 
 def place_deg(towards: Array) -> tuple[Array, Array]:
-    """Return altitudes and azimuths of unit vectors [n, 3], [n] deg each."""
+    """Return altitudes and azimuths (clockwise from north) of unit vectors, [n] deg each.
+
+    towards: [n, 3], x east, y north, z up.
+    """
     altitude = np.degrees(np.arcsin(np.clip(towards[:, 2], -1.0, 1.0)))
     return altitude, np.degrees(np.arctan2(towards[:, 0], towards[:, 1])) % 360.0
 
 
 def pixels(towards: Array, shape: tuple[int, ...], heading_deg: float) -> NDArray[np.intp]:
-    """Return the index in a flattened map [H, W] of each direction [n, 3]."""
+    """Return the index in the flattened map of the pixel in each direction, [n].
+
+    towards: unit vectors [n, 3]; shape: (H, W); heading_deg: azimuth of the middle of the map.
+    """
     row, column = equirect_pixel(*place_deg(towards), shape[0], shape[1], heading_deg)
     i = np.clip(row.astype(int), 0, shape[0] - 1)
     return i * shape[1] + column.astype(int) % shape[1]
@@ -148,7 +159,7 @@ def pixels(towards: Array, shape: tuple[int, ...], heading_deg: float) -> NDArra
 
 
 def table_of(mirrors: Sequence[Mirror]) -> list[dict[str, Any]]:
-    """Return what config.json stores of mirrors."""
+    """Return what config.json stores of mirrors: a table for each, without `chance`."""
     return [
         {name: value for name, value in asdict(mirror).items() if name != "chance"}
         for mirror in mirrors
@@ -161,7 +172,10 @@ def arrays_of(mirrors: Sequence[Mirror]) -> dict[str, NDArray[Any]]:
 
 
 def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
-    """Return the mirrors of the model in a folder. Raises InputError for damaged content."""
+    """Return the mirrors of the model in `folder`; empty if it has none.
+
+    config: its config.json. Raises InputError for missing or damaged content.
+    """
     stored: Sequence[Mapping[str, Any]] = config.state.get("mirrors", ())
     if not stored:
         return ()

@@ -23,11 +23,14 @@ _PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other 
 
 @dataclass(frozen=True, slots=True)
 class PairPictures:
-    """The pictures of n pairs, which later steps change in place.
+    """The pictures of the n rows of a pairs.csv; later steps change the arrays in place.
 
-    maps, patches: [n, H, W] cd/m2, patches is None without sun patches; disc_lx: normal illuminance
-    of the disc [n]; has_value: mask of measured pixels [n, H, W]; counts: for each pair, weights of
-    the pixels [H, W], or None for 1; bounds: number of maps with a clipped sun.
+    maps: captured luminance [n, H, W] cd/m2; patches: luminance of the direct sun alone [n, H, W]
+    cd/m2, None without pictures of sun patches; disc_lx: illuminance by the sun's disc on a plane
+    normal to it [n]; has_value: mask [n, H, W], True at measured pixels; counts: weights of the
+    pixels in training, [H, W] or None for 1, one entry for each row; heading_deg: azimuth of the
+    middle of all maps; bounds: number of maps whose sun is clipped, so that its illuminance is only
+    a lower bound.
     """
 
     maps: NDArray[np.float32]
@@ -41,11 +44,12 @@ class PairPictures:
     def take_disc_out(
         self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
     ) -> None:
-        """Separate the disc from map and patch k.
+        """Remove the sun's disc from map k and patch k, and store its illuminance in disc_lx[k].
 
-        at: altitude and azimuth of the sun [deg], used in the patch; shown: where the picture of a
-        turned camera shows it [deg], used in the map; dni_wm2: direct irradiance. With a map of sun
-        patches, the illuminance is from that map, which has no sky around the disc.
+        at: altitude and azimuth of the sun [deg], where the patch shows it; shown: altitude and
+        azimuth at which the picture of a turned camera shows it [deg]; dni_wm2: direct normal
+        irradiance. With sun patches, the illuminance is that in the patch, which has no sky around
+        the disc.
         """
         self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
         if self.patches is not None:
@@ -56,9 +60,11 @@ class PairPictures:
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
 ) -> PairPictures:
-    """Read maps and sun patches of pairs; discs that are in the maps remain there.
+    """Read the maps and sun patches of the rows of a pairs.csv; the sun's disc remains in the maps.
 
-    Raises InputError if sizes or headings differ, or if only some rows have a sun patch.
+    path: of the pairs.csv, to whose folder the names of pictures are relative. disc_lx is from the
+    pictures' headers, 0 where they have none. Raises InputError if sizes or headings differ from
+    those of the first picture, or if only some rows have a sun patch.
     """
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
@@ -143,11 +149,12 @@ def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
 def fill_gaps(
     maps: NDArray[np.float32], has_value: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], int]:
-    """Fill single missing values with the pixel's median, in place; return seen pixels and a count.
+    """Fill missing values in `maps`, in place; return a mask of used pixels and a count.
 
-    maps, has_value: [n, H, W]; seen pixels: [H, W]; count: of filled values. A pixel that is
-    missing in a fifth of the maps or more counts as not seen and gets 0. Negative values become 0.
-    Raises NotEnoughDataError if no pixel is seen.
+    maps: [n, H, W]; has_value: mask [n, H, W], False where a value is missing. A missing value gets
+    the pixel's median over the maps. A pixel that is missing in a fifth of the maps or more is not
+    used: it is False in the mask [H, W] and 0 in all maps. Negative values become 0. count: number
+    of filled values. Raises NotEnoughDataError if no pixel is used.
     """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():

@@ -45,9 +45,15 @@ BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribut
 
 @dataclass(slots=True)
 class Scores:
-    """The scores of predicted maps: arrays with a value for each map, NaN if it was not computed.
+    """The scores of n predicted maps: arrays [n] with a value for each map, NaN if not computed.
 
-    error2, truth2: sums over pixels of squared errors and of squared true values of log10 L.
+    Errors are of log10 luminance L, predicted less true. mse, mse_weighted: mean squared error of
+    the pixels, equally weighted or by solid angle; error2, truth2: sums over pixels of squared
+    errors and of squared true log10 L; error2_weighted, truth2_weighted: the same times the pixels'
+    weights; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the squared and absolute
+    error of DGP, of true DGP and of its square; rammg_error: RAMMG predicted less true;
+    rammg_truth: true RAMMG; expected_mse: error that the model itself expected; trusted: whether
+    the model trusts the hour; slots: names of the hours.
     """
 
     mse_weighted: NDArray[np.float64]
@@ -78,7 +84,7 @@ class Scores:
 
 
 def join(parts: Sequence[Scores]) -> Scores:
-    """Return the scores of several tests as those of one: rows in sequence, times added."""
+    """Return the scores of several tests as those of one test: maps in sequence, times added."""
     others = ("seconds", "cpu_s", "slots", "maps")
     arrays = [f.name for f in fields(Scores) if f.name not in others]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
@@ -100,23 +106,26 @@ def join(parts: Sequence[Scores]) -> Scores:
 class Truth:
     """Everything about a test set that does not depend on the model.
 
-    It has the weights of pixels, the views, the maps for which glare is computed, and their glare.
+    data: n test captures; weights: of the pixels, by solid angle [H, W]; views: ten view
+    directions; glare_maps: mask [n] of the maps for which glare is computed; dgp: true DGP of the
+    views [n, 10]; contrast: true contrast [n, levels], whose mean is RAMMG (both NaN where not
+    computed); room_disc_lx: the sun disc's illuminance by the stated room [n], None without a room.
     """
 
     data: Dataset
     weights: NDArray[np.float64]
     views: Views
     glare_maps: NDArray[np.bool_]
-    dgp: NDArray[np.float64]  # [n, 10]; NaN where not evaluated
-    contrast: NDArray[np.float64]  # [n, levels], whose mean is RAMMG; NaN where not evaluated
-    room_disc_lx: NDArray[np.float64] | None = None  # by the stated room [n]; None without a room
+    dgp: NDArray[np.float64]
+    contrast: NDArray[np.float64]
+    room_disc_lx: NDArray[np.float64] | None = None
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
-    """Compute for `evaluate` what does not depend on the model: weights and views.
+    """Compute what `evaluate` needs of a test set and what does not depend on the model.
 
-    glare: also compute DGP and contrast of the true maps, of at most 150 spread evenly, and the
-    discs by the stated room.
+    glare: also compute DGP and contrast of at most 150 true maps, spread evenly over `data`, and
+    the sun discs by the stated room; if False, glare is scored for no map.
     """
     n = len(data)
     asked = np.zeros(n, bool)
@@ -164,9 +173,9 @@ def _contrast(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
 def evaluate(
     fitted: Fitted, test: Truth, *, keep_maps: bool = False, progress: Progress = quiet
 ) -> Scores:
-    """Predict a test set in chunks and compare it with the truth.
+    """Predict the hours of a test set and return the scores against the true maps.
 
-    keep_maps: store the maps for which glare was computed.
+    keep_maps: store in `Scores.maps` the true and predicted maps for which glare was computed.
     """
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
@@ -188,9 +197,10 @@ def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
 
 
 def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
-    """Return the errors of log10 luminance for each map; weights: of the pixels [H, W].
+    """Return the scores of predicted maps against the captures `data`, without glare (NaN).
 
-    Glare scores stay NaN. Raises FloatingPointError for a value that is not finite.
+    The true sun disc is added to both; luminances below 1 cd/m2 count as 1. weights: of the pixels
+    [H, W]. Raises FloatingPointError for a predicted value that is not finite.
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map has values that are not finite")
@@ -280,7 +290,10 @@ def _glare_errors(
 def by_day(
     values: NDArray[np.float64], days: NDArray[np.datetime64]
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """Return the days, and the mean of each day's values, [days] each; values, days: [n]."""
+    """Return the different days, sorted, and the mean of each day's values, [days] each.
+
+    values: [n]; days: the day of each value [n].
+    """
     unique, which = np.unique(days, return_inverse=True)
     return unique, np.bincount(which, weights=values) / np.bincount(which)
 

@@ -27,8 +27,8 @@ def weight_of(relative_u: NDArray[np.floating]) -> NDArray[np.floating]:
 def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
     """Return the weight of each pixel in training, 0 to 1, [H, W].
 
-    It is 0 for clipped, moving or filled pixels, else `weight_of` the relative uncertainty. None if
-    the picture has neither flags nor uncertainties.
+    It is 0 where `flags` mark a clipped, moving or filled pixel, else `weight_of` the relative
+    uncertainty (1 without uncertainties). None if the picture has neither flags nor uncertainties.
     """
     if panorama.flags is None and panorama.u_cdm2 is None:
         return None
@@ -45,9 +45,10 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
 def joined_counts(
     each: Sequence[NDArray[np.float16] | None], has_value: NDArray[np.bool_]
 ) -> NDArray[np.float16] | None:
-    """Return the weights of all captures [n, H, W]; None if all are 1.
+    """Return the weights of the pixels of all captures [n, H, W]; None if all weights are 1.
 
-    has_value [n, H, W]: a missing value has weight 0. The weights of each pixel are divided by
+    each: result of `pixel_counts` for each capture, where None means 1; has_value: mask [n, H, W],
+    False where a value is missing, whose weight is 0. The weights of each pixel are divided by
     their maximum: an uncertainty that is common to all captures (the camera's scale) does not make
     one capture better than another. A pixel without weight in most captures gets at least 0.1.
     """

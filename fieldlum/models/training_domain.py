@@ -28,10 +28,11 @@ class DomainTable(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """The range of captured light.
+    """The range of light in the captures of a model.
 
-    sun_directions: of sunny captures [k, 3]; dhi_wm2, dni_wm2: least and greatest diffuse
-    horizontal and direct normal irradiance.
+    sun_directions: unit vectors to the sun in captures with a DNI of 60 W/m2 or more [k, 3];
+    dhi_wm2, dni_wm2: least and greatest diffuse horizontal and direct normal irradiance of all
+    captures.
     """
 
     sun_directions: NDArray[np.float64]
@@ -39,11 +40,12 @@ class Domain:
     dni_wm2: tuple[float, float]
 
     def holds(self, light: Light) -> NDArray[np.bool_]:
-        """Return a mask [n] of the hours whose light is like captured light.
+        """Return a mask [n], True for the hours of `light` that are similar to captured light.
 
-        Diffuse irradiance must be near the captured range. A sun must be within 12 degrees of that
-        of a sunny capture, and its irradiance not far above the captured ones. An hour with a DNI
-        below 60 W/m2 is also accepted at any sun if a capture has a DNI below 120 W/m2.
+        Diffuse irradiance must be in the captured range, widened by 15 % and 10 W/m2. In addition,
+        the sun must be within 12 degrees of that of a sunny capture and its DNI at most 15 % and
+        10 W/m2 above the captured maximum; or the DNI must be below 60 W/m2, if the least captured
+        DNI is below 120 W/m2.
         """
         low, high = self.dhi_wm2
         slack = RANGE_SLACK * (high - low) + 10.0
@@ -84,7 +86,7 @@ class Domain:
 
 
 def captured(light: Light) -> Domain:
-    """Return the range of light in a training set."""
+    """Return the domain of the captures whose light is `light`."""
     sunny = light.dni_wm2 >= SUNNY_WM2
     return Domain(
         light.sun_direction[sunny],

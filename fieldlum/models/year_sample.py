@@ -41,7 +41,11 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class YearExpectation:
-    """What a model expects of a year: mean log10 MSE, share of trusted hours, sampled hours."""
+    """The error that a model itself expects over a year, from a sample of hours.
+
+    expected_log10_mse: mean over the sample, NaN if the model does not estimate its error;
+    trusted_share: share of trusted hours, 0 to 1; hours: number of sampled hours.
+    """
 
     expected_log10_mse: float
     trusted_share: float
@@ -49,10 +53,11 @@ class YearExpectation:
 
 
 def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
-    """Return 150 random daylight hours of a year, each under the sky of a random capture.
+    """Return the light of 150 random daylight hours of a year, with weather of random captures.
 
-    A capture's sky is its beam and diffuse irradiance over those of a cloudless sky, at most 1.2
-    and 4.
+    A capture's weather is the ratio of its direct normal and diffuse irradiance to those of a
+    cloudless sky, at most 1.2 and 4; the hour has these ratios times its own cloudless sky. The
+    year is that of the first capture; rng: source of the random draws.
     """
     site, first = data.setup.site, data.light.t_utc[0]
     begin = datetime(first.year, 1, 1, tzinfo=UTC)

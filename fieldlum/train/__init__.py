@@ -22,7 +22,7 @@ from fieldlum.models import Fitted, Patch
 from fieldlum.models.mirror_labels import split_images
 from fieldlum.models.mirrors import Mirror
 from fieldlum.models.scores import summary
-from fieldlum.records import Progress, quiet
+from fieldlum.records import Progress, counted, quiet
 from fieldlum.session import sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
@@ -57,9 +57,11 @@ _TOO_SHORT = "not judged: no time to train on every pixel of the captures once; 
 class Result:
     """A trained model, and how it was chosen.
 
-    not_judged: trials that were too short for their scores to count; fit_s: time of the final fit
-    [s]; data: the captures of the training, without those of a changed room; year: see `year_of`;
-    mirrors: of the sun, found in the captures.
+    fitted: the model, fitted to all of `data`; trials: tests on held-out days; not_judged: trials
+    that were too short for their scores to count; choice: name of the model and the reason; fit_s:
+    time of the final fit, by the wall clock [s]; data: the captures of the training, without those
+    of a changed room; notes: texts for the user, warnings included; year: error to expect over a
+    year, None if unknown (`year_of`); mirrors: plane mirrors that show the sun in captures.
     """
 
     fitted: Fitted
@@ -135,8 +137,8 @@ def fit_and_score(
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
-            f"{data.source}: {len(data)} usable hour, but at least 2 are needed to train and "
-            "to test; capture more hours"
+            f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
+            "and to test; capture more hours"
         )
     names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
     trials: list[Trial] = []
@@ -193,10 +195,10 @@ def fit_and_score(
 def year_of(
     fitted: Fitted, data: Dataset, patch: Patch, seed: int, progress: Progress
 ) -> YearExpectation | None:
-    """Return the error that the model expects over a year, under skies drawn from the captures.
+    """Return the error that the model itself expects over a year, for skies drawn from captures.
 
-    None if the model does not know its error, or if the data have sun patches but SITE.toml has no
-    [room] to compute those of other hours.
+    seed: of the draw of 150 hours and their skies. Return None if the model does not estimate its
+    error, or if patches are used but SITE.toml has no [room] to compute those of other hours.
     """
     from fieldlum.models.year_sample import expect, light_of_year
 
@@ -219,10 +221,10 @@ def _is_too_short(trial: Trial) -> bool:
 def usable_captures(
     data: Dataset, patch: Patch, progress: Progress = quiet
 ) -> tuple[Dataset, Setting | None, list[str]]:
-    """Return the captures to train with, what they show about the setting, and warnings.
+    """Return the captures to train with, the result of `setting.scan`, and warnings.
 
-    Captures of a changed room are omitted, and a clock that differs between days is corrected. The
-    second value is the result of `setting.scan`.
+    Captures of a changed room are omitted, and a camera clock that differs between days is
+    corrected. The warnings are about both.
     """
     data, changed = without_changes(data, with_patch=patch != "none")
     setting = scan(data, patch, progress)
@@ -231,17 +233,17 @@ def usable_captures(
 
 
 def findings(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
-    """Return the model with a larger uncertainty near sun patches, and warnings.
+    """Return the model, and warnings about days, captures and sun patches it cannot explain.
 
-    The uncertainty grows only if the captures contradict the computed patches. Warnings are about
-    patches, days and captures. setting: what `scan` returned.
+    If the captures contradict the computed sun patches, the returned model has a larger uncertainty
+    near patches; otherwise it is `fitted`. setting: result of `scan`.
     """
     fitted, warned = settle(fitted, data, setting)
     return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
 
 
 def default_folder(pairs: Path, model: str) -> Path:
-    """Return the folder models/MODEL in a session, or next to a pairs.csv."""
+    """Return the path models/MODEL in the folder `pairs` (a session), or next to a pairs.csv."""
     return (pairs if pairs.is_dir() else pairs.parent) / "models" / model
 
 
@@ -337,7 +339,10 @@ def run(
 
 
 def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | None:
-    """Return the scores of the model in `folder`; None if it changed or had other inputs."""
+    """Return the stored scores of the model in `folder`, if it need not be trained again.
+
+    None if there is no complete model, if its files changed, or if it had other `inputs`.
+    """
     table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):
         return None

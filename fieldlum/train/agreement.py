@@ -54,10 +54,11 @@ PRICE = float(np.log1p(1.0 / _SOFT))  # cost of omitting a capture: that of a ca
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """The captures `rows` [k], each predicted by the others.
+    """k captures, each predicted from the other k - 1, at P pixels.
 
-    inverse: of their covariance with noise [k, k]; weights: inverse times values [k, P]; error:
-    measured minus predicted [k, P]; variance: of the error [k]. P pixels.
+    rows: indices of the captures [k]; inverse: of their covariance with noise [k, k]; weights:
+    `inverse` times measured values [k, P]; error: measured minus predicted values, in units of
+    `Process.y` [k, P]; variance: expected variance of the error [k].
     """
 
     rows: Rows
@@ -69,12 +70,13 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """Captures as a Gaussian process over the light outside.
+    """n captures at P pixels as a Gaussian process over the light outside.
 
-    y [n, P]: a pixel's luminance over `total_lx` and over its geometric mean of luminance per lx;
-    valid [n, P]: whether it shows a surface without direct sun; covariance [n, n]; spread [n]:
-    relative variance of an hour, in units of the noise; days [n]: dates; judged [n]: whether the
-    picture has enough light and, without computed sun patches, hardly any sun; total_lx [n]:
+    y [n, P]: a pixel's luminance over `total_lx` and over its geometric mean of luminance per lx,
+    so about 1, with predictions where `valid` is False; valid [n, P]: whether the pixel shows a
+    surface without direct sun; covariance [n, n]: between hours, without noise; spread [n]: factor
+    on the noise of a capture; days [n]: dates; judged [n]: whether the picture has enough light
+    and, without computed sun patches, hardly any sun; total_lx [n]:
     horizontal illuminance of the sky plus normal illuminance of the sun; beam [n]: the sun's share
     of it; measured, direct [n, P]: the picture including values that
     `valid` excludes (infinite where none was measured), and the computed sun patch, in units of y.
@@ -97,7 +99,10 @@ class Process:
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:
-        """Return the process in which a mask [n, P] hides more values; predictions replace them."""
+        """Return the process without the values where `hidden` [n, P] is True.
+
+        Predictions from the other captures replace them in `y`, and `valid` becomes False there.
+        """
         valid, rows = self.valid & ~hidden, np.flatnonzero(self.judged)
         process = self
         for _ in range(2):
@@ -107,7 +112,7 @@ class Process:
         return process
 
     def with_lamp(self, rows: Rows) -> Process:
-        """Return the process with a lamp of unknown brightness in the captures `rows`."""
+        """Return the process that expects a lamp of unknown brightness in the captures `rows`."""
         lit = np.zeros(len(self.days))
         lit[rows] = LAMP_LX / self.total_lx[rows]
         return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))
@@ -142,7 +147,8 @@ class Process:
     def factor(self, rows: Rows, noise: float) -> NDArray[np.float64]:
         """Return measured over predicted light of each capture, median over pixels, [n].
 
-        The captures `rows` of other days predict it.
+        Each capture is predicted from those of the captures `rows` that are from other days. noise:
+        relative variance of a measured value.
         """
         factor = np.ones(len(self.days))
         for day in np.unique(self.days):
@@ -155,7 +161,10 @@ class Process:
         return factor
 
     def squares(self, out: LeftOut) -> Array:
-        """Return squared errors of left-out captures over their variance, 0 if hidden, [k, P]."""
+        """Return squared errors of left-out captures over their expected variance, [k, P].
+
+        The value is 0 where `valid` is False.
+        """
         return np.where(self.valid[out.rows], out.error, 0.0) ** 2 / out.variance[:, None]
 
     def day_squares(self, out: LeftOut) -> dict[Any, float]:
@@ -182,7 +191,7 @@ def _trimmed(values: Array) -> float:
 
 
 def thinned(data: Dataset) -> Dataset:
-    """Return the captures at fewer pixels, by which they are compared with each other."""
+    """Return the captures with smaller maps (at least 20 rows), for comparisons among captures."""
     return data.thin(_THIN_HEIGHT)
 
 
@@ -194,10 +203,12 @@ def process_of(
     windows: bool = False,
     seen_skies: bool = False,
 ) -> Process:
-    """Return the captures as a process; hidden values (a sun patch, flags) are filled.
+    """Return the captures as a process; values with a sun patch or flags are predicted ones.
 
-    It has at most 200 pixels; `complete`: all seen pixels of `thinned(data)`. Windows are hidden
-    unless `windows` is set. seen_skies: captures have the skies that the windows showed.
+    with_patch: use the sun patches of `data`. The process has at most 200 pixels, drawn by solid
+    angle; with `complete`, all pixels of `thinned(data)` that the lens saw. Window pixels count as
+    not valid unless `windows` is True. seen_skies: assume for each capture the sky that its windows
+    show, not Perez's.
     """
     small = thinned(data)
     arrays = training_arrays_of(small, with_patch=with_patch)
@@ -249,10 +260,11 @@ def _valid(arrays: TrainingArrays, data: Dataset, luminance: Array) -> NDArray[n
 
 @dataclass(frozen=True, slots=True)
 class Typical:
-    """The usual deviations, with which others are compared.
+    """The usual deviations of captures from what the others predict; larger ones are suspect.
 
-    noise: relative variance of a capture; pixel [P]: median squared deviation of each pixel;
-    capture, day: deviation of the median capture and of the median day.
+    noise: most likely relative variance of a capture; pixel [P]: median over captures of each
+    pixel's squared error over its expected variance; capture: median over captures of the mean of
+    these squares over `pixel`; day: median over days of `Process.day_squares`.
     """
 
     noise: float
@@ -285,10 +297,11 @@ def _likely_noise(process: Process, rows: Rows) -> float:
 
 
 def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dict[Any, float]]:
-    """Return how far the captures `rows` [k] and their days deviate from the others' prediction.
+    """Return how far each capture of `rows`, and each of their days, deviates from the prediction.
 
-    Deviations are squared and divided by a multiple of the usual ones: a value above 1 starts the
-    search for a change.
+    The first result is [k], a capture predicted from the other captures; the second has a value
+    for each day, predicted from other days. Values are squared deviations over 100 (captures) or 10
+    (days) times the usual ones: a value above 1 starts the search for a change.
     """
     out = process.left_out(rows, usual.noise)
     squares = process.squares(out) / usual.pixel
@@ -299,9 +312,10 @@ def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dic
 
 
 def disagreement(process: Process, rows: Rows, usual: Typical) -> float:
-    """Return how much the captures `rows` contradict each other.
+    """Return how much the captures `rows` contradict each other: a cost, 0 without deviations.
 
-    Each deviation counts by its logarithm, so that a single large one does not decide.
+    It is a sum over captures and days of log(1 + 10 d), with the deviations d of `deviations`; by
+    the logarithm, a single large deviation does not decide.
     """
     captures, days = deviations(process, rows, usual)
     live, counts = np.unique(process.days[rows], return_counts=True)

@@ -24,9 +24,10 @@ _NEXT_POINT = 2.0
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
-    """Return the captures' row indices [n], the most informative capture first.
+    """Return the row indices of all captures [n], the most informative capture first.
 
-    Each next capture is the one that most lowers a Gaussian process's variance over all captures.
+    Each next capture is the one that, with those before it, most lowers the predictive variance of
+    all captures. Only their light is compared, not the pictures.
     """
     kernel = Kernel(facades_of(data.setup.room))
     known = light_features(data.light)
@@ -45,10 +46,11 @@ def how_many(
     """Return the transport model's error on held-out days by the number of captures.
 
     Captures are added in the order of `order_of_use`. Keys of the result: curve: number of
-    captures, error, standard error over days; enough: the fewest captures whose error is within one
-    standard error of the smallest; added_nothing: slots after these. fit_s: time of one fit [s],
-    which decides about the first point. The result is empty for under 12 captures or three days,
-    None if the budget ends before the last point.
+    captures, log10 MSE, standard error over days; enough: the fewest captures whose error is within
+    one standard error of the smallest; added_nothing: slots of the captures that come later in the
+    order of use. fit_s: time of one fit [s], to decide whether the first point fits into the
+    budget. Return an empty dict for under 12 captures or three days, None if the budget ends before
+    the last point.
     """
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}

@@ -44,10 +44,11 @@ _MAD = 1.4826  # standard deviation over median absolute deviation, of a normal 
 
 
 def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
-    """Return a mask [n, H, W] of pixels that something darkens in a single capture.
+    """Return a mask [n, H, W], True at pixels that a person or an object darkens in a capture.
 
-    With under four days that can be judged, no pixel is marked. Brightened regions are not
-    searched, because they can be direct sun that the room does not explain.
+    The other captures predict each capture. With under four days that can be judged, no pixel is
+    True. Brighter regions are not searched, because they can be direct sun that the room does not
+    explain. with_patch: use the sun patches of `data`.
     """
     small = thinned(data)
     process = process_of(data, with_patch=with_patch, complete=True, windows=True)
@@ -87,9 +88,11 @@ def _deviation(process: Process, rows: Rows, seen: Mask) -> tuple[Array, Array, 
 
 @dataclass(frozen=True, slots=True)
 class MovedObject:
-    """A region of the picture whose light changed by `factor` from a day on.
+    """A region of the picture whose light changed from one day on, as by moved furniture.
 
-    azimuth_deg, altitude_deg: its middle; size_sr: its solid angle.
+    day: first day with the change; factor: light of the region from that day on over that before,
+    for the same light outside; azimuth_deg (clockwise from north), altitude_deg: middle of the
+    region as seen from the camera; size_sr: its solid angle.
     """
 
     day: Any

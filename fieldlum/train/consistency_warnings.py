@@ -25,9 +25,10 @@ HARD_SHARE = 0.1
 
 
 def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a warning, in a list, if many captures are predicted wrongly from the other days.
+    """Return a list with one warning if other days predict over 10 % of the captures wrongly.
 
-    Many is over 10 %. The list is empty for a model without held-out errors.
+    Otherwise, and for a model without held-out errors, the list is empty. Wrongly means by more
+    than the factor up to which hours are trusted (`TRUSTED_FACTOR`).
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
@@ -44,7 +45,8 @@ def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
 def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     """Return warnings about large errors of the model on captures with their day held out.
 
-    The list is empty for a model without held-out errors.
+    One warning names days that are much worse than the median day; one is about large errors on
+    all days. The list is empty if there are none, and for a model without held-out errors.
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []

@@ -14,9 +14,9 @@ MOST_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 o
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Row indices of a fold: to train [k], and to test [n - k].
+    """Row indices of the captures with which one fold trains and tests.
 
-    No day is in both (no hour, if there is only one day).
+    teach: to train [k]; check: to test [n - k]. No day is in both (with one day only: no hour).
     """
 
     teach: NDArray[np.int64]
@@ -24,11 +24,11 @@ class Fold:
 
 
 def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
-    """Distribute days over at most `count` folds in turn.
+    """Distribute the days of the captures over at most `count` folds in turn.
 
-    If there is only one day, its hours are distributed; a single hour gives no fold. Neighbouring
-    days are in different folds: a fold tests days between captured ones, not seasons without
-    captures.
+    Each fold tests its days and trains with all others. If there is only one day, its hours are
+    distributed instead; a single hour gives no fold (an empty tuple). Neighbouring days are tested
+    in different folds, so a fold tests days between captured ones, not seasons without captures.
     """
     unique, which = np.unique(data.days, return_inverse=True)
     groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))

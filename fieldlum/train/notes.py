@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a note, in a list, if the model learnt captures under the skies in their windows."""
+    """Return a list with one note if the model learnt each capture under the sky in its windows.
+
+    The list is empty for other models. The note states how far these skies differ from Perez's.
+    """
     from fieldlum.models.transport import Transport
     from fieldlum.models.transport.features import training_arrays_of
     from fieldlum.models.transport.uncertainty import CLASSES
@@ -45,7 +48,11 @@ def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
 
 
 def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Return notes that a reader of the scores needs."""
+    """Return the notes of `data`, then notes that a reader of the scores needs.
+
+    They are about captures of one day only, missing sun patches, and a model that is no better than
+    a baseline. model: name of the requested model ("auto" gives no note about the baselines).
+    """
     notes = list(data.notes)
     if one_day_only(data):
         notes.append(

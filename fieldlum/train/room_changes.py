@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.seasons import seasons
+from fieldlum.records import counted
 from fieldlum.train.agreement import (
     FEWEST_DAYS,
     PRICE,
@@ -49,10 +50,12 @@ _MOST_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True, slots=True)
 class RoomChanges:
-    """Indices of captures in which a lamp was on, and of captures that contradict the rest.
+    """The captures in which the room was not as usual, although they are not marked.
 
-    complete_days: days of which all captures contradict the rest; factor [n]: measured light over
-    that predicted by the other days, median over the picture.
+    lamp: indices of captures in which a lamp was on; unexplained: indices of captures that
+    contradict the others for another reason; complete_days: days that are in `unexplained` with all
+    their captures; factor: measured light over that predicted from the other days, median over the
+    picture, of each of all n captures [n].
     """
 
     lamp: Rows
@@ -65,10 +68,11 @@ _NO_ROWS = np.empty(0, np.intp)
 
 
 def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[str]]:
-    """Return the captures of the usual room, and a warning for each change.
+    """Return the captures without those of a changed room, and a warning for each change.
 
-    Pixels that an object darkens in a capture get weight 0 in that capture. with_patch: use the sun
-    patches of `data`.
+    Captures with an unmarked lamp and captures that contradict the others are omitted. Pixels that
+    an object darkens in a capture get weight 0 in that capture. A moved piece of furniture only
+    gives a warning. with_patch: use the sun patches of `data`.
     """
     notes: list[str] = []
     changes = find_changes(data, with_patch=with_patch)
@@ -103,7 +107,10 @@ def _moved_warning(moved: MovedObject) -> str:
 
 
 def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
-    """Return the captures of a changed room; None for no change, or too few days to show one."""
+    """Return the captures of a changed room; None if there is no change, or under four days.
+
+    with_patch: use the sun patches of `data`.
+    """
     if len(np.unique(data.days)) < FEWEST_DAYS:
         return None
     process = process_of(data, with_patch=with_patch)
@@ -139,7 +146,9 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
         groups.append(("", changes.unexplained[~whole]))
     for day, rows in groups:
         subject = (
-            f"the {len(rows)} captures of {day}" if day else f"{len(rows)} of {len(data)} captures"
+            f"{counted(len(rows), 'capture')} of {day}"
+            if day
+            else f"{len(rows)} of {len(data)} captures"
         )
         notes.append(
             f"WARNING: {subject} contradict the other days and are not used: their median "
@@ -166,10 +175,12 @@ def _hours(data: Dataset) -> NDArray[np.float64]:
 
 
 def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]:
-    """Return captures with a lamp that is on only at times [k], and all captures with a lamp.
+    """Return the captures to omit because of a lamp, and all captures with a lamp, as indices.
 
-    hours [n]: local standard time. A lamp that is on in all captures is part of the room: then the
-    first result is empty. With over 40 days both are empty, because the search would be slow.
+    Both are the same for a lamp that is on in some mornings or evenings only. A lamp that is on in
+    all captures is part of the room: the first result is then empty, the second has all captures
+    that can be judged. Both are empty without a lamp, and with over 40 days, because the search
+    would be slow. hours: local standard time of each capture [n] h.
     """
     rows = np.flatnonzero(process.judged)
     if len(np.unique(process.days)) > _MOST_DAYS:
@@ -234,7 +245,10 @@ def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) ->
 
 
 def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
-    """Return captures that contradict the rest [k], and the days that do so as complete days."""
+    """Return the indices of captures that contradict the others, and the complete days among them.
+
+    Captures, days or seasons are removed one after the other, at most a third of the captures.
+    """
     judged = np.flatnonzero(process.judged)
     rows, whole = judged, []
     while True:

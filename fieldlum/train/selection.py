@@ -16,15 +16,20 @@ from fieldlum.statistics import is_no_worse, standard_error
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The scores of a candidate on held-out days, and the cost of its fits."""
+    """The test of one model on held-out days.
+
+    name: of the model; scores: of the held-out captures of all folds; fit_s, fit_cpu_s: mean time
+    of a fold's fit, by the wall clock and of computing [s]; n_train: mean number of training
+    captures of a fold; folds: number of folds, 0 if tested on separate hours; passes: how often
+    training saw each pixel, least of the folds, None for a model in closed form.
+    """
 
     name: str
     scores: Scores
-    fit_s: float  # mean time of its folds [s], by the clock
+    fit_s: float
     fit_cpu_s: float
-    n_train: int  # mean over its folds
+    n_train: int
     folds: int
-    # passes over the data, minimum of its folds; None for a closed form
     passes: float | None = None
 
 
@@ -50,12 +55,12 @@ def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
 
 
 def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
-    """Choose by the one-standard-error rule among the most tested candidates, smallest first.
+    """Choose the smallest model whose held-out error is within one standard error of the best.
 
-    A candidate with time for fewer hours (the dense network) replaces the winner only under one
-    condition: on the days that both were tested on, at least two, it is better by more than the
-    standard error of the paired differences. A few days of a slow model must not outweigh quick
-    models that were tested on all days.
+    Only models that were tested on the most hours take part. A model tested on fewer hours (the
+    dense network) replaces the winner only if, on the days that both were tested on (at least two),
+    its error is lower by more than the standard error of the paired differences. A few days of a
+    slow model must not outweigh quick models that were tested on all days.
     """
     widest = max(len(trial.scores.slots) for trial in trials)
     thorough = [trial for trial in trials if len(trial.scores.slots) == widest]

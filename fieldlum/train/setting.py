@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 
 def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | None:
-    """Return what the sun patches show about north, clock, camera and room.
+    """Test north, clock, camera and room against the sun patches in the captures.
 
-    None if patches are not used or too few captures show them.
+    Return None if patches are not used (patch "none", or `data` has none), or if under three
+    captures show them.
     """
     from fieldlum.models.transport.setting_scan import setting_scan
 
@@ -35,9 +36,9 @@ def with_right_clock(
 ) -> tuple[Dataset, list[str]]:
     """Return the captures at corrected times, and a warning, if the clock differs between days.
 
-    Otherwise return the captures unchanged, and no warning. Nothing is corrected while the captures
-    contradict the stated setting: a wrong north moves sun patches by another number of minutes on
-    each day.
+    Otherwise return the captures unchanged, and an empty list. setting: result of `scan`; with None
+    or a setting that the captures contradict, nothing is corrected, because a wrong north moves sun
+    patches by another number of minutes on each day.
     """
     from fieldlum.models.transport.clock_by_day import clock_by_day, with_clock
 
@@ -77,10 +78,11 @@ def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitt
 
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
-    """Return a line on what is wrong, then one on the remedy of each likely cause.
+    """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
-    The list is empty if no cause is certain. If a wrong measure of the room explains as much, it
-    has one line. pixel_deg: width of a pixel.
+    found: result of `scan`; pixel_deg: width of a pixel of the maps. The list is empty if no cause
+    is certain. It has one line, without a remedy in SITE.toml, if a wrong measure in [room]
+    explains nearly as much.
     """
     if found.room is not None:
         return [_measure_warning(found, found.room)]

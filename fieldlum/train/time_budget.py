@@ -17,9 +17,10 @@ _LEAST_S = 1e-3  # a slow model without time still takes one step, and is then n
 
 @dataclass(frozen=True, slots=True)
 class TimeBudget:
-    """The time that all parts together may take [s].
+    """The time that all parts of one training together may take.
 
-    clock: returns seconds since any start, so that tests can simulate time.
+    total_s: the complete budget; clock: function that returns seconds since any start, so that
+    tests can simulate time; started_s: value of the clock when the budget began.
     """
 
     total_s: float
@@ -38,10 +39,16 @@ class TimeBudget:
 
     @property
     def quick_s(self) -> float:
-        """Seconds that remain for the held-out days of quick models."""
+        """Seconds that remain for held-out days of quick models: at the start 40 % of the total.
+
+        It is 0 once they are used.
+        """
         return max(self.left_s - (1.0 - QUICK_SHARE) * self.total_s, 0.0)
 
     @property
     def slow_s(self) -> float:
-        """Seconds that remain for a slow model, without the reserve."""
+        """Seconds that remain for a slow model: `left_s` less a reserve of 20 % of the total.
+
+        It is never below 0.001 s.
+        """
         return max(self.left_s - KEPT_BACK_SHARE * self.total_s, _LEAST_S)

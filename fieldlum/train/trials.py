@@ -31,7 +31,7 @@ def passes_over_data(fitted: Fitted) -> float | None:
 
 
 class Spent(NamedTuple):
-    """Seconds of a task by the wall clock, and of computing.
+    """The time a task took: by the wall clock, and processor time of all threads [s].
 
     On a busy computer only `cpu_s` is meaningful.
     """
@@ -51,7 +51,10 @@ def fit_timed(
     progress: Progress = quiet,
     **more: Any,
 ) -> tuple[Fitted, Spent]:
-    """Fit the model `name`; return it and the time it took. budget_s: for slow models only."""
+    """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
+
+    budget_s: time limit of a slow model [s], ignored for others; more: options of its `fit`.
+    """
     wall, cpu = clock(), time.process_time()
     limit = {"budget_s": budget_s} if MODELS[name].slow else {}
     fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)
@@ -75,11 +78,12 @@ def evaluate_folds(
 ) -> Trial:
     """Fit to each fold's training rows and compare with its held-out rows.
 
-    budget_s: for all folds together [s]. A slow model divides it among the folds. A quick model
-    skips the remaining folds if the next one would exceed it, but always runs two, so that large
-    maps of a month do not delay the result. least_passes: a network that saw its training data less
-    often is compared with one hour of each fold only, since nobody will read its scores; a slow
-    model gets it as an option, so that it can end at once.
+    The scores of all folds are joined. budget_s: for all folds together [s], None for no limit. A
+    slow model divides it among the folds. A quick model skips the remaining folds if the next one
+    would exceed it, but always runs two. glare, keep_maps: as in `truth` and `evaluate`.
+    least_passes: a network that saw each training pixel less often than this is compared with one
+    hour of each fold only, because its scores will not count; a slow model gets it as an option, so
+    that its training can end at once.
     """
     parts: list[Scores] = []
     passes: list[float] = []
@@ -128,5 +132,5 @@ def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64
 
 
 def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
-    """Return as many folds as fit into `budget_s` at two minutes each, at least one."""
+    """Return the first folds, as many as fit into `budget_s` at two minutes each: one to five."""
     return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])

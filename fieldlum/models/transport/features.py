@@ -46,17 +46,22 @@ UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half w
 
 @dataclass(frozen=True, slots=True)
 class StateColumns:
-    """The states of the room (lamps, blinds) that captures are marked with, as columns of features.
+    """The states of the room with which captures are marked, as columns of features.
 
-    always: whether there is also a lamp that is on in every hour that is not marked lamp=off.
+    always: whether there is also a lamp that is on in every hour not marked lamp=off; lamps: states
+    that add light, such as "lamp=on"; changed: states that change the response to daylight, such as
+    "blind=half".
     """
 
     always: bool = False
-    lamps: tuple[str, ...] = ()  # states that add light
-    changed: tuple[str, ...] = ()  # states that change the response to daylight
+    lamps: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
 
     def add(self, features: Features, light: Light) -> Features:
-        """Return `features` with a column for each of these states, from the marks in `light`."""
+        """Return `features` with `lamps` and `changed` set from the states in `light`.
+
+        Without states the features are returned unchanged.
+        """
         if not (self.always or self.lamps or self.changed):
             return features
         states = light.states or ("",) * len(light)
@@ -73,7 +78,7 @@ USUAL = StateColumns()  # lamps off, blinds up
 
 
 def state_columns(light: Light) -> StateColumns:
-    """Return the states that captures are marked with, those that add light and all others."""
+    """Return the states with which any hour of `light` is marked; `always` is False."""
     parts = sorted({part for text in light.states or () for part in parse_state(text)})
     lamps = tuple(part for part in parts if part.startswith(ADDED))
     return StateColumns(False, lamps, tuple(part for part in parts if part not in lamps))
@@ -81,10 +86,10 @@ def state_columns(light: Light) -> StateColumns:
 
 @dataclass(frozen=True, slots=True)
 class PatchDescriptor:
-    """Turns maps of sun patches into features: direct flux in view by cells of the picture.
+    """How maps of sun patches become features: light of the patches in each cell of the picture.
 
-    The shape of the map gives the cell edges; cells_norm is from the captured hours, so that the
-    features are about one when the sun is in the room.
+    The picture is divided into at most 23 x 23 cells. cells_norm: divisor, from the captured hours,
+    so that the features are about one when the sun is in the room.
     """
 
     cells_norm: float
@@ -92,9 +97,10 @@ class PatchDescriptor:
     def add(
         self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
     ) -> Features:
-        """Return `features` with `patch_cells` over the total light and `cells_norm`.
+        """Return `features` with `cells`: `patch_cells` divided by total light and `cells_norm`.
 
-        patch [n, H, W] cd/m2; open_sky [H, W] marks windows, which do not count.
+        patch: luminance of sun patches [n, H, W] cd/m2; open_sky: mask [H, W], True at window
+        pixels, which do not count.
         """
         cells = patch_cells(patch, open_sky)  # [n, c]
         unit = light.total_lx[:, None] * self.cells_norm  # [n, 1]
@@ -117,10 +123,11 @@ def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
 
 
 def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return each cell's direct flux in view, divided by the root of its solid angle, [n, c].
+    """Return the light of the sun patches in each of c cells of the picture, [n, c].
 
-    The flux is the luminance of the sun patches (patch [n, H, W] cd/m2, clipped at 3e4) integrated
-    over solid angle [lx]. open_sky: [H, W] marks windows, which do not count.
+    It is the luminance of the patches (patch [n, H, W] cd/m2, clipped at 3e4) integrated over the
+    solid angle of the cell [lx], divided by the root of that solid angle. open_sky: mask [H, W],
+    True at window pixels, which do not count.
     """
     height, width = patch.shape[1:]
     omega = equirect_solid_angles(height, width).astype(np.float32)
@@ -134,9 +141,10 @@ def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDA
 
 
 def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> Array:
-    """Return patches [n, H, W] cd/m2 integrated over solid angle except windows, [n] lx.
+    """Return the luminance of sun patches, integrated over the solid angle of the picture, [n] lx.
 
-    Luminances are clipped at 3e4 cd/m2; open_sky: [H, W] marks the windows.
+    patch: [n, H, W] cd/m2, clipped at 3e4; open_sky: mask [H, W], True at window pixels, which do
+    not count.
     """
     root = np.sqrt(cell_areas_sr(*patch.shape[1:]))
     return np.asarray(patch_cells(patch, open_sky) @ root, float)
@@ -162,9 +170,9 @@ def describe_patches(
 def facades_seen(data: Dataset) -> Facades:
     """Return the walls that let the sun in.
 
-    They follow from the windows of a box room. Otherwise they are fitted to the sunny hours:
-    non-negative least squares of the direct flux in view on the cosines to sixteen azimuths.
-    Without sun patches in these hours, the result is `facades_unknown`.
+    For a box room with windows they are its window walls. Otherwise they are those of sixteen
+    azimuths whose cosines to the sun best explain the light of the sun patches in sunny hours
+    (non-negative least squares). Without sun patches in these hours, return `facades_unknown`.
     """
     if data.setup.room is not None and data.setup.room.kind == "box" and data.setup.room.window:
         return facades_of(data.setup.room)
@@ -193,7 +201,7 @@ def facades_seen(data: Dataset) -> Facades:
 
 @dataclass(frozen=True, slots=True)
 class TrainingArrays:
-    """Captures as arrays for the solver: n hours, P seen pixels.
+    """Captures as arrays for the solver: n hours, and the P pixels that the lens saw.
 
     luminance: captured [n, P] cd/m2; weights: solid angles [P]; patch: luminance of sun patches [n,
     P] cd/m2, None if they are not used; sky: light of the sky through windows [n, P] cd/m2; filled:
@@ -235,7 +243,7 @@ class TrainingArrays:
 
     @property
     def sureness(self) -> Array:
-        """Weight of each hour: 1 for exact irradiance, less if it changed or is unknown, [n]."""
+        """Weight of each hour, [n]: 1 for exact irradiance, less if unsteady or unmeasured."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
@@ -258,9 +266,9 @@ class TrainingArrays:
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
-    """Return captures as `TrainingArrays`: seen pixels, windows among them, and light.
+    """Return captures as arrays for the solver, with window pixels detected from the captures.
 
-    with_patch: use the sun patches of `data`, if it has any.
+    with_patch: use the sun patches of `data`, if it has any; otherwise `patch` is None.
     """
     height, width = data.shape
     rays = equirect_rays(height, width, data.heading_deg)[data.seen]
@@ -314,9 +322,10 @@ def light_variance(data: Dataset) -> Array:
 
 
 def sun_is_unmeasured(light: Light, direct: Array) -> NDArray[np.bool_]:
-    """Return a mask [n] of hours whose direct light is zero because nothing measures it.
+    """Return a mask [n], True where direct light is recorded as zero only because it is unmeasured.
 
-    The sun is under 3 degrees. direct [n]: irradiance, illuminance or share of light of the sun.
+    That is so if the sun is under 3 degrees and `direct` is zero or less. direct [n]: irradiance,
+    illuminance or share of light of the sun.
     """
     return (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (direct <= 0.0)
 
@@ -333,9 +342,9 @@ def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
 
 
 def around_disc(data: Dataset) -> NDArray[np.bool_]:
-    """Return a mask [n, H, W] of pixels from which a visible disc was removed.
+    """Return a mask [n, H, W], True at pixels from which the visible sun disc was removed.
 
-    It includes a margin of two pixels.
+    It includes a margin of two pixels; hours without a visible disc have no such pixel.
     """
     height, width = data.shape
     out = np.zeros((len(data), height, width), bool)
@@ -356,11 +365,12 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
 
 
 def pixel_scale(arrays: TrainingArrays, per: NDArray[np.floating] | None = None) -> Array:
-    """Return each pixel's geometric mean of light per lx of total light, [P].
+    """Return each pixel's usual luminance, without sky and sun patch, per lx of total light, [P].
 
-    The hours are those in which at most half of the pixel's light is sky and 30 % sun patch. per
-    [n, P]: a light to divide by instead of the total light [n]. The value of a pixel with one or
-    two such hours is limited to the range of other pixels; without such hours it is their median.
+    It is a geometric mean over the hours in which at most half of the pixel's luminance is window
+    sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2 to divide by instead of the total
+    light, None for the total light. A pixel with one or two such hours is limited to the range of
+    the other pixels; a pixel without such hours gets their median.
     """
     total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)

@@ -35,10 +35,14 @@ MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3  # reach of the search; not measured
 
 @dataclass(frozen=True)
 class Evidence:
-    """Sunny hours [n] at the pixels [m] that sun patches reach or nearly reach.
+    """n sunny captures at the m pixels that sun patches reach or nearly reach.
 
-    rows: indices of the hours in `data`; log_seen: ln of the captured luminance [n, m]; background:
-    luminance without any patch [n, m] cd/m2; weights: of the pixels, with the sum 1 [m].
+    rows: indices of the captures in `data` [n]; pixels: flat indices in a map [m]; weights: of the
+    pixels, with the sum 1 [m]; log_seen: ln of the captured luminance [n, m]; background: estimated
+    luminance without any patch [n, m] cd/m2; groups: captures of equal value are resampled together
+    [n]; points, view: surface points at the m pixels and the view of the room, None without a box
+    room; rates: change of the sun's altitude and azimuth [n] each, degrees per minute; gains:
+    factors on the patches, first for those in `data`, second for those computed from the room.
     """
 
     data: Dataset
@@ -47,11 +51,11 @@ class Evidence:
     weights: Array
     log_seen: Array
     background: Array
-    groups: NDArray  # hours of one group are resampled together
-    points: SunPoints | None  # at the pixels [m] only
-    view: SceneView | None  # of a box room
-    rates: tuple[Array, Array]  # of the sun's altitude and azimuth, degrees per minute
-    gains: tuple[float, float]  # of the stated and of the computed patches
+    groups: NDArray
+    points: SunPoints | None
+    view: SceneView | None
+    rates: tuple[Array, Array]
+    gains: tuple[float, float]
 
     @cached_property
     def everywhere(self) -> SunPoints | None:
@@ -59,17 +63,18 @@ class Evidence:
         return None if self.view is None else self.view.sun_points()
 
     def given(self, right_px: float = 0.0, down_px: float = 0.0) -> Array:
-        """Return the stated patches at the pixels, moved right and down [px], [n, m] cd/m2."""
+        """Return the sun patches of `data`, moved right and down by these pixels, [n, m] cd/m2."""
         assert self.data.patch_cdm2 is not None
         return moved(self.data.patch_cdm2[self.rows], self.pixels, right_px, down_px)
 
     def computed(
         self, turn_deg: float = 0.0, fast_min: float = 0.0, *, full_maps: bool = False
     ) -> Array:
-        """Return computed patches for room and camera turned clockwise and a fast clock, [n, m].
+        """Return sun patches computed for a wrong north and a wrong clock, [n, m] cd/m2.
 
-        fast_min: by how much the stated times are later than the true ones. Patches are in cd/m2;
-        with `full_maps`, they are complete maps [n, H, W].
+        turn_deg: by how much room and camera are turned further clockwise than stated; fast_min:
+        by how much the stated times are later than the true ones. With `full_maps`, the result is
+        complete maps [n, H, W]. Requires a box room.
         """
         points = self.everywhere if full_maps else self.points
         assert points is not None
@@ -91,9 +96,10 @@ class Evidence:
         )
 
     def walled(self, turn_deg: float) -> Array:
-        """Return computed patches if only the room were turned clockwise, [n, m] cd/m2.
+        """Return sun patches computed for a room turned by `turn_deg` clockwise, [n, m] cd/m2.
 
-        Sun and camera stay, and everything in the room moves across the picture.
+        Sun and camera keep their stated directions, so everything in the room moves across the
+        picture. Requires a box room.
         """
         assert self.view is not None
         width = self.data.shape[1]
@@ -108,14 +114,17 @@ class Evidence:
         return patch[:, at_left] * (1.0 - share) + patch[:, at_right] * share
 
     def light(self, patch: Array, gain: float) -> Array:
-        """Return ln(background + gain * patch), [n, m]; patch: sun patches [n, m] cd/m2."""
+        """Return the expected ln luminance, ln(background + gain * patch), [n, m].
+
+        patch: sun patches [n, m] cd/m2; gain: factor on them.
+        """
         return np.log(self.background + gain * patch)
 
     def misfit(self, patch: Array, gain: float) -> Array:
-        """Return the share of the pixels that are wrong with patches [n, m] in each hour, [n].
+        """Return how much sun patches contradict the captures: share of wrong pixels, 0 to 1, [n].
 
         It is a weighted mean of squared log errors that saturate: a sunlit pixel predicted dark
-        counts about one, a small error little. gain: factor on the patches.
+        counts about one, a small error little. patch: [n, m] cd/m2; gain: factor on the patches.
         """
         error = (self.light(patch, gain) - self.log_seen) ** 2
         return (error / (error + WIDTH**2)) @ self.weights
@@ -124,9 +133,9 @@ class Evidence:
 def moved(
     maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float
 ) -> Array:
-    """Return maps [n, H, W] moved right and down, linear between pixels, [n, m].
+    """Return maps [n, H, W] moved right and down by fractions of a pixel, at m pixels only, [n, m].
 
-    pixels: flat indices of those that are returned [m].
+    Values are interpolated linearly; the left and right edges join. pixels: flat indices [m].
     """
     height, width = maps.shape[1:]
     row, column = np.divmod(pixels, width)
@@ -140,10 +149,10 @@ def moved(
 
 
 def evidence_of(data: Dataset, sub: int = SUB) -> Evidence | None:
-    """Return the evidence from the captures with most direct sun in view.
+    """Return the at most 48 captures with most direct sun in view, prepared for comparison.
 
-    Return None without patches or with under three such captures. sub: rays per pixel in each
-    direction.
+    Return None if `data` has no sun patches, or if under three captures show them. sub: rays per
+    pixel in each direction when patches are computed.
     """
     if data.patch_cdm2 is None:
         return None

@@ -50,7 +50,7 @@ from fieldlum.models.transport.uncertainty import (
     sun_doubt,
 )
 from fieldlum.models.transport.window_sky import SkyField, seen_sky
-from fieldlum.records import Progress, quiet
+from fieldlum.records import Progress, counted, quiet
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -66,14 +66,19 @@ LEAST_HOURS = 3  # least number of hours from which a kernel can be chosen; not 
 
 @dataclass(frozen=True)
 class Transport:
-    """A fitted light transport model: the room's response to light, and the uncertainty."""
+    """A fitted light transport model.
+
+    response: of the room's pixels to light; heading_deg: azimuth of the middle of the maps;
+    uncertainty: of predictions; held_out_mse: log10 MSE of each capture, predicted from other days
+    [captures], None if unknown; table: scores of the recipes that were tried; sky_field: how the
+    skies in the windows differed from Perez's, None if the fit did not use them.
+    """
 
     response: RoomResponse
     heading_deg: float
     uncertainty: Uncertainty
-    held_out_mse: Array | None = None  # [captures]
-    table: tuple[Mapping[str, float], ...] = ()  # scores of the recipes that were tried
-    # how captured skies differed from Perez's, if the fit used this
+    held_out_mse: Array | None = None
+    table: tuple[Mapping[str, float], ...] = ()
     sky_field: SkyField | None = None
     name: str = field(default="transport", init=False)
 
@@ -96,11 +101,12 @@ class Transport:
         return int(count + self.response.basis.projector.size)
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps of the hours of `light` without the sun's disc, [n, H, W].
+        """Predict luminance maps [n, H, W] of the n hours of `light`, with their uncertainty.
 
-        patch_cdm2 [n, H, W]: direct sun on surfaces without the disc; required if the model was
-        fitted with patches, else not used. Only the result's memory grows with n. Raises InputError
-        for patches that are missing or of another size.
+        Maps do not contain the sun's disc. patch_cdm2 [n, H, W]: luminance of direct sun on
+        surfaces, without the disc; required if the model was fitted with sun patches, else not
+        used. Only the result's memory grows with n. Raises InputError for required patches that
+        are missing, or patches of another shape.
         """
         self._check(light, patch_cdm2)
         seen, count = self.response.seen, len(light)
@@ -168,7 +174,11 @@ class Transport:
             )
 
     def doubting(self, slip_deg: float) -> Transport:
-        """Return the same model with an uncertainty for sun patches displaced by `slip_deg`."""
+        """Return the same model, with a larger uncertainty near the edges of sun patches.
+
+        slip_deg: how far captured patches are displaced from computed ones [deg], as seen from the
+        camera.
+        """
         return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
 
     def _weights(self) -> Array:
@@ -227,15 +237,15 @@ def fit(
 ) -> Transport:
     """Fit a room's light transport to captures, in closed form.
 
-    `budget_s` is not used. patch: with "none", sun patches are not used. Otherwise one factor for
-    all patches is fitted, so that "absolute" (cd/m2) and "gain" (up to a factor) give the same.
-    seed: draws the pixels that choose the recipe. Raises NotEnoughDataError for fewer than three
-    captures.
+    patch: "none" ignores the sun patches of `data`. With any other value, one factor on all patches
+    is fitted, so that "absolute" (patches in cd/m2) and "gain" (patches known up to a factor) give
+    the same model. seed: of the random draw of pixels that choose the recipe. budget_s: ignored.
+    Raises NotEnoughDataError for fewer than three captures.
     """
     if len(data) < LEAST_HOURS:
         raise NotEnoughDataError(
-            f"{len(data)} captures; light transport needs at least {LEAST_HOURS}; capture "
-            "more hours"
+            f"{counted(len(data), 'capture')}; light transport needs at least {LEAST_HOURS}; "
+            "capture more hours"
         )
     with_patch = patch != "none" and data.patch_cdm2 is not None
     progress(0, 100, "describing light")

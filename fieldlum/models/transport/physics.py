@@ -84,13 +84,13 @@ class Physics:
         )
 
     def features(self, sunlight: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return at most 48 leading columns of `sunlight` [n, k], by which hours are compared."""
+        """Return the first 48 columns of `sunlight` [n, k] (all, if fewer), which compare hours."""
         return sunlight[:, :MODES]
 
     def sunlight(self, light: Light) -> NDArray[np.float32]:
-        """Return bounced sunlight as coefficients of the k modes, [n, k].
+        """Return the reflected sunlight of n hours as coefficients of the k modes, [n, k].
 
-        They are divided by the total light and by `norm`.
+        They are divided by the hour's total light and by `norm`; 0 in hours without direct sun.
         """
         points = self._points
         toward = points.scene.to_room(light.shown_sun_direction)
@@ -143,10 +143,10 @@ def _at_pixels(maps: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np
 
 
 def physics_of(setup: SiteFile, light: Light, heading_deg: float) -> Physics | None:
-    """Return the room's coarse model, with its norm from the captured hours.
+    """Return a coarse model of light in the room of SITE.toml, with its norm from captured hours.
 
-    heading_deg: of the captures. Return None without a box room with windows, or if no hour of
-    `light` has direct sun in the room.
+    light: of the captures; heading_deg: azimuth of the middle of their maps. Return None without a
+    box room with windows, or if no hour of `light` has direct sun in the room.
     """
     room = setup.room
     if room is None or room.kind != "box" or not room.window:

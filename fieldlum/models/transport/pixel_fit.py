@@ -42,10 +42,11 @@ LEAST_SHARE = 0.3  # of a pixel's darkest value: predictions are never lower; no
 class Recipe:
     """Settings of a fit, which held-out days choose.
 
-    noise: relative variance; patch_variance: prior variance of each pixel's patch gain; rounds:
-    number of robust rounds; second: width of the second stage on the log residual (0: no second
-    stage); rank: number of features; below: the light is found without using the patches, because
-    doubtful patches would teach wrong light, and the patches are then added unchanged.
+    noise: relative variance of a captured value; patch_variance: prior variance of each pixel's
+    gain of the sun patch; rounds: number of robust rounds (0: none); second: chord of the sun's
+    direction over which the second stage corrects the log residual (0: no second stage); rank:
+    greatest number of features; below: True to fit the light without the sun patches and then add
+    them unchanged, because doubtful patches would teach wrong light.
     """
 
     noise: float
@@ -58,22 +59,23 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """Eigenfeatures of the kernel on the n training hours.
+    """The r features of the n captured hours, from the kernel's eigenvectors.
 
-    values: [n, r]; the features of a new hour are k(hour, train) @ projector; assumed: features of
-    the training hours under Perez's skies, if held-out hours are predicted under them [n, r].
+    values: features of the captured hours [n, r]; projector [n, r]: the features of a new hour are
+    kernel(new, captured) @ projector; assumed: features of the captured hours under Perez's skies
+    [n, r], with which held-out hours are predicted, None to predict them with `values`.
     """
 
     values: Array
-    projector: Array  # [n, r]
+    projector: Array
     assumed: Array | None = None
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
-    """Return the basis of the `rank` leading eigenvectors of a covariance [n, n].
+    """Return the features given by the `rank` largest eigenvalues of a covariance [n, n].
 
-    Its values are the eigenvectors times the roots of their eigenvalues. Eigenvalues below a
-    millionth of the largest are omitted.
+    `values` are the eigenvectors times, `projector` divided by, the roots of the eigenvalues.
+    Eigenvalues below a millionth of the largest are omitted, so there can be fewer features.
     """
     value, vector = np.linalg.eigh(covariance)
     keep = np.argsort(value)[::-1][:rank]
@@ -93,9 +95,11 @@ def leading(basis: Basis, rank: int) -> Basis:
 class PixelFit:
     """Fitted values of P pixels.
 
-    scale: light per unit of total light [P]; b: [P, r]; patch_gain, sky_gain: [P]; least: lower
-    bound of the surface part, in units of the scale [P]; second: weights of the second stage [m,
-    P], with m = 0 without one; computed: gain of computed light, 0 if it is not used [P].
+    scale: usual luminance per lx of total light [P]; b: coefficients of the r features, in units of
+    the scale [P, r]; patch_gain, sky_gain: factors on the sun patch and on the sky behind windows
+    [P]; least: lower bound of the surface's light, in units of the scale [P]; second: weights of
+    the n captures in the second stage [n, P], [0, P] without one; computed: factor on the computed
+    light, 0 if it is not used [P].
     """
 
     scale: Array
@@ -108,19 +112,24 @@ class PixelFit:
 
 
 def light_arrays(arrays: TrainingArrays, recipe: Recipe) -> TrainingArrays:
-    """Return the arrays to which light is fitted: without patches if the recipe excludes them."""
+    """Return the arrays to which light is fitted: without sun patches if `recipe.below` is True."""
     return replace(arrays, patch=None) if recipe.below else arrays
 
 
 def with_patches(surface: Array, arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Array:
-    """Return fitted light [n, P], plus the patches over `unit` if the recipe excluded them."""
+    """Return fitted light, plus the sun patches if `recipe.below` excluded them from the fit.
+
+    surface: fitted light over `unit` [n, P]; unit: total light times pixel scale [n, P] cd/m2.
+    Otherwise return `surface` unchanged.
+    """
     return surface + arrays.patch / unit if recipe.below and arrays.patch is not None else surface
 
 
 def columns_of(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
-    """Return computed light and patch (where there are any) and window sky.
+    """Return the covariates of each pixel: computed light, sun patch, window sky, in this order.
 
-    They are in units of total light and pixel scale.
+    The first two are omitted if `arrays` has None for them. Values are divided by `unit`, the total
+    light times the pixel scale [n, P] cd/m2.
     """
     values, variance = [arrays.sky / unit], [SKY_GAIN_VARIANCE]
     if arrays.patch is not None:
@@ -134,26 +143,28 @@ def columns_of(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
 
 @dataclass(frozen=True, slots=True)
 class ChunkFit:
-    """The fit of some pixels.
+    """The fit of P pixels to n hours.
 
-    target: captured light in units of the scale [n, P]; response, weights: values that the last
-    solve fitted, and their weights [n, P].
+    columns: covariates; target: captured luminance over total light and pixel scale [n, P];
+    response, weights: values that the last solve fitted, and their weights [n, P]; b: coefficients
+    of the features [P, r]; gains: of the k covariates [P, k].
     """
 
     columns: Columns
     target: Array
     response: Array
     weights: Array
-    b: Array  # [P, r]
-    gains: Array  # [P, k]
+    b: Array
+    gains: Array
 
 
 def fit_chunk(
     arrays: TrainingArrays, scale: Array, basis: Basis, recipe: Recipe, products: tuple
 ) -> ChunkFit:
-    """Fit some pixels: relative errors, then robust rounds, then the unbiased solves.
+    """Fit some pixels: least relative errors, then robust rounds, then two unbiased solves.
 
-    scale: light of each pixel per unit of total light [P]; products: result of `pair_products`.
+    scale: usual luminance of each pixel per lx of total light [P]; products: result of
+    `pair_products(basis.values)`.
     """
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, LEAST_CDM2) / unit
@@ -206,9 +217,9 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
 
 
 def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Array) -> Array:
-    """Return the lower bound of the surface part, in units of `scale`, [P].
+    """Return the lower bound of each pixel's light without patch and sky, in units of `scale`, [P].
 
-    It is 0.3 of the least value seen or fitted, or of 0.03 if that is larger.
+    It is 0.3 times the least captured or fitted value, and at least 0.3 times 0.03.
     """
     unit = arrays.light.total_lx[:, None] * scale
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
@@ -219,16 +230,20 @@ def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Ar
 
 
 def with_computed(surface: Array, gains: Array, columns: Columns) -> Array:
-    """Return F b (`surface`) plus the computed light of surfaces times its gains [P, k], [n, P]."""
+    """Return the light of surfaces: F b (`surface`, [n, P]) plus computed light times its gain.
+
+    gains: of all covariates [P, k]; sun patch and window sky are not added.
+    """
     count = columns.surface
     return surface + np.einsum("knp,pk->np", columns.values[:count], gains[:, :count])
 
 
 def compose(surface: Array, least: Array, gains: Array, columns: Columns) -> Array:
-    """Return the fitted light: surfaces, at least `least` [P], plus patches and window sky, [n, P].
+    """Return the fitted light of surfaces, sun patches and window sky together, [n, P].
 
-    The light of surfaces is F b (`surface`) plus the computed light times its gains. gains: of all
-    columns [P, k]; negative ones of patches and sky count as 0.
+    The light of surfaces is F b (`surface`, [n, P]) plus the computed light times its gain, raised
+    to `least` [P] where it is lower. gains: of all covariates [P, k]; negative gains of patches and
+    sky count as 0.
     """
     found = np.maximum(with_computed(surface, gains, columns), least)
     other = slice(columns.surface, None)
@@ -253,9 +268,9 @@ def fit_pixels(
     recipe: Recipe,
     tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> PixelFit:
-    """Fit all pixels in chunks, so that the memory is bounded.
+    """Fit all pixels of `arrays`, in chunks that limit the memory.
 
-    tick: called with the numbers of finished and of all pixels.
+    tick: called after each chunk with the number of finished pixels and the number of all pixels.
     """
     count, r = arrays.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
@@ -293,9 +308,9 @@ def fit_pixels(
 
 
 def second_inverse(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the inverse covariance of the second stage with its noise, [n, n].
+    """Return the inverse of the second stage's covariance plus noise, between captures, [n, n].
 
-    It is empty [0, 0] if the recipe has no second stage.
+    It has the shape [0, 0] if the recipe has no second stage.
     """
     if not recipe.second:
         return np.empty((0, 0))
@@ -304,13 +319,13 @@ def second_inverse(arrays: TrainingArrays, recipe: Recipe) -> Array:
 
 
 def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the covariance of the second stage between captured hours, [n, n]."""
+    """Return the second stage's covariance between captured hours, without noise, [n, n]."""
     share = arrays.features.beam
     return second_covariance(arrays.light, arrays.light, share, share, recipe.second)
 
 
 def find_patch_gain(arrays: TrainingArrays, kernel: Kernel) -> float:
-    """Return one factor for all patches of unknown scale.
+    """Return the factor by which all sun patches must be multiplied to match the captures.
 
     Only pixels that are lit in at least three hours count; without any, return 1.0. The start is
     the median of (L - median(L / E) E) / s over lit values, with luminance L, total light E and

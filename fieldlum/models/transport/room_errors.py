@@ -26,7 +26,11 @@ _MOVED = ("camera_x_m", "camera_y_m", "camera_z_m", "window left_m", "window sil
 
 @dataclass(frozen=True, slots=True)
 class RoomError:
-    """One measure of the room changed: its name, by how much [m], and the misfit it explains."""
+    """A measure in [room] that may be wrong.
+
+    name: key in SITE.toml; amount_m: to be added to the stated value [m]; gain: by how much the
+    change lowers the misfit (share of wrong pixels near sun patches, `Evidence.misfit`).
+    """
 
     name: str
     amount_m: float
@@ -36,9 +40,9 @@ class RoomError:
 def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | None:
     """Return the measure of the room that, if wrong, explains the misfit of sun patches best.
 
-    None without a box room, or if no measure lowers the misfit. Amounts up to 15 cm are tried in
-    steps of 5 cm, for the camera's place and the windows' left and sill, one measure at a time;
-    windows move together.
+    Return None without a box room, or if no change lowers the misfit. Changes by 5, 10 and 15 cm
+    in both directions are tried, one measure at a time: the camera's x, y and z, the left edge of
+    all windows together, the sill of all windows together.
     """
     room = evidence.data.setup.room
     if evidence.points is None or room is None:

@@ -26,17 +26,18 @@ def _declination_deg(days: NDArray) -> Array:
 
 
 def one_season(days: NDArray) -> bool:
-    """Return whether all days [n] are from one season, so that they do not test other seasons.
+    """Return whether all days are from one season: a range of solar declination below 20 degrees.
 
-    This is true if the range of the sun's declination is below 20 degrees.
+    days: dates [n] (datetime64). If True, held-out days do not test other seasons.
     """
     return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
 
 def seasons(days: NDArray) -> NDArray[np.intp]:
-    """Return the index of the season of each day, [n].
+    """Return the index of the season of each day, from 0, [n].
 
-    A gap of over 10 degrees between the days' declinations separates two seasons.
+    Seasons are ordered by the sun's declination, lowest (northern winter) first. A gap of over 10
+    degrees between the days' declinations separates two seasons. days: dates [n] (datetime64).
     """
     declination = _declination_deg(days)
     known = np.unique(declination)

@@ -57,7 +57,8 @@ def choose(
 ) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
     """Return the recipe with the least error on held-out days, and a table of all recipes.
 
-    A row has the recipe, its error, and the error's standard error over days.
+    A row of the table: recipe, weighted mean squared log10 error, standard error of that mean over
+    days (0 with one day).
     """
     table, firsts = [], dict[Recipe, FirstStage]()
     for recipe in recipes:
@@ -95,9 +96,10 @@ def recipes_for(
 ) -> list[Recipe]:
     """Return the recipes among which held-out days choose, simplest first.
 
-    fitted_patches: return only robust recipes. Patch edges that are 2 cm off teach a plain fit
-    wrong light in all sunny hours, and held-out days next to captured ones do not show it (decision
-    0013).
+    with_patch: whether sun patches are used; one_season: whether all captures are from one season,
+    which excludes the smallest noises; fitted_patches: whether the patches are from a fitted room,
+    which excludes all recipes that are not robust: patch edges that are 2 cm off teach a plain fit
+    wrong light in all sunny hours, and held-out days do not show it (decision 0013).
     """
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
     if not with_patch:
@@ -109,10 +111,13 @@ def recipes_for(
 
 @dataclass(frozen=True, slots=True)
 class SelectedRecipe:
-    """The choice of held-out days: kernel, its covariance [n, n] of captures, features, recipe.
+    """The kernel, inputs and recipe with the least error on held-out days.
 
-    held: errors of held-out days; table: recipes that were compared, each with its error and
-    standard error; computed: whether computed light is the prior mean.
+    features: of the n captures, as the kernel compares them; covariance: kernel between captures
+    [n, n]; basis: its leading eigenvectors; held: prediction of each capture from other days;
+    table: recipes that were compared, each with its error and standard error over days; states:
+    lamps and blinds; sky_field: statistics of the skies in the windows, None if Perez's skies were
+    used; computed: whether light computed for the stated room is the prior mean.
     """
 
     kernel: Kernel
@@ -134,11 +139,12 @@ def choose_model(
     sky: SeenSky | None = None,
     under_sky: ComputedLight | None = None,
 ) -> SelectedRecipe:
-    """Return the best choice on held-out days, at the pixels `drawn`.
+    """Choose kernel, inputs and recipe by the errors of held-out days at the pixels `drawn`.
 
-    bounced: the sun's light in a coarse model of the room [n, k]; sky: the skies that windows
-    showed; under_sky: the computed light of `drawn` under these skies. The choices include the use
-    of these skies, then of the computed light, and of a lamp that is on in all captures.
+    bounced: result of `Physics.features` [n, k], None without a coarse room model; sky: the skies
+    that windows showed, None without; under_sky: computed light of `drawn` under these skies. Each
+    of these inputs, the computed light in `drawn`, and a lamp that is on in all captures is used
+    only if it helps held-out days (`bounced`: if it is no worse).
     """
     seen, field = _with_seen_sky(drawn, kernel, sky, under_sky)
     drawn, first = _with_better_mean(drawn, kernel, bounced)
@@ -221,7 +227,10 @@ def _with_seen_sky(
 
 
 def plain_held_out(drawn: TrainingArrays, kernel: Kernel) -> HeldOutFit:
-    """Return held-out days at the pixels `drawn` by a plain recipe without the room's physics."""
+    """Predict each capture from other days, at the pixels `drawn`, by the best of three recipes.
+
+    They have no robust rounds and no second stage, and no coarse room model is used.
+    """
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
     return _choose_kernel(drawn, kernel, recipes, None).held
 
@@ -310,7 +319,7 @@ def _doubted(
 
 
 def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
-    """Return the choice with 40, 60 or all features: the fewest that held-out days allow.
+    """Return `chosen` with 40, 60 or all of its features: the fewest that held-out days allow.
 
     The error of fewer features may be at most 5 % above that of all. Noisy data (pixels,
     irradiance, a sky that differs from Perez's) support fewer features than a clean rendering, and

@@ -47,11 +47,12 @@ BLUR_PX = 0.25
 
 @dataclass(frozen=True, slots=True)
 class SettingFinding:
-    """What one cause would explain; causes and units are those of `Setting`.
+    """How well one cause (a wrong north, clock, wall or camera) explains displaced sun patches.
 
-    amount: how wrong the setting would be; error: its standard error over days; misfit: misfit that
-    then remains; stated: misfit of the stated setting; sigmas: stated minus misfit, in standard
-    errors over days.
+    cause: a name listed in `Setting`; amount: how wrong the setting would be, in the unit and sign
+    listed there, one value or two; error: standard error of each amount over days; misfit: share of
+    wrong pixels near sun patches, 0 to 1, with this amount corrected; stated: the same with the
+    stated setting; sigmas: `stated` minus `misfit`, in standard errors over days.
     """
 
     cause: str
@@ -63,14 +64,14 @@ class SettingFinding:
 
     @property
     def gain(self) -> float:
-        """Misfit that this cause explains."""
+        """Share of wrong pixels that this cause explains: `stated` minus `misfit`."""
         return self.stated - self.misfit
 
     @property
     def sure(self) -> bool:
-        """Whether an amount is over three standard errors and the gain is certain.
+        """Whether the cause is certain: an amount is over three standard errors, and gain is large.
 
-        The gain must exceed 0.5 % of the stated setting's misfit, and its own standard error.
+        `gain` must exceed 0.5 % of `stated`, and its own standard error over days.
         """
         far = max(abs(a) / e for a, e in zip(self.amount, self.error, strict=True))
         return far > SURE and self.gain > LEAST_GAIN * self.stated and self.sigmas > 1.0
@@ -78,29 +79,32 @@ class SettingFinding:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The findings about a setting, those that explain most first.
+    """Which wrong setting would explain that sun patches are not where they are computed.
+
+    findings: one for each cause, the cause that explains most first.
 
     Causes are "north" (deg: room and camera are turned further clockwise than stated), "clock"
     (min: the stated times are later than the true ones), "north and clock" (both), "wall" (deg:
     only the room is turned further clockwise), "camera" (px: patches must move right and down).
     Their misfit is the share of the pixels near sun patches that are wrong, over `hours` sunny
-    hours. alike: other causes that explain nearly as much as the first. slip_deg: displacement of
-    the patches from the captured ones as seen from the camera; 0 if no cause is certain, which
-    means that the captures do not contradict the setting.
+    hours. alike: other causes that explain over 80 % of what the first explains. slip_deg:
+    displacement of the computed patches from the captured ones as seen from the camera; 0 if no
+    cause is certain, which means that the captures do not contradict the setting. room: a wrong
+    measure in [room] that explains over 80 % of what the first cause explains, None if none does.
     """
 
     findings: tuple[SettingFinding, ...]
     alike: tuple[SettingFinding, ...]
     slip_deg: float
     hours: int
-    # a wrong measure of the room that explains as much as the first cause
+
     room: RoomError | None = None
 
     @property
     def wrong(self) -> SettingFinding | None:
-        """The cause that explains most.
+        """The finding of the cause that explains most.
 
-        None if no cause is certain, or if a wrong measure of the room explains nearly as much.
+        None if no cause is certain, or if a wrong measure in [room] explains nearly as much.
         """
         return self.findings[0] if self.slip_deg > 0.0 and self.room is None else None
 
@@ -188,10 +192,10 @@ def _sigmas(gain: Array, groups: NDArray) -> float:
 
 
 def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
-    """Return which wrong north, clock, wall or camera would explain displaced sun patches.
+    """Find which wrong north, clock, wall or camera would explain displaced sun patches.
 
-    North, clock and wall are only tested with a box room. Return None without sun patches, or if
-    fewer than three hours have direct sun in view.
+    Without a box room only "camera" is tested. Return None without sun patches, or if fewer than
+    three captures show direct sun; a setting without an error gives a `Setting` with slip_deg 0.
     """
     progress(0, 100, "setting: light without patches")
     found = evidence_of(data)

@@ -56,7 +56,10 @@ class TransportTable(TypedDict):
 def table_of(
     response: RoomResponse, unsure: Uncertainty, tried: Sequence[Mapping[str, float]]
 ) -> TransportTable:
-    """Return the settings of a model for config.json; tried: scores of the recipes."""
+    """Return the settings of a model, as the table "transport" of config.json.
+
+    tried: scores of the recipes that were compared.
+    """
     basis = response.basis
     kernel = {f.name: getattr(basis.kernel, f.name) for f in fields(Kernel) if f.name != "facades"}
     return {
@@ -72,7 +75,7 @@ def table_of(
 
 
 def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[Any]]:
-    """Return the plain arrays of a model for weights.npz, in the shapes of their dataclasses."""
+    """Return the arrays of a model for weights.npz by name, in the shapes of the dataclasses."""
     basis = response.basis
     light = basis.captured_light
     arrays: dict[str, NDArray[Any]] = {
@@ -97,7 +100,10 @@ def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[
 
 
 def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> RoomResponse:
-    """Return the response that `table_of` and `arrays_of` described."""
+    """Return the response stored in the table of `table_of` (`own`) and the arrays of `arrays_of`.
+
+    Models of fieldlum 0.1.0 are read too.
+    """
     return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),
@@ -109,7 +115,7 @@ def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Room
 
 
 def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Uncertainty:
-    """Return the uncertainty that `table_of` and `arrays_of` stored."""
+    """Return the uncertainty stored in the table of `table_of` and the arrays of `arrays_of`."""
     trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
     noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
     return Uncertainty(**{**own["trust"], **trust, **noise})

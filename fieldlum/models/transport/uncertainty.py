@@ -43,9 +43,10 @@ NOVEL = 1.5
 
 
 def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
-    """Return the predictive variance of each hour without its day, in units of the kernel, [n].
+    """Return the variance of each captured hour, predicted from other days, in kernel units, [n].
 
-    covariance: kernel of the captures [n, n]; noise: variance of each value [n].
+    covariance: kernel between the captures [n, n]; noise: variance of each capture's value [n],
+    which the result does not include; days [n]: hours of equal values are held out together.
     """
     inverse = np.linalg.inv(covariance + np.diag(noise))
     out = np.empty(len(days))
@@ -57,15 +58,17 @@ def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Calibrated uncertainty of each pixel and hour.
+    """Calibrated uncertainty of predictions: n captures, P pixels, L luminance.
 
-    inverse: of kernel + noise over sureness [n, n]; novelty: largest value of a held-out day;
-    factors: on the standard deviation in overcast, intermediate and clear hours, from held-out days
-    and, if there are several seasons, from held-out seasons [1 or 2, 3]; variances: predictive
-    variances of both [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out
-    error to its estimate; second: as inverse, of the second stage [n, n], n = 0 without one;
-    noise_dull: residual sd of ln L in overcast hours [P]; noise_sun: its increase with the sun [P];
-    slip_deg: displacement of computed from captured sun patches, if `setting_scan` detects one.
+    inverse: of the captures' covariance plus noise [n, n]; novelty: largest predictive variance of
+    a capture with its day held out; factors: on the standard deviation in overcast, intermediate
+    and clear hours (columns), from held-out days (first row) and, if there are several seasons,
+    from held-out seasons (second row) [1 or 2, 3]; variances: typical predictive variance in the
+    same cases [1 or 2, 3]; patch: relative standard deviation of a sun patch; mse: held-out squared
+    error over its estimate; second: `inverse` of the second stage [n, n], [0, 0] without one;
+    noise_dull: residual standard deviation of ln L in overcast hours [P]; noise_sun: its increase
+    with the sun's share of the light [P]; slip_deg: displacement of computed from captured sun
+    patches [deg], 0 if `setting_scan` detects none.
     """
 
     inverse: Array
@@ -80,9 +83,10 @@ class Uncertainty:
     slip_deg: float = 0.0
 
     def variance(self, cross: Array, own: Array) -> Array:
-        """Return the predictive variance of hours, [m].
+        """Return the variance of m hours that remains after the captures, in kernel units, [m].
 
-        cross [m, n]: covariance to the captures; own [m]: prior variance.
+        cross: covariance between the hours and the captures [m, n]; own: prior variance of the
+        hours [m].
         """
         return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
 
@@ -94,11 +98,12 @@ class Uncertainty:
         beam: Array,
         cross_second: Array,
     ) -> NDArray[np.floating]:
-        """Return the standard deviation of log10 L, [m, P]; at most a factor of ten.
+        """Return the standard deviation of log10 L, [m, P]; at most that of a factor of ten, 1.0.
 
-        surface_share [m, P]: unit of the pixel over L; patch_share: patch over L; beam [m]: the
-        sun's share of the light; cross_second [m, n]: covariance of the second stage, n = 0 without
-        one.
+        surface_share: luminance of a usual surface (total light times pixel scale) over L [m, P];
+        patch_share: luminance of the sun patch over L [m, P], or 0; variance: result of `variance`
+        [m]; beam: the sun's share of the light, 0 to 1 [m]; cross_second: covariance of the second
+        stage between hours and captures [m, n], [m, 0] without one.
         """
         kind = surface_share.dtype
         noise = self.noise_dull.astype(kind), self.noise_sun.astype(kind)
@@ -127,19 +132,20 @@ class Uncertainty:
     ) -> NDArray[np.floating]:
         """Return the variance of log10 L due to displaced sun patches, [m, P].
 
-        patch: [m, H, W] cd/m2; gain: of the patch [P]; dark: luminance without the patch [m, P].
+        patch: luminance of sun patches [m, H, W] cd/m2; seen: mask [H, W] of the P pixels; gain:
+        factor on the patch [P]; dark: luminance without the patch [m, P] cd/m2.
         """
         slip_px = self.slip_deg * patch.shape[1] / 180.0
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
-        """Return a mask [m] of hours with a log10 MSE `off` by displaced patches below 0.01."""
+        """Return a mask [m], True where `off` [m], the log10 MSE by displaced patches, is < 0.01."""
         return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
-        """Return a mask [m] of hours that are near enough to captures.
+        """Return a mask [m], True for hours whose light is similar enough to that of captures.
 
-        Their predictive variance [m] is at most 1.5 times `novelty`.
+        Their `variance` [m] is at most 1.5 times `novelty`.
         """
         return variance <= NOVEL * self.novelty
 
@@ -163,11 +169,11 @@ class Uncertainty:
 
 
 def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
-    """Return the least and largest luminance of patches [n, H, W] within `slip_px` of pixels.
+    """Return the least and the largest patch luminance near each pixel, and a probability.
 
-    The distance is at least one pixel. The third value is the probability that a pixel in that
-    range is on the other side of a displaced edge, because the range around a straight edge
-    includes both its sides.
+    Both arrays are [n, H, W], over the square of pixels within `slip_px` (rounded up, at least 1)
+    in each direction. The third value is the probability that a pixel near a straight edge is on
+    its other side once the edge is displaced by `slip_px`, 0 to 0.5.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -191,7 +197,8 @@ def slip_variance(
 ) -> NDArray[np.floating]:
     """Return the variance of ln L due to sun patches displaced by `slip_px`, [n, P].
 
-    patch: [n, H, W] cd/m2; dark: luminance without the patch [n, P]; gain: of the patch [P].
+    patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; gain: factor
+    on the patch [P]; dark: luminance without the patch [n, P] cd/m2.
     """
     low, high, odds = edge_range(patch, slip_px)
     span = np.log((dark + gain * high[:, seen]) / (dark + gain * low[:, seen]))
@@ -203,9 +210,10 @@ def experience(
 ) -> Array:
     """Return the log10 MSE to expect in m hours, from held-out errors of similar captures, [m].
 
-    It is their mean, weighted by the distance of the sun's directions and by the similarity of the
-    sun's share. Where few captures are similar it approaches `guess` [m]; it is never below
-    `guess`. beam [m], train_beam [n]: the sun's share of the light; held_out_mse [n].
+    It is a mean over the n captures `train`, where captures with nearly the same sun direction and
+    share of sun count most. Where few captures are similar it approaches `guess` [m], the estimate
+    without experience; it is never below `guess`. beam [m], train_beam [n]: the sun's share of the
+    light in hours and captures; held_out_mse [n]: log10 MSE of each capture, predicted from others.
     """
     cosine = np.clip(light.sun_direction @ train.sun_direction.T, -1.0, 1.0)
     near = np.exp(
@@ -221,8 +229,9 @@ def seen_mse(
     train_unmeasured: NDArray[np.bool_],
     held_out_mse: Array,
 ) -> Array:
-    """Return the mean held-out error of captures of the same kind of sky, [m].
+    """Return the mean held-out error of captures of a similar kind of sky, log10 MSE for m hours.
 
+    Kinds are overcast, intermediate and clear, interpolated by the sun's share of the light.
     Captures whose sun was not measured (`sun_is_unmeasured`) may show direct sun that the model
     does not get. They count only for hours of which the same is true. beam [m], train_beam [n]: the
     sun's share of the light; unmeasured [m], train_unmeasured [n]: masks; held_out_mse [n].
@@ -248,9 +257,10 @@ def log_sd(
 ) -> NDArray[np.floating]:
     """Return the uncalibrated standard deviation of ln L, [m, P].
 
-    surface_share, patch_share: surface unit and patch over L [m, P]; variance: predictive [m];
-    doubt: about the sun [m]; noise: each pixel's residual sd, and its increase with doubt [P];
-    patch_sd: relative sd of a patch.
+    surface_share, patch_share: luminance of a usual surface and of the sun patch, over L [m, P];
+    variance: predictive variance [m]; doubt: factor on the noise due to the sun [m]; noise: each
+    pixel's residual sd in overcast hours, and its increase per unit of doubt [P] each; patch_sd:
+    relative sd of a sun patch.
     """
     kind = surface_share.dtype
     total = surface_share**2 * variance.astype(kind)[:, None]
@@ -262,9 +272,10 @@ def log_sd(
 def residual_noise(
     arrays: TrainingArrays, fitted: NDArray[np.floating], doubt: Array
 ) -> tuple[Array, Array]:
-    """Return the residual sd of ln L of each pixel in overcast hours, and its increase with doubt.
+    """Return the sd of each pixel's ln residual in overcast hours, and its increase with doubt.
 
-    Both are [P]; the increase is per unit of doubt about the sun.
+    Both are [P]; variances add: sd^2 + (doubt * increase)^2. fitted: luminance [n, P] cd/m2; doubt:
+    result of `sun_doubt` [n]. Without sunny hours the increase is 0.
     """
     error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(arrays.luminance, FLOOR_CDM2))
     error = np.where(arrays.filled, 0.0, error) ** 2
@@ -280,9 +291,10 @@ def residual_noise(
 
 
 def sun_doubt(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the doubt about the sun in each captured hour as if its day were not captured, [n].
+    """Return the factor on the noise that direct sun adds, for each captured hour, [n].
 
-    It is a factor on the noise that direct sun adds.
+    Without a second stage it is the sun's share of the light, 0 to 1. With one it is smaller where
+    captures of other days have nearly the same sun direction.
     """
     if not recipe.second:
         return arrays.features.beam

@@ -42,9 +42,10 @@ MOST_PATCHES = 80  # most sky patches that are used; chosen, limits the time
 
 @dataclass(frozen=True, slots=True)
 class SkyField:
-    """A log-normal field over the sky: ratio of a real sky to Perez's, correlated by direction.
+    """Statistics of a real sky's luminance over Perez's: log-normal, smooth in direction.
 
-    sd: of ln luminance; width: correlation length on the unit sphere; noise: sd of a patch's mean.
+    sd: standard deviation of the ln of the ratio; width: distance on the unit sphere over which the
+    ratio changes; noise: standard deviation of the measured ln ratio of one sky patch.
     """
 
     sd: float
@@ -52,18 +53,27 @@ class SkyField:
     noise: float
 
     def covariance(self, a: Array, b: Array) -> Array:
-        """Return the covariance of ln luminance between directions [m, 3] and [k, 3], [m, k]."""
+        """Return the covariance of the true ln ratio between unit vectors a [m, 3] and b [k, 3].
+
+        The result is [m, k], without measurement noise.
+        """
         return self.sd**2 * np.exp((a @ b.T - 1.0) / self.width**2)
 
     def noisy(self, directions: Array) -> Array:
-        """Return the covariance of measured (noisy) ln luminance at directions [k, 3], [k, k]."""
+        """Return the covariance of the measured ln ratio at k unit vectors [k, 3], [k, k].
+
+        It is `covariance` plus the variance of the noise on the diagonal.
+        """
         own = self.covariance(directions, directions)
         return own + self.noise**2 * np.eye(len(directions))
 
 
 @dataclass(frozen=True, slots=True)
 class SeenSky:
-    """The skies of n captures: luminance of the Reinhart patches [n, 2305] cd/m2, and the field."""
+    """The skies of n captures, estimated from what their windows show.
+
+    luminance_cdm2: of the Reinhart sky patches [n, 2305]; field: the statistics used.
+    """
 
     luminance_cdm2: NDArray[np.float32]
     field: SkyField
@@ -76,12 +86,12 @@ class SeenSky:
 
 
 def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
-    """Return the skies that windows showed; None without windows or if they hardly differ.
+    """Return the sky of each capture, estimated from its window pixels.
 
-    Skies are compared with Perez's, and a difference that noise explains does not count.
-
-    Each window pixel's usual share of the sky behind it (its median over the captures) counts as
-    the glass, so that only differences between captures matter.
+    Return None without window pixels, or if the skies differ from Perez's by under 5 % (rms) or by
+    no more than noise explains. A window pixel's median ratio to Perez's sky over the captures
+    counts as the transmittance of the glass, so that only differences between captures matter.
+    The diffuse illuminance of each capture does not change.
     """
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
     seen = ratios[np.isfinite(ratios)]
@@ -102,11 +112,12 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
 def scatter_of_skies(
     arrays: TrainingArrays, groups: Sequence[NDArray[np.bool_]]
 ) -> list[float | None]:
-    """Return how far seen skies differ from Perez's in each group of captures, masks of [n].
+    """Return how far the skies in the windows differ from Perez's, a value for each group.
 
-    It is the robust standard deviation of ln of seen over usual luminance; None for groups with
-    under five captures that show the sky. The field's sd is another figure: a few captures with a
-    wrong diffuse irradiance can multiply it.
+    groups: masks [n] of captures. The value is the robust standard deviation of the ln of sky
+    luminance over Perez's, relative to the median over captures; None for a group with under five
+    captures that show the sky. It is not `SkyField.sd`, which a few captures with a wrong diffuse
+    irradiance can multiply.
     """
     ratios, _ = _patch_ratios(arrays)  # [n, k]
     seen = np.isfinite(ratios)
