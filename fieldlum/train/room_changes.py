@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.seasons import seasons
-from fieldlum.records import counted
 from fieldlum.train.agreement import (
     FEWEST_DAYS,
     PRICE,
@@ -146,9 +145,7 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
         groups.append(("", changes.unexplained[~whole]))
     for day, rows in groups:
         subject = (
-            f"{counted(len(rows), 'capture')} of {day}"
-            if day
-            else f"{len(rows)} of {len(data)} captures"
+            f"the {len(rows)} captures of {day}" if day else f"{len(rows)} of {len(data)} captures"
         )
         notes.append(
             f"WARNING: {subject} contradict the other days and are not used: their median "

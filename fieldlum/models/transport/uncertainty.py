@@ -139,7 +139,7 @@ class Uncertainty:
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
-        """Return a mask [m], True where `off` [m], the log10 MSE by displaced patches, is < 0.01."""
+        """Return a mask [m], True where the log10 MSE `off` [m] by displaced patches is < 0.01."""
         return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
