@@ -262,12 +262,8 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 class StressRow:
     """The result of one condition; the fields are the columns of stress.csv.
 
-    name: of the model; regime: of the condition; n_train, n_test: hours; fit_cpu_s: computing time
-    of the fit [s]; log10_mse_weighted, median, worst: mean, median and greatest error of the test
-    maps; expected_mse: mean error that the model expected, None if it does not estimate it;
-    untrusted_share: share of hours it did not trust; warned: whether training warned; told: whether
-    the tool reported the error in any way; wild: number of gross errors (log10 MSE over 0.04);
-    wild_unflagged: gross errors without any report; beside: name of the normal case; times_normal:
+    The last columns: whether the tool itself reported the error; the number of gross errors, and of
+    those without any warning, distrust or large expected error; the name of the normal case; the
     error over that of the normal case.
     """
 
