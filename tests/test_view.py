@@ -33,6 +33,15 @@ def fisheye(tmp_path: Path) -> Path:
     return tmp_path / "a.hdr"
 
 
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "text", ["rect:10,20,0,50", "rect:10,20,50,-5", "circle:1,2,0", "cone:1,2,-3"]
+)
+def test_a_region_without_size_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="its size must be above 0"):
+        parse_region(text)
+
+
 @pytest.mark.analytic
 def test_statistics_of_regions(fisheye: Path) -> None:
     """Analytic: a cone of 10 degrees has 2 pi (1 - cos 10) sr; a rectangle half in the window."""

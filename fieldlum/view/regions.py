@@ -42,7 +42,7 @@ class Region:
 def parse_region(text: str) -> Region:
     """Parse a region such as ``rect:10,20,100,50``; the forms are in `FORMS`.
 
-    Raises ValueError for any other text, and for a radius or height that is not above 0.
+    Raises ValueError for any other text, and for a radius, width or height that is not above 0.
     """
     kind, _, rest = text.partition(":")
     try:
@@ -52,7 +52,8 @@ def parse_region(text: str) -> Region:
     polygon = kind == "polygon" and len(values) >= 6 and len(values) % 2 == 0
     if not np.isfinite(values).all() or not (polygon or len(values) == _COUNTS.get(kind)):
         raise ValueError(f"{text!r}: write {FORMS}")
-    if kind != "polygon" and values[len(values) - 1] <= 0:
+    sizes = {"rect": values[2:], "polygon": ()}.get(kind, values[-1:])
+    if any(size <= 0 for size in sizes):
         raise ValueError(f"{text!r}: its size must be above 0")
     return Region(kind, values, text)
 
