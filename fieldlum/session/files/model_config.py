@@ -30,9 +30,9 @@ class UsedScene(TypedDict):
     """The fitted scene that a model was trained with.
 
     north_deg, clock_min: fitted corrections of the heading [deg] and the clock [min]; chosen: the
-    geometry that was used, "none", "stated" or "fitted"; stated: SITE.toml as a table before the fit;
-    stated_heading_deg: heading of the captures; room_draws: for each parameter of the room, its
-    values in draws from the fit's uncertainty.
+    geometry that was used, "none", "stated" or "fitted"; stated: SITE.toml as a table before the
+    fit; stated_heading_deg: heading of the captures; room_draws: for each parameter of the room,
+    its values in draws from the fit's uncertainty.
     """
 
     north_deg: float
