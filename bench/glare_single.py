@@ -149,7 +149,7 @@ def main() -> None:
             pixels = picture.panorama.luminance_cdm2
             grid = picture_grid(picture.view, *pixels.shape)
             ours = glare_of_pixels(pixels, grid)[0]
-            theirs = reference_glare_of_file(path, FLAGS)
+            theirs = reference_glare_of_file(path)
             if stratum == "vta" and pixels.max() > 1e6:
                 stratum = "vta sun"
             rows.setdefault(stratum, []).append(

@@ -124,7 +124,6 @@ class SkyPatches:
 
     directions: Array
     solid_angles_sr: Array
-    mf: int
 
     def __len__(self) -> int:
         return len(self.solid_angles_sr)
@@ -165,7 +164,7 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
         solid_angles.append(np.full(count, band * 2 * np.pi / count))
     directions.append(np.array([[0.0, 0.0, 1.0]]))
     solid_angles.append(np.array([2 * np.pi * (1 - np.cos(height / 2))]))
-    out = SkyPatches(np.concatenate(directions), np.concatenate(solid_angles), mf)
+    out = SkyPatches(np.concatenate(directions), np.concatenate(solid_angles))
     out.directions.flags.writeable = out.solid_angles_sr.flags.writeable = False
     return out
 

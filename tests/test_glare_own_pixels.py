@@ -14,7 +14,7 @@ from fieldlum.cli import main
 from fieldlum.glare.own_pixels import glare_of_pixels, region_ratios
 from fieldlum.glare.picture_grid import picture_grid
 from fieldlum.glare.picture_view import PictureView, parse_view, picture_rays
-from fieldlum.glare.reference import FLAGS, reference_glare_of_file
+from fieldlum.glare.reference import reference_glare_of_file
 from fieldlum.glare.single import picture_glare
 from fieldlum.images import write_radiance_hdr
 
@@ -121,7 +121,7 @@ def test_authority_evalglare_agrees_on_the_same_file(tmp_path: Path, options: st
     view = _view(options)
     path = tmp_path / "a.hdr"
     write_radiance_hdr(path, _scene(view, 240), view=view.text)
-    theirs = reference_glare_of_file(path, FLAGS)
+    theirs = reference_glare_of_file(path)
     ours = picture_glare(path)["views"][0]
     assert ours["ev_lx"] == pytest.approx(theirs.ev_lx, rel=4e-3)
     assert ours["dgp"] == pytest.approx(theirs.dgp, abs=2e-3)
@@ -141,7 +141,7 @@ def test_authority_the_sun_in_view_agrees(tmp_path: Path) -> None:
     pixels[100, 170] = 4e8
     path = tmp_path / "sun.hdr"
     write_radiance_hdr(path, pixels, view=view.text)
-    theirs = reference_glare_of_file(path, FLAGS)
+    theirs = reference_glare_of_file(path)
     ours = picture_glare(path)["views"][0]
     assert ours["ev_lx"] == pytest.approx(theirs.ev_lx, rel=1e-3)
     assert ours["dgp"] == pytest.approx(theirs.dgp, abs=1e-3)

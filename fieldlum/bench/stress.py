@@ -38,7 +38,6 @@ FEWEST = 8  # hours of training and of test that a condition needs; chosen
 HEIGHT = 20
 GROSS_MSE = 0.04  # log10 MSE of a gross error: a factor of 1.6
 REPORTED_SHARE = 1.0 / 3.0  # share of the error that the model must expect; chosen, not measured
-SUNNY_WM2 = 120.0
 OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
 
 

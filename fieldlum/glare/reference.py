@@ -65,21 +65,21 @@ def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> Referen
         return reference_glare_of_file(path)
 
 
-def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
-    """Return evalglare's figures for a picture on disk that has a VIEW; flags must include -d.
+def reference_glare_of_file(path: Path) -> ReferenceGlare:
+    """Return evalglare's figures for a picture on disk that has a VIEW.
 
     Raises FieldlumError if evalglare prints no figures.
     """
     done = subprocess.run(
-        [radiance_program("evalglare"), *flags, str(path)],
+        [radiance_program("evalglare"), *FLAGS, str(path)],
         capture_output=True,
         text=True,
         check=False,
     )
-    return _parse(done.stdout, f"{done.stderr.strip()} (exit {done.returncode})", " ".join(flags))
+    return _parse(done.stdout, f"{done.stderr.strip()} (exit {done.returncode})")
 
 
-def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
+def _parse(text: str, trouble: str) -> ReferenceGlare:
     """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources."""
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
     names, _, figures = line.partition(":")
@@ -95,6 +95,6 @@ def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
         float(row["lum_backg"]),
         int(head) if head.isdigit() else 0,
         reference_version(),
-        flags,
+        " ".join(FLAGS),
         *(float(row.get(name, "nan")) for name in ("ugp", "cgi", "Lveil_cie")),
     )

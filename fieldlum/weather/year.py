@@ -89,7 +89,7 @@ class Weather:
 # synthetic
 
 
-def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> Weather:
+def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     """Return a plausible year for a place without a weather file; never judge the place by it.
 
     The clear sky of pvlib times a random cloudiness: an hourly AR(1) series (correlation 0.85)
@@ -97,8 +97,8 @@ def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> We
     (thin clouds double it, thick ones halve it). All coefficients are chosen so that the hours look
     like weather; not fitted to measurements.
     """
-    offset = sun.standard_offset(site.timezone, year)
-    start = datetime.combine(date(year, 1, 1), datetime.min.time(), tzinfo=UTC) - offset
+    offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
+    start = datetime.combine(date(TYPICAL_YEAR, 1, 1), datetime.min.time(), tzinfo=UTC) - offset
     times = tuple(start + _HOUR * k + timedelta(minutes=30) for k in range(8760))
     clear = sun.clearsky(times, site)
     rng = np.random.default_rng(seed)

@@ -30,14 +30,12 @@ Array = NDArray[np.float64]
 class LensSampling:
     """How one lens maps a panorama onto the sensor.
 
-    pixels [n] : flat indices of the lens's sensor pixels; relative_angle [n] : their angle from the
-    axis, 0 on the axis and 1 at the edge of the image circle; weights [n, H * W] : share of each
+    pixels [n] : flat indices of the lens's sensor pixels; weights [n, H * W] : share of each
     panorama pixel in each sensor pixel, rows sum to 1.
     """
 
     geometry: LensGeometry
     pixels: NDArray[np.intp]
-    relative_angle: Array
     weights: csr_array
 
 
@@ -65,9 +63,7 @@ def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int])
     share = np.full(len(target), 1.0 / _SUBSAMPLES**2, np.float32)
     weights = csr_array((share, (target, source)), shape=(len(rows), panorama[0] * panorama[1]))
     weights.sum_duplicates()
-    distance = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) / lens.radius_px
-    relative = angle_of_radius(lens, np.minimum(distance, 1.0)) / lens.half_angle_rad
-    return LensSampling(lens, rows * sensor[1] + columns, relative, weights)
+    return LensSampling(lens, rows * sensor[1] + columns, weights)
 
 
 def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32]:
