@@ -20,7 +20,7 @@ from fieldlum.linear_light import (
 )
 from fieldlum.photometry import saturation_plateau, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import angle_of_radius
+from fieldlum.projection import angle_of_radius, relative_radius
 from fieldlum.raw import channel_positions, is_jpeg, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 from fieldlum.statistics import standard_error
@@ -146,11 +146,7 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 
     The distance from the centre counts relative to the circle's radius.
     """
-    away = [
-        np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
-        for lens in profile.lens
-    ]
-    return int(np.argmin(away))
+    return int(np.argmin([relative_radius(lens.geometry, x_px, y_px) for lens in profile.lens]))
 
 
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
@@ -159,7 +155,7 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
     x_px, y_px : on the sensor. 0 on the axis, 1 at the edge of the image circle.
     """
     geometry = lens.geometry
-    radius = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
+    radius = relative_radius(geometry, x_px, y_px)
     return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
 
 

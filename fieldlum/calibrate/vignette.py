@@ -19,7 +19,7 @@ from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens, Vignetting
-from fieldlum.projection import angle_of_radius
+from fieldlum.projection import angle_of_radius, relative_radius
 from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
@@ -140,7 +140,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         frame = linear_frame(path, profile)
         h, w = frame.bad.shape
         y, x = (np.mgrid[:h, :w] + 0.5) * frame.step
-        radius = np.hypot(x - geometry.centre_px[0], y - geometry.centre_px[1]) / geometry.radius_px
+        radius = relative_radius(geometry, x, y)
         r = angle_of_radius(geometry, radius) / geometry.half_angle_rad
         rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
         f_numbers.add(frame.exposure.f_number)

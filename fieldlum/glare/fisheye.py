@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.glare.geometry import view_frame
-from fieldlum.projection import direction, equirect_pixel
+from fieldlum.projection import altitude_azimuth_deg, direction, equirect_pixel
 from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
@@ -60,10 +60,7 @@ def panorama_to_fisheye(
     samples = max(2, int(np.ceil(2.0 * height / size)))
     rays, inside = fisheye_rays(size, samples)
     world = rays[inside] @ view_frame(azimuth_deg)
-    altitude = np.degrees(np.arcsin(np.clip(world[:, 2], -1.0, 1.0)))
-    row, column = equirect_pixel(
-        altitude, np.degrees(np.arctan2(world[:, 0], world[:, 1])), height, width, heading_deg
-    )
+    row, column = equirect_pixel(*altitude_azimuth_deg(world), height, width, heading_deg)
     values = np.zeros(inside.shape, np.float32)
     values[inside] = luminance_cdm2[
         np.minimum(row.astype(int), height - 1), np.minimum(column.astype(int), width - 1)

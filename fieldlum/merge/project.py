@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from fieldlum.merge.sensor import SensorImage
 from fieldlum.photometry import vignetting_at
 from fieldlum.photometry.stray_light import stray_cdm2
 from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import Equirect, Resampler, resampler
+from fieldlum.projection import Equirect, Resampler, resampler, wrapped
 from fieldlum.projection.grids import Target
 from fieldlum.records import Flag, Panorama
 
@@ -276,12 +275,8 @@ def u_of_edges(
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
     # target pixels narrow towards the zenith
     narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]
-    around = _second_difference(_wrapped(light).T, _wrapped(seen).T).T[:, 1:-1]
+    around = _second_difference(wrapped(light).T, wrapped(seen).T).T[:, 1:-1]
     return np.hypot(share * down, narrow * around)
-
-
-def _wrapped(values: NDArray[Any]) -> NDArray[Any]:
-    return np.concatenate([values[:, -1:], values, values[:, :1]], axis=1)
 
 
 def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
-from fieldlum.projection import equirect_pixel, equirect_rays, row_altitudes_deg, signed_angle_deg
+from fieldlum.projection import (
+    altitude_azimuth_deg,
+    equirect_pixel,
+    equirect_rays,
+    row_altitudes_deg,
+    signed_angle_deg,
+    wrapped,
+)
 from fieldlum.records import Progress, quiet
 from fieldlum.statistics import MAD_TO_SIGMA
 
@@ -104,27 +111,20 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
 
 
-def _angles_deg(rays: Array) -> tuple[Array, Array]:
-    """Return altitude and azimuth of directions [deg]."""
-    altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
-    return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
-
-
 def _places(
     shape: tuple[int, int], heading_deg: float, angles_deg: Array | Sequence[float]
 ) -> Array:
     """Return the row and column at which a turned camera's map shows each pixel, [2, H, W] px."""
     height, width = shape
     rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
-    row, column = equirect_pixel(*_angles_deg(rays), height, width, heading_deg)
+    row, column = equirect_pixel(*altitude_azimuth_deg(rays), height, width, heading_deg)
     return np.stack((row - 0.5, column - 0.5))
 
 
 def _at(maps: Array, places: Array) -> Array:
     """Return a map [H, W] at places [2, H, W], linear between pixels, across the seam."""
-    wide = np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
     return map_coordinates(
-        wide, places + np.array((0.0, 1.0))[:, None, None], order=1, mode="nearest"
+        wrapped(maps), places + np.array((0.0, 1.0))[:, None, None], order=1, mode="nearest"
     )
 
 
@@ -150,7 +150,7 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
     places = _places((height, width), heading_deg, angles_deg)
     part = places - np.floor(places)
     mixed = (part * (1.0 - part)).max(axis=0)
-    wide = np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
+    wide = wrapped(maps)
     contrast = (maximum_filter(wide, 3) - minimum_filter(wide, 3))[:, 1:-1]
     return mixed * _at(contrast, places)
 
@@ -162,7 +162,8 @@ def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
     moves = []
     for axis in np.eye(3):
         low, high = (
-            _angles_deg(turned_rays(rays, heading_deg, half * axis)) for half in (-0.5, 0.5)
+            altitude_azimuth_deg(turned_rays(rays, heading_deg, half * axis))
+            for half in (-0.5, 0.5)
         )
         rows = (low[0] - high[0]) * height / 180.0
         columns = signed_angle_deg(high[1] - low[1]) * width / 360.0

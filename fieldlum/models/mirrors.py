@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.projection import equirect_pixel
+from fieldlum.projection import altitude_azimuth_deg, equirect_pixel
 from fieldlum.session.files.arrays_npz import read_arrays
 from fieldlum.sun_images import glass_reflectance, mirrored, ring_around, tolerance_rad
 
@@ -140,8 +140,8 @@ def place_deg(towards: Array) -> tuple[Array, Array]:
 
     towards: [n, 3], x east, y north, z up.
     """
-    altitude = np.degrees(np.arcsin(np.clip(towards[:, 2], -1.0, 1.0)))
-    return altitude, np.degrees(np.arctan2(towards[:, 0], towards[:, 1])) % 360.0
+    altitude, azimuth = altitude_azimuth_deg(towards)
+    return altitude, azimuth % 360.0
 
 
 def pixels(towards: Array, shape: tuple[int, ...], heading_deg: float) -> NDArray[np.intp]:

@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.projection import wrapped
+
 Array = NDArray[np.float64]
 
 # Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
@@ -70,10 +72,15 @@ def stray_cdm2(
 def _cells_of(rays: Array) -> tuple[NDArray[np.intp], int, int]:
     """Return the latitude-longitude cell of each ray [n], and the grid's rows and columns."""
     rows, columns = round(180.0 / CELL_DEG), round(360.0 / CELL_DEG)
-    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows
-    column = (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns
+    row, column = _grid_position(rays, rows, columns)
     row = np.minimum(row.astype(np.intp), rows - 1)
     return row * columns + np.minimum(column.astype(np.intp), columns - 1), rows, columns
+
+
+def _grid_position(rays: Array, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return the continuous row and column of each ray [n] in a grid, [n] each."""
+    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows
+    return row, (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns
 
 
 def _grid_rays(rows: int, columns: int) -> Array:
@@ -115,7 +122,6 @@ def _interpolated(grid: Array, rays: Array) -> Array:
     from scipy.ndimage import map_coordinates
 
     rows, columns = grid.shape
-    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows - 0.5
-    column = (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns - 0.5
-    closed = np.concatenate([grid[:, -1:], grid, grid[:, :1]], axis=1)
-    return map_coordinates(closed, [row, column + 1.0], order=1, mode="nearest")
+    row, column = _grid_position(rays, rows, columns)
+    places = [row - 0.5, column - 0.5 + 1.0]
+    return map_coordinates(wrapped(grid), places, order=1, mode="nearest")

@@ -126,12 +126,16 @@ def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
 
     The hours are indices [k] into `hours`, ascending.
     """
-    light = task.weather.at(hours.t_utc)
-    known = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
-    chosen = hours[known]
-    return known, light_features(
-        light_at(chosen.t_utc, task.site, light.dni_wm2[known], light.dhi_wm2[known])
-    )
+    return features_under(task.weather.at(hours.t_utc), hours, task)
+
+
+def features_under(
+    sky: sun.Irradiance, hours: DaylightHours, task: Learning
+) -> tuple[Index, Features]:
+    """Return as `features_at` the hours with daylight, and their features, under a sky [n]."""
+    known = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
+    times = hours[known].t_utc
+    return known, light_features(light_at(times, task.site, sky.dni_wm2[known], sky.dhi_wm2[known]))
 
 
 def variance_left(task: Learning, captured: Features) -> float:

@@ -138,12 +138,10 @@ def _reductions(
     for step, days in enumerate(np.arange(SKIES) * 3 - 3 * (SKIES // 2)):
         progress(step, SKIES + BATCH, "skies of the season")
         sky = task.weather.at([t + timedelta(days=int(days)) for t in hours.t_utc])
-        rows = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
+        rows, features = choose.features_under(sky, hours, task)
         if not len(rows):
             continue
-        chosen = hours[rows]
-        light = light_at(chosen.t_utc, task.site, sky.dni_wm2[rows], sky.dhi_wm2[rows])
-        total[rows] += _single_gains(task, captured, light_features(light)) / base
+        total[rows] += _single_gains(task, captured, features) / base
         count[rows] += 1
     return total / np.maximum(count, 1)
 

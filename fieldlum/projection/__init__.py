@@ -22,8 +22,10 @@ from fieldlum.projection.lens import (
     lens_pixels,
     lens_rays,
     radius_of_angle,
+    relative_radius,
 )
 from fieldlum.projection.panorama import (
+    altitude_azimuth_deg,
     column_azimuths_deg,
     compass_name,
     direction,
@@ -33,6 +35,7 @@ from fieldlum.projection.panorama import (
     row_altitudes_deg,
     row_solid_angles,
     signed_angle_deg,
+    wrapped,
 )
 from fieldlum.projection.pose import rotation, turned
 from fieldlum.projection.resample import Resampler, resampler

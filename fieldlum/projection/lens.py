@@ -57,6 +57,12 @@ class LensGeometry:
         )
 
 
+def relative_radius(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> NDArray[np.float64]:
+    """Return the distance of sensor points [...] from the image centre over radius_px, [...]."""
+    dx, dy = np.subtract(x_px, lens.centre_px[0]), np.subtract(y_px, lens.centre_px[1])
+    return np.hypot(dx, dy) / lens.radius_px
+
+
 def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.float64]:
     """Return the distance from the image centre over radius_px, in the shape of the angles.
 

@@ -5,6 +5,8 @@ the zenith, W = 2H; the azimuth of column centre j is heading + ((j + .5)/W - .5
 right is clockwise.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -33,6 +35,14 @@ def row_altitudes_deg(height: int) -> NDArray[np.float64]:
     return 90.0 - (np.arange(height) + 0.5) / height * 180.0
 
 
+def wrapped(maps: NDArray[Any]) -> NDArray[Any]:
+    """Return a panorama with its last column before the first and its first after the last.
+
+    [H, W, ...] becomes [H, W + 2, ...], so that interpolation is continuous across the seam.
+    """
+    return np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
+
+
 def signed_angle_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
     """Return angles plus or minus full turns, in [-180, 180) deg, in the same shape."""
     return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
@@ -48,6 +58,15 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.flo
         np.broadcast_arrays(np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt)),
         axis=-1,
     )
+
+
+def altitude_azimuth_deg(rays: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return altitude and azimuth of unit vectors [..., 3], the inverse of `direction`, [...] each.
+
+    The azimuth is in [-180, 180] deg.
+    """
+    altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
+    return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
 
 
 def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:

@@ -92,6 +92,11 @@ class Opening:
         """Index of the horizontal axis along the wall."""
         return 1 - self.axis
 
+    def contains(self, u_m: Array, z_m: Array) -> NDArray[np.bool_]:
+        """Return whether points [n] of a plane along the wall are inside the opening, [n]."""
+        (left, right), (bottom, top) = self.u_m, self.z_m
+        return (u_m > left) & (u_m < right) & (z_m > bottom) & (z_m < top)
+
 
 @dataclass(frozen=True)
 class BoxScene:

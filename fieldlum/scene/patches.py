@@ -180,7 +180,7 @@ def _free(scene: BoxScene, o: Opening, eye: Array, rays: Array) -> NDArray[np.bo
     for plane in (o.inner_m, o.outer_m):
         at = (plane - eye[o.axis]) / rays[:, o.axis]
         u, z = eye[o.along] + at * rays[:, o.along], eye[2] + at * rays[:, 2]
-        free &= (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
+        free &= o.contains(u, z)
     which = scene.of_kind("frame", "obstruction")
     for k in np.flatnonzero(free) if which else ():
         free[k] = not blocked(scene.low[which], scene.high[which], eye[None], rays[k])[0]

@@ -94,7 +94,7 @@ class SunPoints:
             across = np.float32(plane_m) - p[:, o.axis]
             u = p[:, o.along] + across * np.float32(slope_u)
             z = p[:, 2] + across * np.float32(slope_z)
-            return (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
+            return o.contains(u, z)
 
         # A point within the wall need not pass the inner end: the opening is convex.
         behind = (p[:, o.axis] - o.inner_m) * o.outward > -2 * EPSILON_M

@@ -101,7 +101,7 @@ def _cross(
     at = (plane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
     u = origins[:, o.along] + at * directions[:, o.along]
     z = origins[:, 2] + at * directions[:, 2]
-    return at, (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
+    return at, o.contains(u, z)
 
 
 def blocked(

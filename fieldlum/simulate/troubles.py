@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.light import Light
-from fieldlum.projection import equirect_rays
+from fieldlum.projection import altitude_azimuth_deg, equirect_rays
 from fieldlum.records import Site
 from fieldlum.sky import reinhart_patches
 from fieldlum.strict_toml import build
@@ -362,8 +362,6 @@ def _block(
     high_deg: float,
 ) -> NDArray[np.bool_]:
     """Return the pixels of an upright rectangle; its azimuth counts from the heading, [H, W]."""
-    rays = equirect_rays(height, width, 0.0)
-    altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
-    azimuth = np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
+    altitude, azimuth = altitude_azimuth_deg(equirect_rays(height, width, 0.0))
     away = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)
     return (away < wide_deg / 2) & (np.abs(altitude - altitude_deg) < high_deg / 2)

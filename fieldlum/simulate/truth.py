@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -21,6 +20,7 @@ from fieldlum.scene.patches import disc_visibility
 from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.view import SceneView, look
 from fieldlum.session import replacing_path
+from fieldlum.session.provenance import digest
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
 from fieldlum.strict_toml import plain
 
@@ -250,7 +250,7 @@ def ground_truth(
     view = look(room, height, heading)
     pieces = cut(view.scene, how.piece_m)
     rows, to_pixels, normals = _pixel_points(view, how.smooth_px)
-    key = _key(
+    key = digest(
         {
             "room": plain(room),
             "height": height,
@@ -258,7 +258,7 @@ def ground_truth(
             "how": asdict(how),
             "version": VERSION,
         }
-    )
+    )[:16]
     folder = cache / f"coefficients-{key}" if cache is not None else None
     if folder is not None and (folder / "complete").is_file():
         matrices = [_load(folder, name, FIRST_PIECE + len(pieces)) for name in ("points", "pieces")]
@@ -366,10 +366,6 @@ def _neighbours(
     i, j, value = (np.concatenate(p) for p in zip(*parts, strict=True))
     share = coo_matrix((value, (i, j)), (len(pixel), len(pixel))).tocsr()
     return (diags(1 / np.asarray(share.sum(axis=1)).ravel()) @ share).astype(np.float32)
-
-
-def _key(what: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _save(folder: Path, name: str, matrix: Any) -> None:

@@ -145,7 +145,7 @@ def _first_day(process: Process, rows: Rows, level: Array, region: Mask) -> Any:
     The region's usual light is fitted with each step: a region that is darker than the rest on all
     days would otherwise have an earlier step.
     """
-    y = process.y[rows][:, region].mean(axis=1) - np.median(process.y[rows], axis=1)
+    y = _region_light(process, rows, region)
     days, noisy = process.days[rows], process.noisy(_NOISE)[np.ix_(rows, rows)]
     gains: dict[Any, float] = {}
     for day in np.unique(days)[1:]:
@@ -156,9 +156,14 @@ def _first_day(process: Process, rows: Rows, level: Array, region: Mask) -> Any:
     return max(gains, key=gains.__getitem__)
 
 
+def _region_light(process: Process, rows: Rows, region: Mask) -> Array:
+    """Return the mean of a region [P] in some captures, relative to all their pixels, [k]."""
+    return process.y[rows][:, region].mean(axis=1) - np.median(process.y[rows], axis=1)
+
+
 def _lasts(process: Process, rows: Rows, step: Array, region: Mask) -> bool:
     """Return whether the step of a region [P] is due to more than a single day."""
-    y = process.y[rows][:, region].mean(axis=1) - np.median(process.y[rows], axis=1)
+    y = _region_light(process, rows, region)
     noisy, days = process.noisy(_NOISE)[np.ix_(rows, rows)], process.days[rows]
 
     def amount(keep: Mask) -> float:

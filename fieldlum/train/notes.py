@@ -22,15 +22,14 @@ def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
     """
     from fieldlum.models.transport import Transport
     from fieldlum.models.transport.features import training_arrays_of
-    from fieldlum.models.transport.uncertainty import CLASSES
+    from fieldlum.models.transport.uncertainty import hours_by_class
     from fieldlum.models.transport.window_sky import scatter_of_skies
 
     if not isinstance(fitted, Transport) or fitted.sky_field is None:
         return []
     with_patch = fitted.response.basis.patches is not None
     arrays = training_arrays_of(data, with_patch=with_patch)
-    beam = arrays.features.beam
-    groups = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
+    groups = hours_by_class(arrays.features.beam)
     kinds = ("overcast", "partly sunny", "sunny")
     sizes = [
         f"{math.expm1(sd):.0%} in {kind} hours"

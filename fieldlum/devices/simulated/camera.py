@@ -19,6 +19,7 @@ from fieldlum.errors import DeviceError
 from fieldlum.linear_light import lens_geometry, true_shutter_s, vignetting_of
 from fieldlum.photometry import vignetting_at
 from fieldlum.profiles import CameraProfile
+from fieldlum.projection import relative_radius
 from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure, Panorama
 
@@ -138,8 +139,7 @@ class SimulatedCamera:
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
             geometry = lens.geometry
-            (x, y), radius = lens.centre_px, lens.radius_px
-            distance = np.hypot(columns - x, rows - y) / radius
+            distance = relative_radius(geometry, columns, rows)
             angle = optics.angle_of_radius(geometry, np.minimum(distance, 1.0))
             relative = angle / geometry.half_angle_rad
             curve, _ = vignetting_of(lens, f_number)

@@ -72,9 +72,8 @@ def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32
     Rays are in the panorama's own frame (heading 0).
     """
     height, width = panorama
-    altitude = np.degrees(np.arcsin(np.clip(rays[:, 2], -1.0, 1.0)))
-    azimuth = np.degrees(np.arctan2(rays[:, 0], rays[:, 1]))
-    row, column = projection.equirect_pixel(altitude, azimuth, height, width, 0.0)
+    angles_deg = projection.altitude_azimuth_deg(rays)
+    row, column = projection.equirect_pixel(*angles_deg, height, width, 0.0)
     return (
         np.minimum(row.astype(np.int32), height - 1) * width
         + np.minimum(column.astype(np.int32), width - 1)
@@ -149,7 +148,7 @@ def pixel_solid_angle_sr(
 
     x_px, y_px : column and row; the first pixel's centre is at (0.5, 0.5).
     """
-    distance = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
+    distance = projection.relative_radius(lens, x_px, y_px)
     step = 1e-4
     r = np.clip(distance, step, 1.0 - step)
     ring = np.cos(angle_of_radius(lens, r - step)) - np.cos(angle_of_radius(lens, r + step))

@@ -381,12 +381,16 @@ def _factors(arrays: TrainingArrays, held: HeldOutFit, sd: Array) -> Array:
     )
 
 
+def hours_by_class(beam: Array) -> tuple[NDArray[np.bool_], ...]:
+    """Return masks of the overcast, intermediate and clear hours, [n] each."""
+    return beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1]
+
+
 def _of_classes(beam: Array, figure: Callable[[NDArray[np.bool_]], Any]) -> Array:
     """Return a figure of the overcast, intermediate and clear hours, [3].
 
     A class with fewer than five hours gets the figure of all hours.
     """
-    classes = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
-    return np.array(
-        [float(figure(rows if rows.sum() >= 5 else np.ones(len(beam), bool))) for rows in classes]
-    )
+    every = np.ones(len(beam), bool)
+    classes = hours_by_class(beam)
+    return np.array([float(figure(rows if rows.sum() >= 5 else every)) for rows in classes])
