@@ -96,11 +96,16 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
-    """The camera of a session: its profile, heading and height."""
+    """The camera of a session.
 
-    profile: str = ""  # name in calibration/ or a path; empty: the default simulated camera
-    heading_deg: float = 180.0  # azimuth of the panorama's centre column, clockwise from true north
-    # Azimuths of a single fisheye on a turned head; empty for one fixed camera.
+    profile: name of a profile in calibration/, or a path; "" for the default simulated camera;
+    heading_deg: azimuth of the panorama's centre column, clockwise from true north; headings:
+    azimuths to which a head turns a single fisheye for each bracket, empty for a fixed camera;
+    height_m: of the lens above the floor.
+    """
+
+    profile: str = ""
+    heading_deg: float = 180.0
     headings: tuple[float, ...] = ()
     height_m: float = 1.6
 

@@ -62,10 +62,11 @@ class StrayReading:
 
 @dataclass(frozen=True, slots=True)
 class StrayFit:
-    """A fitted kernel, and the stray light that it predicts for each reading [n] in cd/m2.
+    """A fitted kernel of stray light.
 
-    kernel : the table [stray] for a profile. total_share : share (0 to 1) of a source's light that
-    the kernel spreads.
+    kernel: the table [stray] for a profile; predicted_cdm2: stray light that it predicts for each
+    reading [n]; total_share: share (0 to 1) of a source's light that the kernel spreads; choice:
+    which of several kernels, and why.
     """
 
     kernel: StrayLight

@@ -351,8 +351,8 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
         if room.to_do or hours:
             body.append((room.session, f"{room.to_do}", hours or "nothing is open"))
     text = (
-        "Number of slots that can still be captured, and hours that would help to decide an "
-        "uncertain class of glare."
+        "For each room, the number of slots that can still be captured, and examples of hours "
+        "whose capture would help to decide an uncertain class of glare."
     )
     text += "" if body else " Nothing is open."
     table = Table(("room", "slots to do", "hours like these"), tuple(body), words=True)

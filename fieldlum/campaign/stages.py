@@ -187,7 +187,7 @@ def train_room(folder: Path, job: _TrainJob) -> str:
     figure = "" if error is None else f", log10 MSE {error:.2g} on held-out days"
     warned = sum(note.startswith("WARNING") for note in answer["notes"])
     warnings = f", {counted(warned, 'warning')}" if warned else ""
-    return f"{answer['chosen']} from {len(data)} captures{figure}{warnings}"
+    return f"model {answer['chosen']}, trained on {len(data)} captures{figure}{warnings}"
 
 
 def _predict(run: _Run, room: CampaignRoom) -> str:

@@ -52,7 +52,8 @@ class BracketCapture:
     check: checks a frame's EXIF; check_opens: reads its pixels; check_shortest: checks the darkest
     frame for clipping. Each returns what is wrong, or "". between: called with each frame, and with
     None while waiting, to log irradiance and to refresh the display. meter: illuminance meter, read
-    before the first frame and after the last one.
+    before the first frame and after the last one, None without one; frame_bytes: size of the
+    largest frame so far, for which the disk must have space.
     """
 
     session: Session
@@ -65,7 +66,7 @@ class BracketCapture:
     check_shortest: Callable[[Path], str]
     between: Callable[[Frame | None], None]
     meter: Keeper[IlluminanceMeter] | None = None
-    frame_bytes: int = 0  # size of the largest frame so far
+    frame_bytes: int = 0
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
         """Take the missing frames of a slot; return its final state, done or aborted.

@@ -50,7 +50,7 @@ _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 @dataclass(frozen=True, slots=True)
 class FrameMetadata:
-    """What the program reports about a frame: the shutter time [s] and the two gains."""
+    """What rpicam-still reports about a frame: the shutter time [s] and the factors of two gains."""
 
     shutter_s: float
     analogue_gain: float

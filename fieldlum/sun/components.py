@@ -46,7 +46,7 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
 
 
 class Irradiance(NamedTuple):
-    """Global, direct normal and diffuse irradiance, arrays [n] in W/m2."""
+    """Global horizontal, direct normal, diffuse horizontal irradiance [n] W/m2; NaN: unknown."""
 
     ghi_wm2: NDArray[np.float64]
     dni_wm2: NDArray[np.float64]

@@ -121,7 +121,10 @@ def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
 
 
 def rounded_scale(low: float, high: float) -> tuple[float, float]:
-    """Return low and high rounded outwards to one digit, at least a factor of ten apart."""
+    """Return low and high (above 0), rounded outwards to one significant digit.
+
+    The high end is at least ten times the low one.
+    """
     return _one_digit(low, np.floor), _one_digit(max(high, 10.0 * low), np.ceil)
 
 

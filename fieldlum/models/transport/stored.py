@@ -196,7 +196,7 @@ class FluxKernel(Kernel):
         return k + np.outer(a.cells @ self.flux_of_cells, b.cells @ self.flux_of_cells) * smooth
 
     def diagonal(self, a: Features) -> Array:
-        """Return the prior variance of each hour, [len(a)]."""
+        """Return the prior variance of each hour of `a`, without a unit, [len(a)]."""
         k = Kernel.diagonal(self, a)
         if a.cells is None:
             return k
