@@ -182,7 +182,7 @@ class Recorder:
             self.days = DayFiles(self._session, flush=self.flush)
 
     def close(self) -> None:
-        """Write the events and rows that wait in memory, close the files, delete the reserve file."""
+        """Write events and rows that wait in memory, close the files, delete the reserve file."""
         with self._lock:
             self._flush_events()
             self._flush_rows()

@@ -50,7 +50,7 @@ _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 @dataclass(frozen=True, slots=True)
 class FrameMetadata:
-    """What rpicam-still reports about a frame: the shutter time [s] and the factors of two gains."""
+    """What rpicam-still reports about a frame: shutter time [s] and the factors of two gains."""
 
     shutter_s: float
     analogue_gain: float

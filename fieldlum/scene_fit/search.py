@@ -37,7 +37,7 @@ class GuessCost(Protocol):
 
     @property
     def pose(self) -> PosePrior | None:
-        """The prior of north, tilt, roll [deg] and clock [min] from sun discs; None without discs."""
+        """The prior of north, tilt, roll [deg] and clock [min] from sun discs, None without."""
         ...
 
     def __call__(self, guess: Guess) -> float:
