@@ -29,9 +29,10 @@ def run_sweep(
 ) -> tuple[list[RoomResult], str]:
     """Score models with seeds on held-out days of every room.
 
-    Write sweep.csv and sweep.md to `out`; return the fits (of a model, room and seed) that failed,
-    and the Markdown table of means over seeds. seeds: number of them, for each model and room;
-    budget_min: time limit of each fit [min]. Raises InputError for a text that is no model's name.
+    Write sweep.csv and sweep.md to `out`; return what failed (a fit of a model, room and seed, or a
+    room without pairs.csv), and the Markdown table of means over seeds. seeds: number of them, for
+    each model and room; budget_min: time limit of each fit [min]. Raises InputError for a text that
+    is no model's name.
     """
     units, failed = _units(campaign, models, seeds, budget_min)
     rows: dict[str, list[BenchRow]] = {room.session: [] for room in campaign.rooms}

@@ -19,10 +19,11 @@ from fieldlum.session import Session
 class PlanSummary:
     """The object that `plan --json` prints; its keys are a contract.
 
-    days: number with slots; first, last: ids of slots; solar_noon: local time on the first day, ""
-    if unknown; frames: of all slots, at every heading; megabytes: of all slots; tags: number of
-    slots with each tag; variance_left_percent: of the prior variance over the year, None without
-    weather; month: only for the set `month` with weather.
+    session: path of its folder; slots, days: numbers of slots, and of days with slots; first, last:
+    ids of slots; solar_noon: local time on the first day, "" if unknown; frames: of all slots, at
+    every heading; megabytes: of all slots; tags: number of slots with each tag;
+    variance_left_percent: of the prior variance over the year, None without weather; month:
+    comparison with other months, only for `--set month` with weather, else None.
     """
 
     session: str

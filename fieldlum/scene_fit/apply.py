@@ -28,10 +28,10 @@ _SAME_HEADING_DEG = 0.05
 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
-    """Return a fit as a `Scene` with the chosen geometry; verdict: the reason for that choice.
+    """Return a fit as a `Scene`, which records the choice of geometry.
 
-    chosen: "none", "stated" or "fitted". The azimuth of the scene's room is relative to true north:
-    the fitted azimuth plus the correction of north.
+    Its room is the fitted one for every choice, with the azimuth relative to true north: the fitted
+    azimuth plus the correction of north. chosen: "none", "stated" or "fitted"; verdict: the reason.
     """
     azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
     room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
