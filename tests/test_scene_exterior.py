@@ -66,14 +66,30 @@ def test_a_room_without_a_shade_gets_none() -> None:
 
 @pytest.mark.slow
 @pytest.mark.analytic
-def test_a_table_is_found_where_it_is_and_nothing_in_an_empty_room() -> None:
-    table = Obstruction(0.6, 1.3, 0.7, 1.4, 0.8, 0.05, 0.4)
-    search, start = _search((table,))
+@pytest.mark.parametrize(
+    "solid",
+    [
+        Obstruction(0.6, 1.3, 0.7, 1.4, 0.8, 0.05, 0.4),  # a table
+        Obstruction(0.7, 1.2, 0.4, 1.1, 0.6, 0.05, 0.4),  # a low one
+        Obstruction(0.6, 1.1, 0.55, 1.2, 0.8, 0.05, 0.5),
+        Obstruction(3.4, 1.0, 0.0, 0.8, 0.8, 0.4, 0.5),  # a chest
+        Obstruction(1.0, 1.4, 0.0, 0.35, 0.35, 0.45, 0.4),  # a stool
+    ],
+    ids=["table", "low table", "table of unusual height", "chest", "stool"],
+)
+def test_furniture_is_found_where_it_is(solid: Obstruction) -> None:
+    search, start = _search((solid,))
     search.relight(start)
     (found,) = search.furniture(start).solids
-    low, high = np.array(found.low_m), np.array(found.high_m)
-    np.testing.assert_allclose(low[:2], [0.6, 1.3], atol=0.15)
-    np.testing.assert_allclose(high, [2.0, 2.1, 0.75], atol=0.15)
+    low = (solid.x_m, solid.y_m)
+    high = (solid.x_m + solid.width_m, solid.y_m + solid.depth_m, solid.z_m + solid.height_m)
+    np.testing.assert_allclose(found.low_m[:2], low, atol=0.15)
+    np.testing.assert_allclose(found.high_m, high, atol=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_an_empty_room_gets_no_furniture() -> None:
     search, start = _search(())
     search.relight(start)
     assert search.furniture(start) is start

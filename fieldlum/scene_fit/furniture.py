@@ -1,6 +1,7 @@
 """Propose furniture: boxes and table tops of usual sizes all over the room.
 
-The search adds a box only if it lowers the misfit enough.
+The search adds a box only if it lowers the misfit enough. `pixel_depths` proposes boxes of other
+sizes, but needs pixels that are close together.
 """
 
 from __future__ import annotations
@@ -18,17 +19,13 @@ from fieldlum.scene_fit.parameters import Parameter
 
 Array = NDArray[np.floating]
 
-# Usual furniture, from which searches start: side in plan, lower and upper end [m]. Columns, boxes
-# up to the ceiling, boxes as high as a desk (EN 527-1: 0.74 m), table tops with thin legs, below
-# which the sun passes. Sizes and distances are chosen, not varied.
+# Solids from which searches start: columns and boxes of three heights and up to the ceiling, and
+# table tops with thin legs at these heights, below which the sun passes. A desk has 0.74 m (EN
+# 527-1); the others are chosen so that a search reaches every height between. Sides in plan and
+# distances are chosen, not varied.
 TABLE_TOP_M = 0.05
-USUAL_M = (
-    (0.3, 0.0, np.inf),
-    (0.3, 0.0, 0.75),
-    (0.8, 0.0, np.inf),
-    (0.8, 0.0, 0.75),
-    (0.8, 0.75 - TABLE_TOP_M, 0.75),
-)
+SIDES_M = (0.3, 0.8)
+HEIGHTS_M = (0.4, 0.75, 1.1)
 LATTICE_M = 0.4
 SOLID_ALBEDO = 0.4
 CLEAR_M = 0.1
@@ -46,15 +43,18 @@ COLUMN_M, COLUMN_ALBEDO = 0.2, 0.5
 def lattice(guess: Guess) -> list[Solid]:
     """Return solids of usual sizes at every 0.4 m of the room's floor.
 
-    At each place: a column (0.3 m), a box (0.8 m), both up to the ceiling or up to 0.75 m, and a
-    table top (0.8 m). Walls cut them off. Solids around the camera are left out.
+    At each place: columns (0.3 m) and boxes (0.8 m) that are 0.4, 0.75 or 1.1 m high or reach the
+    ceiling, and table tops (0.8 m) at the same three heights. Walls cut them off. Solids around the
+    camera are left out.
     """
     width, length, height = guess.size_m
+    boxes = [(side, 0.0, min(top, height)) for side in SIDES_M for top in (*HEIGHTS_M, height)]
+    tables = [(SIDES_M[-1], top - TABLE_TOP_M, top) for top in HEIGHTS_M if top < height]
     solids: list[Solid] = []
-    for side, bottom, top in USUAL_M:
+    for side, bottom, top in boxes + tables:
         for x, y in product(_places(width), _places(length)):
             low = (max(x - side / 2.0, 0.0), max(y - side / 2.0, 0.0), bottom)
-            high = (min(x + side / 2.0, width), min(y + side / 2.0, length), min(top, height))
+            high = (min(x + side / 2.0, width), min(y + side / 2.0, length), top)
             solids.append(Solid(low, high, SOLID_ALBEDO))
     return [solid for solid in solids if not _holds_camera(guess, solid)]
 

@@ -142,7 +142,7 @@ def _plan(fit: SceneFit) -> Any:
     # In room axes, north is turn @ (0, 1): x = sin(azimuth), y = -cos(azimuth).
     tip = (x + 0.8 * float(np.sin(north)), y - 0.8 * float(np.cos(north)))
     axis.annotate(
-        "N", tip, (x, y), arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
+        "N", (x, y), tip, arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
     )
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]")

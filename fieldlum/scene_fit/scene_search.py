@@ -35,6 +35,7 @@ from fieldlum.scene_fit.parameters import (
     shape_parameters,
     stated_albedo,
 )
+from fieldlum.scene_fit.pixel_depths import clustered_solids, pixel_depths
 from fieldlum.scene_fit.principal_axes import DRAWN_SCENES, drawn_search, principal_search
 from fieldlum.scene_fit.profile import WALL
 from fieldlum.scene_fit.renderer import SHELL
@@ -61,8 +62,7 @@ SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
 BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
-# the same for a solid; a proposal that only explains noise gains less (docs/scene.md)
-SOLID_GAIN = 0.004
+SOLID_GAIN = 0.004  # the same for a solid; one that only explains noise gains less
 KEPT_OUT_GAIN = 0.001  # the same on held-out hours, which exceeds rounding; chosen
 # Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
 # searches start. A shade needs a larger gain, because a wrong one moves north, clock and edges.
@@ -257,7 +257,9 @@ class SceneSearch:
         limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
         trials: list[tuple[float, Guess]] = []
         parameters = solid_parameters(len(guess.solids))
-        for solid in propose_solids(guess, coarse, coarse.prior + coarse.without):
+        clustered = clustered_solids(pixel_depths(self.fit_evidence, guess, albedo), guess)
+        usual = propose_solids(guess, coarse, coarse.prior + coarse.without)
+        for solid in (*usual, *clustered):
             trial = replace(guess, solids=(*guess.solids, solid))
             trial, cost = pattern_search(coarse, trial, parameters, fine=4.0)
             if cost < limit:
@@ -378,8 +380,8 @@ class SceneSearch:
 
     def _drawn(self, guess: Guess, seed: int, tick: Callable[[int], None]) -> Guess:
         """Search all parameters together in all hours, at few pixels, by drawn scenes."""
-        objective = self.objective(self.evidence.coarse())
-        guess, _ = drawn_search(objective, guess, self.all_parameters(guess), seed, tick)
+        coarse = self.objective(self.evidence.coarse())
+        guess, _ = drawn_search(coarse, guess, self.all_parameters(guess), seed, tick)
         self.relight(guess)
         return guess
 
