@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.text import Annotation
 from test_scene_search import ROOM, captures
 
 from fieldlum.records import Obstruction
@@ -18,6 +19,7 @@ from fieldlum.scene_fit.exterior import (
 )
 from fieldlum.scene_fit.furniture import lattice, propose_solids
 from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.pictures import plan_of
 from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.stated_room import StatedRoom
@@ -93,6 +95,22 @@ def test_an_empty_room_gets_no_furniture() -> None:
     search, start = _search(())
     search.relight(start)
     assert search.furniture(start) is start
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("azimuth_deg", "right", "up"), [(180.0, 0, 1), (90.0, 1, 0), (0.0, 0, -1)]
+)
+def test_the_plan_shows_north(azimuth_deg: float, right: int, up: int) -> None:
+    """A wall that faces south is at the bottom, so that north is up."""
+    room = replace(ROOM, wall_azimuth_deg=azimuth_deg)
+    figure = plan_of(guess_of(room), room)
+    (label,) = (text for text in figure.axes[0].texts if text.get_text() == "N")
+    assert isinstance(label, Annotation)
+    camera = np.array(guess_of(room).camera_m[:2])
+    away = np.array(label.get_position()) - camera
+    np.testing.assert_allclose(away / np.linalg.norm(away), (right, up), atol=1e-9)
+    assert label.xy == pytest.approx(camera)
 
 
 @pytest.mark.property

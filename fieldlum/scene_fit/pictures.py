@@ -15,7 +15,10 @@ from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import Guess
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fieldlum.models.data import Dataset
+    from fieldlum.records import Room
 
 SHOWN_HOURS = 4  # chosen: one page in print
 PLAN_MARGIN_M = 2.0  # chosen: shows what is next to the walls
@@ -38,7 +41,7 @@ def draw(
     makers = {
         "overlay.png": lambda: _overlay(data, fit, evidence),
         "windows.png": lambda: _windows(evidence, guess, fit.albedo),
-        "plan.png": lambda: _plan(fit),
+        "plan.png": lambda: plan_of(fit.guess, fit.stated),
     }
     written = []
     for name, make in makers.items():
@@ -110,22 +113,21 @@ def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]
     return figure
 
 
-def _plan(fit: SceneFit) -> Any:
-    """Draw the room from above: walls, windows, furniture, camera, north.
+def plan_of(guess: Guess, stated: Room) -> Figure:
+    """Draw the room from above: walls, windows, furniture, camera, and north as a labelled arrow.
 
-    The stated room in blue.
+    stated: the room before the fit, drawn in blue. The "south" wall is at the bottom.
     """
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle
 
     from fieldlum.scene.geometry import WALLS
 
-    guess = fit.guess
     figure, axis = pyplot.subplots(figsize=(5.5, 8))
-    stated = Rectangle(
-        (0, 0), fit.stated.width_m, fit.stated.depth_m, fill=False, edgecolor=STATED_COLOUR, ls="--"
+    before = Rectangle(
+        (0, 0), stated.width_m, stated.depth_m, fill=False, edgecolor=STATED_COLOUR, ls="--"
     )
-    axis.add_patch(stated)
+    axis.add_patch(before)
     axis.add_patch(Rectangle((0, 0), *guess.size_m[:2], fill=False, edgecolor="black", lw=1.5))
     for rect in guess.windows:
         wall_axis, side = WALLS[rect.wall]
