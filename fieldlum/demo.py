@@ -41,12 +41,16 @@ YEAR = 2027  # of the simulated captures; chosen
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training."""
+    """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training.
 
-    height: int  # of the panoramas; they are twice as wide
-    quality: str  # of the rendered truth
-    budget_min: float  # of `train`
-    troubles: str = ""  # file in capture_plans/; "" for no troubles
+    height: rows of the panoramas, which are twice as wide; quality: of the rendered truth;
+    budget_min: of `train`; troubles: a file in capture_plans/, or "" for none.
+    """
+
+    height: int
+    quality: str
+    budget_min: float
+    troubles: str = ""
 
 
 PRESETS = {

@@ -246,22 +246,26 @@ def light_features(light: Light) -> Features:
 class Kernel:
     """Prior covariance, between two hours, of a pixel's luminance divided by the total light.
 
-    Values are relative to the pixel's usual luminance per total light. Each field except `facades`
-    and `beam_width` is the weight (prior variance) of one term. beam_width: distance between two
-    unit vectors to the sun over which the facade term changes (0.5 is about 29 degrees). The
-    defaults are from a study of one room and may change threefold with little effect
-    (docs/decisions/0003-light-kernel.md).
+    Values are relative to the pixel's usual luminance per total light. Each field except
+    `facades` and `beam_width` is the weight (prior variance) of one term. beam_width: distance
+    between two unit vectors to the sun over which the facade term changes (0.5 is about 29
+    degrees). The defaults are from a study of one room and may change threefold with little
+    effect (docs/decisions/0003-light-kernel.md). constant: a room that follows total light;
+    sky: distribution of the sky's light; facade: sun on the facades, smooth in the sun's
+    direction; cells: sun patches in cells of the picture; bounced: the sun's light in a coarse
+    model of the room; lamps: electric light, ten times the room's daylight at LAMP_LX outside;
+    changed: effect of a state of the room on its response to light.
     """
 
     facades: Facades
-    constant: float = 1.0  # a room that follows total light; the sun; the sun on the ground
+    constant: float = 1.0
     sky: float = 2.0
     beam_width: float = 0.5
-    facade: float = 1.0  # sun on the facades, smooth in the sun's direction
+    facade: float = 1.0
     cells: float = 0.5
-    bounced: float = 5.0  # the sun's light in a coarse model of the room
-    lamps: float = 100.0  # electric light: ten times the room's daylight at LAMP_LX outside
-    changed: float = 1.0  # effect of a state of the room on its response to light
+    bounced: float = 5.0
+    lamps: float = 100.0
+    changed: float = 1.0
 
     def __call__(self, a: Features, b: Features) -> Array:
         """Return the covariance between each hour of `a` and each hour of `b`, [len(a), len(b)].

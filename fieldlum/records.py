@@ -85,13 +85,17 @@ class Flag(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A place and its time zone."""
+    """A place and its time zone.
+
+    Latitude is positive to the north, longitude to the east. timezone: IANA name. altitude_m:
+    above sea level.
+    """
 
     name: str
-    latitude_deg: float  # north positive
-    longitude_deg: float  # east positive
-    timezone: str = "UTC"  # IANA
-    altitude_m: float = 0.0  # above sea level
+    latitude_deg: float
+    longitude_deg: float
+    timezone: str = "UTC"
+    altitude_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +119,9 @@ class Window:
     """A glazed rectangle in a wall of a box room.
 
     left_m: from the wall's left end, seen from inside, to the rectangle; sill_m: height of its
-    lower edge above the floor; width_m, height_m: its size; transmittance: of the glass.
+    lower edge above the floor; width_m, height_m: its size; transmittance: of the glass. panes:
+    equal panes next to each other, separated by vertical bars; frame_m: width of the frame and
+    of the bars; transom_m: height of a horizontal bar above the floor, 0 for none.
     """
 
     wall: Literal["south", "west", "north", "east"]
@@ -124,9 +130,9 @@ class Window:
     sill_m: float
     height_m: float
     transmittance: float = 0.88
-    panes: int = 1  # equal panes next to each other, separated by vertical frame bars
-    frame_m: float = 0.05  # width of the frame and of the bars
-    transom_m: float = 0.0  # height above the floor of a horizontal bar; 0: none
+    panes: int = 1
+    frame_m: float = 0.05
+    transom_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,20 +156,24 @@ class Obstruction:
 class Room:
     """A box room (kind box), or the Radiance file of a room (kind radiance).
 
-    The "south" wall of a box is y = 0 and faces ``wall_azimuth_deg``.
+    The "south" wall of a box is y = 0 and faces ``wall_azimuth_deg``. width_m is along x, which
+    is east if the south wall faces south: it grows towards the right-hand end of that wall seen
+    from OUTSIDE. depth_m is along y, away from the south wall; height_m along z.
+    wall_azimuth_deg: azimuth of the south wall's outward normal, clockwise from true north.
+    camera_tilt_deg: angle by which the panorama's centre column points up, and camera_roll_deg:
+    by which its right-hand side is low (both kind box only). file: .rad or .oct, and
+    viewpoint_m: x east, y north, z up (both kind radiance only).
     """
 
     kind: Literal["box", "radiance"] = "box"
-    # along x; x grows towards the right-hand end of the south wall seen from OUTSIDE, i.e. east
     width_m: float = 6.0
-    depth_m: float = 14.0  # along y, away from the south wall
+    depth_m: float = 14.0
     height_m: float = 4.5
     camera_x_m: float = 3.0
     camera_y_m: float = 3.0
     camera_z_m: float = 1.6
-    camera_tilt_deg: float = 0.0  # kind box: the panorama's centre column points up by it
-    camera_roll_deg: float = 0.0  # kind box: the panorama's right-hand side is low by it
-    # Azimuth of the outward normal of the "south" wall, clockwise from true north.
+    camera_tilt_deg: float = 0.0
+    camera_roll_deg: float = 0.0
     wall_azimuth_deg: float = 180.0
     wall_thickness_m: float = 0.25
     reflectance_walls: float = 0.5
@@ -173,8 +183,8 @@ class Room:
     reflectance_frame: float = 0.4
     window: tuple[Window, ...] = ()
     obstruction: tuple[Obstruction, ...] = ()
-    file: str = ""  # kind radiance: .rad or .oct
-    viewpoint_m: tuple[float, ...] = ()  # kind radiance: x east, y north, z up
+    file: str = ""
+    viewpoint_m: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,12 +211,15 @@ class SiteFile:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """Camera settings of one frame: nominal shutter time [s], f-number, ISO and filter."""
+    """Camera settings of one frame: nominal shutter time [s], f-number, ISO and filter.
+
+    nd: name of a neutral-density filter of the profile, "" for none.
+    """
 
     shutter_s: float
     f_number: float
     iso: float = 100.0
-    nd: str = ""  # name of a neutral-density filter of the profile; empty: none
+    nd: str = ""
 
 
 JsonTable = dict[str, Any]
@@ -230,12 +243,13 @@ def shutter_text(shutter_s: float) -> str:
 class Slot:
     """One planned bracket: its start, the sun's position then, the exposures and tags.
 
-    tags: words that the plan attaches to the bracket; empty without any.
+    tags: words that the plan attaches to the bracket; empty without any. sun_altitude_deg: true
+    altitude, without refraction; sun_azimuth_deg: clockwise from north.
     """
 
     t_utc: datetime
-    sun_altitude_deg: float  # true, no refraction
-    sun_azimuth_deg: float  # clockwise from north
+    sun_altitude_deg: float
+    sun_azimuth_deg: float
     exposures: tuple[Exposure, ...]
     tags: tuple[str, ...] = ()
 
@@ -249,8 +263,9 @@ class Slot:
 class IrradianceSample:
     """One reading of a pyranometer in W/m²; None for components that it does not measure.
 
-    ghi: global horizontal irradiance; dhi: diffuse horizontal; dni: direct normal; temperature_c:
-    as the instrument reports it [deg C].
+    ghi: global horizontal irradiance; dhi: diffuse horizontal; dni: direct normal;
+    temperature_c: as the instrument reports it [deg C]. status: as the instrument reports it,
+    "" for no fault; raw: the line or register words as received.
     """
 
     t_utc: datetime
@@ -258,8 +273,8 @@ class IrradianceSample:
     dhi_wm2: float | None = None
     dni_wm2: float | None = None
     temperature_c: float | None = None
-    status: str = ""  # empty: no fault reported
-    raw: str = ""  # the line or register words as received
+    status: str = ""
+    raw: str = ""
 
 
 # ----------------------------------------------------------------------------------------------
@@ -274,15 +289,17 @@ class SunSource:
     """The sun as the lens sees it, separate from the map.
 
     normal_illuminance_lx: on a plane normal to the sun, at the lens; a lower bound if origin is
-    "clipped". visible_fraction: share (0 to 1) of the disc's area that is not hidden. origin: where
-    the illuminance comes from; "" if unknown.
+    "clipped". visible_fraction: share (0 to 1) of the disc's area that is not hidden. origin:
+    where the illuminance comes from; "" if unknown. azimuth_deg: clockwise from north.
+    normal_illuminance_lx is that of the visible part. Values of origin: nd-frames, merge,
+    clipped, meter, dni, rendering, picture.
     """
 
     altitude_deg: float
-    azimuth_deg: float  # clockwise from north
-    normal_illuminance_lx: float  # of the visible part
+    azimuth_deg: float
+    normal_illuminance_lx: float
     visible_fraction: float = 1.0
-    origin: str = ""  # nd-frames, merge, clipped, meter, dni, rendering, picture
+    origin: str = ""
 
 
 @dataclass(frozen=True, slots=True)

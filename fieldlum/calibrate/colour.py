@@ -57,14 +57,15 @@ class Colours:
 class ColourFit:
     """Fitted coefficients, their relative uncertainty, and relative residuals of the readings.
 
-    y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over that by
-    y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance by camera,
-    with `scale`, over the reading minus 1, also for omitted readings.
+    y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over
+    that by y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance
+    by camera, with `scale`, over the reading minus 1, also for omitted readings. u_rel :
+    relative rms of the held-out errors. choice : how the number of coefficients was chosen.
     """
 
     y_from_rgb: tuple[float, float, float]
     scale: float
-    u_rel: float  # rms of the held-out errors
+    u_rel: float
     residual: Array
     choice: OrderSelection
 

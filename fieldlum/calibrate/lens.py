@@ -61,17 +61,19 @@ class LensFit:
     """A fitted lens, its held-out error, and warnings.
 
     residual_px [n] : distance of each target from its fitted place, omitted targets included;
-    rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners after `boards.fit`.
+    rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners after
+    `boards.fit`. widest_deg : largest angle of a target from the axis; the mapping extrapolates
+    beyond it. choice : how the polynomial's order was chosen. doubts : sentences about omitted
+    targets and a pose far from the profile's.
     """
 
     lens: Lens
     rms_px: float
     rms_deg: float
     residual_px: Array
-    # Largest angle of a target from the axis: beyond it the mapping is an extrapolation.
     widest_deg: float
     choice: OrderSelection
-    doubts: tuple[str, ...] = ()  # omitted targets; a pose far from the profile's
+    doubts: tuple[str, ...] = ()
 
 
 # ----------------------------------------------------------------------------------------------

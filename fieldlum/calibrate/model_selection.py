@@ -32,11 +32,15 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
-    """The index of the chosen candidate, from 0, and a line for the profile with the reason."""
+    """The index of the chosen candidate, from 0, and a line for the profile with the reason.
+
+    index: of the candidate; rms: its held-out rms; line: lists all candidates, and states why
+    this one was chosen.
+    """
 
     index: int
-    rms: float  # held-out rms of the chosen candidate
-    line: str  # lists the candidates and states why this one was chosen
+    rms: float
+    line: str
 
 
 def choose(

@@ -65,15 +65,16 @@ class LuminanceReading:
 class ScaleFit:
     """A fitted factor on k, its relative uncertainty, and how well the readings agree with it.
 
-    u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count less
-    in the fit.
+    u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count
+    less in the fit. factor: multiplies the profile's k. residual: meter over corrected picture
+    minus one [n]. line: a sentence with the held-out error.
     """
 
-    factor: float  # multiplies the profile's k
+    factor: float
     u_rel: float
-    residual: NDArray[np.float64]  # meter over corrected picture minus one, [n]
+    residual: NDArray[np.float64]
     far: tuple[str, ...]
-    line: str  # states the held-out error
+    line: str
 
 
 def from_table(

@@ -25,7 +25,9 @@ FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light c
 class ReferenceGlare:
     """evalglare's figures of one picture, without contrast, which it does not print.
 
-    sources : number of glare sources.
+    sources : number of glare sources. veiling_cdm2 : veiling luminance of Stiles and Holladay
+    without the age term, Lveil_cie of evalglare. ev_lx : vertical illuminance. version, flags :
+    of the evalglare that was run. NaN for figures that its version does not print.
     """
 
     dgp: float
@@ -38,7 +40,7 @@ class ReferenceGlare:
     flags: str
     ugp: float = float("nan")
     cgi: float = float("nan")
-    veiling_cdm2: float = float("nan")  # Lveil_cie: Stiles-Holladay without the age
+    veiling_cdm2: float = float("nan")
 
 
 @lru_cache(maxsize=1)

@@ -23,9 +23,14 @@ MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; no
 class Health:
     """What health.json reports about an instrument and its logger.
 
-    every_s: median time between rows. night_offset_wm2: median of the global at night.
-    closure_pass: share of testable rows with global = diffuse + direct. clock_off_s: middle of the
-    logged daylight minus solar noon. marks: number of rows with each mark. None: not determined.
+    rows: of the log; broken_lines: lines that could not be read; usable: rows that pass the
+    checks. every_s: median time between rows; gaps, longest_gap_s: number and longest of the
+    interruptions. night_offset_wm2: median of the global while the sun is under -6 degrees; it
+    is never subtracted. closure_pass: share of testable rows with global = diffuse + direct.
+    clock_off_s: middle of the logged daylight minus solar noon, from the light itself; it needs
+    a complete day between two nights. marks: number of rows with each mark. sensitivity_steps:
+    first day, and relative change, of each change of sensitivity; smallest_step: the smallest
+    relative change that would be detected. None: not determined, for example for too few days.
     """
 
     rows: int
@@ -34,16 +39,12 @@ class Health:
     every_s: float
     gaps: int
     longest_gap_s: float
-    # median of the global while the sun is under -6 degrees; it is never subtracted
     night_offset_wm2: float | None
-    closure_pass: float | None  # share of testable rows that agree, if direct is measured too
-    # determined from the light itself (`light_clock`); None without a complete day between two
-    # nights
+    closure_pass: float | None
     clock_off_s: float | None
     marks: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    sensitivity_steps: tuple[tuple[str, float], ...] = ()  # first day of the step, relative change
-    # smallest step that would be detected; None for too few days
+    sensitivity_steps: tuple[tuple[str, float], ...] = ()
     smallest_step: float | None = None
 
 

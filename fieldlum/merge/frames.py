@@ -79,21 +79,21 @@ def lens_crop(profile: CameraProfile) -> Crop:
 class RawSignal:
     """A cropped raw frame, shaped [rows / 2, 2, columns] so that each axis-1 row has two colours.
 
-    counts: as in the file; black: the black level [DN]; saturation: counts above black at which a
-    pixel saturates [DN]; per_cdm2: counts above black per cd/m2. Each of the last three is an array
-    [2, columns] if the four colours differ, otherwise a scalar. through_nd: whether a filter was
-    used.
+    counts: as in the file; black: the black level [DN]; saturation: counts above black at which
+    a pixel saturates [DN]; per_cdm2: counts above black per cd/m2. Each of the last three is an
+    array [2, columns] if the four colours differ, otherwise a scalar. through_nd: whether a
+    filter was used. noise_dn2: variance of read noise and quantisation [DN^2]; linearity: the
+    profile's coefficients, which correct shares of scale_dn; scale_dn: full scale above black.
     """
 
     counts: NDArray[np.uint16]
     black: NDArray[np.float32]
-    saturation: NDArray[np.float32]  # above black
+    saturation: NDArray[np.float32]
     per_cdm2: NDArray[np.float32]
     gain_e_per_dn: float
-    noise_dn2: float  # variance of read noise and quantisation [DN^2]
+    noise_dn2: float
     through_nd: bool = False
-    linearity: tuple[float, ...] = ()  # of the profile's sensor
-    # full scale above black; the unit of the shares that `linearity` corrects
+    linearity: tuple[float, ...] = ()
     scale_dn: float = 65535.0
 
     def _linear(self, above: NDArray[np.float32]) -> NDArray[np.float32]:

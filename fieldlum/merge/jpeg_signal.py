@@ -36,15 +36,15 @@ class JpegSignal:
     z is 1 at full scale; per_cdm2 is z per cd/m2. low_code, high_code: codes between which the
     response is well known. dark_end: this is the most exposed frame of the bracket, and is used
     below low_code too. bright_end: this is the least exposed frame, and is used up to code 250.
-    through_nd: whether a filter was used.
+    through_nd: whether a filter was used. z_of_code: [256, 3]. per_cdm2: [w, 3]; a scalar or
+    [3] also works, but is slower.
     """
 
     codes: NDArray[np.uint8]
-    z_of_code: NDArray[np.float32]  # [256, 3]
-    per_cdm2: NDArray[np.float32]  # [w, 3]; or a scalar or [3], which is slower
+    z_of_code: NDArray[np.float32]
+    per_cdm2: NDArray[np.float32]
     low_code: int
     high_code: int
-    # the most exposed frame, which is used below low_code too, as no frame is brighter
     dark_end: bool
     bright_end: bool
     through_nd: bool = False

@@ -38,10 +38,11 @@ class ProjectedImage:
     """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
 
     luminance [cd/m2]; rgb [n, 3]: luminance by each colour of the camera. variance: of the
-    luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens sees.
-    edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting, u_ratio:
-    relative standard uncertainties of the luminance due to vignetting and to the exposures. flags:
-    `Flag` bits.
+    luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens
+    sees. edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting,
+    u_ratio: relative standard uncertainties of the luminance due to vignetting and to the
+    exposures. flags: `Flag` bits. u_stray: standard uncertainty of the stray light that was
+    subtracted [cd/m2]. lens: None for several blended lenses.
     """
 
     luminance: NDArray[np.float64]
@@ -51,9 +52,9 @@ class ProjectedImage:
     u_vignetting: NDArray[np.float64]
     u_ratio: NDArray[np.float64]
     flags: NDArray[np.uint8]
-    rgb: NDArray[np.float64]  # [n, 3]
-    u_stray: NDArray[np.float64]  # of the stray light that was subtracted [cd/m2]
-    lens: Lens | None = None  # None for several lenses
+    rgb: NDArray[np.float64]
+    u_stray: NDArray[np.float64]
+    lens: Lens | None = None
 
 
 def _project(

@@ -30,10 +30,10 @@ class Sample:
     """Pixels sampled from one frame.
 
     counts: their counts above black; full: mask in the shape of counts, True at or next to
-    saturation.
+    saturation. signal: the frame reduced to the sampled pixels.
     """
 
-    signal: Signal  # the frame reduced to the sampled pixels
+    signal: Signal
     counts: NDArray[np.float32]
     full: NDArray[np.bool_]
 

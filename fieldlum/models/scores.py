@@ -47,13 +47,18 @@ BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribut
 class Scores:
     """The scores of n predicted maps: arrays [n] with a value for each map, NaN if not computed.
 
-    Errors are of log10 luminance L, predicted less true. mse, mse_weighted: mean squared error of
-    the pixels, equally weighted or by solid angle; error2, truth2: sums over pixels of squared
-    errors and of squared true log10 L; error2_weighted, truth2_weighted: the same times the pixels'
-    weights; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the squared and absolute
-    error of DGP, of true DGP and of its square; rammg_error: RAMMG predicted less true;
-    rammg_truth: true RAMMG; expected_mse: error that the model itself expected; trusted: whether
-    the model trusts the hour; slots: names of the hours.
+    Errors are of log10 luminance L, predicted less true. mse, mse_weighted: mean squared error
+    of the pixels, equally weighted or by solid angle; error2, truth2: sums over pixels of
+    squared errors and of squared true log10 L; error2_weighted, truth2_weighted: the same times
+    the pixels' weights; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the
+    squared and absolute error of DGP, of true DGP and of its square; rammg_error: RAMMG
+    predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
+    expected; trusted: whether the model trusts the hour; slots: names of the hours. dgp_mse has
+    the true sun's disc in the prediction; dgp_mse_own_disc the disc by the stated room, as a
+    user gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
+    pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting, by the
+    clock and by the processor. maps: those whose glare was computed, if `evaluate` has
+    keep_maps, otherwise None.
     """
 
     mse_weighted: NDArray[np.float64]
@@ -62,21 +67,20 @@ class Scores:
     truth2: NDArray[np.float64]
     error2_weighted: NDArray[np.float64]
     truth2_weighted: NDArray[np.float64]
-    dgp_mse: NDArray[np.float64]  # with the true sun's disc in the prediction
-    dgp_mse_own_disc: NDArray[np.float64]  # with the disc by the stated room, as a user gets it
-    bias_log10: NDArray[np.float64]  # weighted mean of log10 predicted over true
+    dgp_mse: NDArray[np.float64]
+    dgp_mse_own_disc: NDArray[np.float64]
+    bias_log10: NDArray[np.float64]
     dgp_mae: NDArray[np.float64]
-    dgp_mean: NDArray[np.float64]  # of the truth, over the views
+    dgp_mean: NDArray[np.float64]
     dgp_square: NDArray[np.float64]
     rammg_error: NDArray[np.float64]
     rammg_truth: NDArray[np.float64]
     expected_mse: NDArray[np.float64]
     trusted: NDArray[np.bool_]
-    in_band: NDArray[np.float64]  # share of pixels whose truth is in the model's 90 % interval
-    seconds: float = 0.0  # spent predicting, by the clock
+    in_band: NDArray[np.float64]
+    seconds: float = 0.0
     cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
-    # maps for which glare was computed, if `evaluate` has keep_maps
     maps: HeldOutMaps | None = None
 
     def __len__(self) -> int:

@@ -35,7 +35,14 @@ NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cau
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One merged bracket: its panorama, its times, and what merge recorded about it."""
+    """One merged bracket: its panorama, its times, and what merge recorded about it.
+
+    slot: its id. t_open_utc, t_close_utc: start of the first and end of the last frame.
+    meter_lx: reading of an illuminance meter, None without one. complete: whether no frame is
+    missing or unreadable. frames: sha256 of each frame. double_of: id of another slot with the same
+    frames, or "". sun_u_percent: uncertainty of the sun's illuminance because few pixels on the
+    disc are usable.
+    """
 
     slot: str
     panorama: Path
@@ -43,9 +50,9 @@ class Taken:
     t_close_utc: datetime
     meter_lx: float | None = None
     complete: bool = True
-    frames: frozenset[str] = frozenset()  # sha256 of each frame
-    double_of: str = ""  # another slot with the same frames; "" if there is none
-    sun_u_percent: float = 0.0  # uncertainty of its illuminance from few usable pixels on the disc
+    frames: frozenset[str] = frozenset()
+    double_of: str = ""
+    sun_u_percent: float = 0.0
 
     @property
     def t_utc(self) -> datetime:
@@ -57,12 +64,15 @@ class Taken:
 class Pair:
     """One row of pairs.csv: a bracket with its light, sun and sun patch.
 
-    why: the reason that it must not be used, "" if it may be. caution: a doubt, or "".
+    why: the reason that it must not be used, "" if it may be. caution: a doubt, or "". taken:
+    the bracket; light: irradiance during it. sun_altitude_deg: true altitude, without
+    refraction; sun_azimuth_deg: clockwise from north. sunpatch: file of the sun patch,
+    in the session's folder, or "".
     """
 
     taken: Taken
     light: Outside
-    sun_altitude_deg: float  # true altitude, without refraction
+    sun_altitude_deg: float
     sun_azimuth_deg: float
     sunpatch: str = ""
     why: str = ""

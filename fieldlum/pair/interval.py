@@ -22,13 +22,16 @@ COARSEST_S = 900.0  # rows with longer intervals do not describe a bracket; not 
 class Outside:
     """Outdoor irradiance during a bracket; NaN is unknown.
 
-    why: the reason that this irradiance must not be used, or ""; caution: a doubt about it, or "".
+    why: the reason that this irradiance must not be used, or ""; caution: a doubt about it, or
+    "". ghi_wm2, dhi_wm2, dni_wm2: means of global and diffuse horizontal and direct normal
+    irradiance. steadiness: (max - min) / mean of the global; 0 is perfectly steady. source:
+    where the values come from. rows: number of irradiance rows in the interval.
     """
 
     ghi_wm2: float = np.nan
     dhi_wm2: float = np.nan
     dni_wm2: float = np.nan
-    steadiness: float = 0.0  # (max - min) / mean of the global; 0 is perfectly steady
+    steadiness: float = 0.0
     source: str = ""
     rows: int = 0
     why: str = ""

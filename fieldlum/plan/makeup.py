@@ -28,11 +28,14 @@ MOST_OFF_DEG = 12.0
 
 @dataclass(frozen=True, slots=True)
 class MakeUp:
-    """A missed slot and the slot that repeats it, by id, and the angle between their suns."""
+    """A missed slot and the slot that repeats it, by id, and the angle between their suns.
+
+    Ids are those of slots; sun_off_deg: angle between the sun's directions in the two slots.
+    """
 
     missed: str
     slot: str
-    sun_off_deg: float  # angle between the two suns
+    sun_off_deg: float
 
 
 @dataclass(frozen=True, slots=True)

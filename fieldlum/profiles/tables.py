@@ -10,7 +10,11 @@ from fieldlum.projection import LensGeometry
 
 @dataclass(frozen=True, slots=True)
 class CameraBody:
-    """Name and kind of the camera, the size of its frames [px], and a lens's fixed aperture."""
+    """Name and kind of the camera, the size of its frames [px], and a lens's fixed aperture.
+
+    date: ISO date of the calibration. fixed_f_number: aperture of a lens that writes none to
+    EXIF; 0 if EXIF states it.
+    """
 
     name: str
     kind: Literal["raw", "jpeg"]
@@ -18,44 +22,50 @@ class CameraBody:
     height_px: int
     make: str = ""
     model: str = ""
-    date: str = ""  # of the calibration, ISO
+    date: str = ""
     note: str = ""
-    fixed_f_number: float = 0.0  # of a lens that writes none to EXIF; 0: EXIF states it
+    fixed_f_number: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """The sensor of a raw camera; four values are those of R, G1, G2, B, in DN."""
+    """The sensor of a raw camera; four values are those of R, G1, G2, B, in DN.
+
+    cfa: colours of the top left 2 x 2 pixels. black_dn: counts without light. saturation_dn:
+    the plateau in the frames, not the white level in the file. white_dn: counts (black
+    included) at which linear z is 1 by definition; it determines only the unit of scale.k.
+    gain_e_per_dn: at ISO `iso`. linearity: light over counts is 1 + a1 x + a2 x2 + ..., with x
+    the share of white_dn above black; empty if not calibrated. linearity_u_rel: relative
+    standard uncertainty. exposure_offset_s: seconds by which an electronic shutter opens longer
+    than stated. bad_px: (column, row) of pixels that are never used.
+    """
 
     cfa: str = "RGGB"
     black_dn: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-    # The plateau in the frames, not the white level in the file.
     saturation_dn: tuple[float, ...] = (65535.0, 65535.0, 65535.0, 65535.0)
-    # Counts (black included) at which linear z is 1 by definition; determines only the unit of
-    # scale.k.
     white_dn: float = 65535.0
-    gain_e_per_dn: float = 1.0  # at iso
+    gain_e_per_dn: float = 1.0
     read_noise_e: float = 3.0
     iso: float = 100.0
-    # Light over counts, 1 + a1 x + a2 x2 + ..., x the share of white_dn above black; empty: not
-    # calibrated.
     linearity: tuple[float, ...] = ()
-    # Relative; a 12-bit CCD of EMVA1288/datasets departs by +0.3 to -1.2 %, uniform over 1.5 % is
-    # 0.43 % (bench/real_sensor.py).
+    # A 12-bit CCD of EMVA1288/datasets departs by +0.3 to -1.2 %; uniform over 1.5 % is 0.43 %
+    # (bench/real_sensor.py).
     linearity_u_rel: float = 0.0043
-    # seconds by which an electronic shutter opens longer than stated
     exposure_offset_s: float = 0.0
-    bad_px: tuple[tuple[int, int], ...] = ()  # column, row of pixels that are never used
+    bad_px: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Bracket:
-    """The exposures that a plan uses by default; shutter times are nominal."""
+    """The exposures that a plan uses by default; shutter times are nominal.
+
+    nd: names of filters; for each, the times nd_shutter_s are repeated with the filter.
+    """
 
     f_number: float
     iso: float
     shutter_s: tuple[float, ...]
-    nd: tuple[str, ...] = ()  # for each filter, the shortest times are repeated with the filter
+    nd: tuple[str, ...] = ()
     nd_shutter_s: tuple[float, ...] = ()
     seconds_per_frame: float = 2.0
     megabytes_per_frame: float = 25.0
@@ -86,19 +96,22 @@ class Vignetting:
 class Lens:
     """One lens on the sensor.
 
-    Pixel coordinates: (0, 0) is the top left corner of the sensor's top left pixel.
+    Pixel coordinates: (0, 0) is the top left corner of the sensor's top left pixel. centre_px:
+    of the image circle, x to the right, y down; radius_px: of the image circle at
+    full_angle_deg / 2. coefficients: c_k of a polynomial mapping, r / radius_px = sum c_k
+    (angle / half angle)^(k + 1). azimuth_deg: of the optical axis relative to the camera's
+    heading, clockwise; tilt_deg: up; roll_deg: clockwise as seen from behind the camera.
     """
 
-    centre_px: tuple[float, float]  # x to the right, y down
-    radius_px: float  # of the image circle at full_angle_deg / 2
+    centre_px: tuple[float, float]
+    radius_px: float
     full_angle_deg: float
     mapping: Literal["equidistant", "equisolid", "polynomial"] = "equisolid"
-    # Of a polynomial: r / radius_px = sum c_k (angle / half angle)^(k + 1).
     coefficients: tuple[float, ...] = ()
     name: str = "lens"
-    azimuth_deg: float = 0.0  # optical axis relative to the camera's heading, clockwise
-    tilt_deg: float = 0.0  # up
-    roll_deg: float = 0.0  # clockwise as seen from behind the camera
+    azimuth_deg: float = 0.0
+    tilt_deg: float = 0.0
+    roll_deg: float = 0.0
     vignetting: tuple[Vignetting, ...] = ()
 
     @property
@@ -118,34 +131,45 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The response of a JPEG camera, from codes to linear z in [0, 1]."""
+    """The response of a JPEG camera, from codes to linear z in [0, 1].
+
+    red, green, blue: for a polynomial the coefficients, c_0 first, of code / 255; for a table
+    256 values of z. Codes outside low_code ... high_code have no weight. u_rel: relative
+    standard uncertainty.
+    """
 
     kind: Literal["linear", "srgb", "polynomial", "table"] = "linear"
-    red: tuple[float, ...] = ()  # polynomial: c_0 first, in code / 255; table: 256 values
+    red: tuple[float, ...] = ()
     green: tuple[float, ...] = ()
     blue: tuple[float, ...] = ()
-    low_code: int = 27  # codes outside [low_code, high_code] have no weight
+    low_code: int = 27
     high_code: int = 228
     u_rel: float = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB."""
+    """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB.
+
+    rgb_to_radiance: matrix of 9 values, row by row; if empty, no colour is written, only Y.
+    """
 
     y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
-    # 9 values, row by row; empty: no colour is written, only Y.
     rgb_to_radiance: tuple[float, ...] = ()
     u_rel: float = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale k: L = k * 87 * N^2 / (t S) * z with z in [0, 1], t in s (87: hdrgen's stonits)."""
+    """The scale k: L = k * 87 * N^2 / (t S) * z with z in [0, 1], t in s (87: hdrgen's stonits).
+
+    N: f-number, t: shutter time, S: ISO. u_rel: relative standard uncertainty of k. f_numbers:
+    apertures for which k is valid; empty for all.
+    """
 
     k: float = 1.0
     u_rel: float = 0.05
-    f_numbers: tuple[float, ...] = ()  # apertures for which k is valid; empty: all
+    f_numbers: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,26 +186,37 @@ class StrayLight:
 
 @dataclass(frozen=True, slots=True)
 class NeutralDensity:
-    """A neutral-density filter: its name, its factor by colour, and the relative uncertainty."""
+    """A neutral-density filter: its name, its factor by colour, and the relative uncertainty.
+
+    factor_rgb: luminance without the filter over luminance with it, for red, green and blue.
+    """
 
     name: str
-    factor_rgb: tuple[float, float, float]  # luminance without over luminance with the filter
+    factor_rgb: tuple[float, float, float]
     u_rel: float = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """The origin of a profile's values: source, who fitted them, frames' hashes, log."""
+    """The origin of a profile's values: source, who fitted them, frames' hashes, log.
+
+    log: one line for each fit, with the choice and its reason.
+    """
 
     source: str = ""
     fitted_by: str = ""
     frames_sha256: tuple[str, ...] = ()
-    log: tuple[str, ...] = ()  # one line for each fit: the choice and its reason
+    log: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class CameraProfile:
-    """A camera profile: everything between sensor counts and cd/m2, with its uncertainty."""
+    """A camera profile: everything between sensor counts and cd/m2, with its uncertainty.
+
+    glare_floor_rel: veiling glare of the lens, as a share of the mean luminance; 0 once [stray]
+    is calibrated. expires: ISO date after which doctor reports a failure, or "". shutter_law:
+    how nominal times without a measured time are converted (photometry/shutter_law.py).
+    """
 
     camera: CameraBody
     lens: tuple[Lens, ...]
@@ -192,10 +227,8 @@ class CameraProfile:
     colour: Colour = field(default_factory=Colour)
     scale: Scale = field(default_factory=Scale)
     nd: tuple[NeutralDensity, ...] = ()
-    # Veiling glare of the lens, as a share of the mean luminance; 0 once [stray] is calibrated.
     glare_floor_rel: float = 0.0005
     stray: StrayLight = field(default_factory=StrayLight)
-    expires: str = ""  # ISO date after which doctor reports a failure
+    expires: str = ""
     provenance: Provenance = field(default_factory=Provenance)
-    # How nominal times without a measured time are converted: see photometry/shutter_law.py.
     shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"

@@ -45,10 +45,11 @@ class Resampler:
     """Matrices [target pixels, sensor pixels] by colour; rows sum to 1, or 0 where nothing is seen.
 
     coverage : share of a target pixel's solid angle that is on the sensor inside the lens,
-    [pixels]. angle_rad : mean angle from the optical axis of that part, [pixels].
+    [pixels]. angle_rad : mean angle from the optical axis of that part, [pixels]. matrices :
+    scipy.sparse.csr_array of float32 for each colour. shape : of the target [rows, columns].
     """
 
-    matrices: dict[str, Any]  # scipy.sparse.csr_array, float32
+    matrices: dict[str, Any]
     coverage: NDArray[np.float32]
     angle_rad: NDArray[np.float32]
     shape: tuple[int, int]

@@ -20,12 +20,15 @@ NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with its alternative text and caption: either SVG text, or a PNG in base64."""
+    """A picture with its alternative text and caption: either SVG text, or a PNG in base64.
+
+    The unused one of svg and png is "".
+    """
 
     alt: str
     caption: str
     svg: str = ""
-    png: str = ""  # base64
+    png: str = ""
 
 
 def named(azimuth_deg: float) -> str:

@@ -59,24 +59,31 @@ def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Array, Array]
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """An opaque matt box from corner `low` to corner `high`."""
+    """An opaque matt box from corner `low` to corner `high`.
+
+    low, high: (x, y, z) in m, in room axes. reflectance: 0 to 1. kind: floor, ceiling, wall,
+    frame, obstruction or ground.
+    """
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     reflectance: float
-    kind: str  # floor, ceiling, wall, frame, obstruction, ground
+    kind: str
 
 
 @dataclass(frozen=True, slots=True)
 class Opening:
     """The hole of a window through its wall, and the pane in it.
 
-    u is the horizontal coordinate along the wall: x or y.
+    axis: of the wall's normal, 0 for x and 1 for y; outward: -1 or 1, the direction out of the
+    room along that axis. inner_m, outer_m: coordinates of the wall's inside and outside face
+    along that axis. u_m: from and to along the wall, in x or y; z_m: from and to in height.
+    transmittance: of the pane.
     """
 
-    axis: int  # of the wall's normal
-    outward: int  # -1 or 1 along that axis
-    inner_m: float  # coordinate of the wall's inside face
+    axis: int
+    outward: int
+    inner_m: float
     outer_m: float
     u_m: tuple[float, float]
     z_m: tuple[float, float]
@@ -100,12 +107,16 @@ class Opening:
 
 @dataclass(frozen=True)
 class BoxScene:
-    """The boxes, openings and camera of a box room."""
+    """The boxes, openings and camera of a box room.
+
+    camera_m: (x, y, z) in room axes. shell: the corners (low, high) of the building's outside.
+    wall_azimuth_deg: of the "south" wall's outward normal, clockwise from north.
+    """
 
     boxes: tuple[Box, ...]
     openings: tuple[Opening, ...]
     camera_m: tuple[float, float, float]
-    shell: tuple[tuple[float, float, float], tuple[float, float, float]]  # the building's outside
+    shell: tuple[tuple[float, float, float], tuple[float, float, float]]
     wall_azimuth_deg: float
 
     @cached_property

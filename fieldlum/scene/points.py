@@ -22,20 +22,24 @@ _TILE = 64  # points in a tile, which is skipped by its bounding box; decides sp
 class SunPoints:
     """Points on matt surfaces, ready for shadow tests.
 
-    `direct(toward)` returns, for each target, the sum over its points of weight x cosine x glass x
-    visibility: a luminance for weights of reflectance / pi, an irradiance for weights of 1 / count,
-    both per lx on the sun's normal. Points inside the panes see the sun only through an opening;
-    points outside see it past the building.
+    `direct(toward)` returns, for each target, the sum over its points of weight x cosine x
+    glass x visibility: a luminance for weights of reflectance / pi, an irradiance for weights
+    of 1 / count, both per lx on the sun's normal. Points inside the panes see the sun only
+    through an opening; points outside see it past the building. For m points: position [m, 3]
+    in m, slightly above the surface; axis and sign of the surface's normal; weight; target:
+    index of the target that the point belongs to; inside: whether it is inside the panes.
+    tile_low, tile_high: corners of boxes [tiles, 3] that hold neighbouring points. targets:
+    their number.
     """
 
     scene: BoxScene
-    position: NDArray[np.float32]  # [m, 3], slightly above the surface
+    position: NDArray[np.float32]
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
     weight: NDArray[np.float32]
     target: NDArray[np.int32]
     inside: NDArray[np.bool_]
-    tile_low: NDArray[np.float32]  # [tiles, 3]
+    tile_low: NDArray[np.float32]
     tile_high: NDArray[np.float32]
     targets: int
 

@@ -23,10 +23,12 @@ WINDOW_RAYS = 3  # in each direction of a pixel, for its share of window; not me
 class SceneView:
     """The panorama's rays, traced once.
 
-    Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel, and
-    weight: the share of the pixel times the glass in between (or its mirror), so that luminance =
-    sum of weight x reflectance x E / pi. sky [H, W] : share of the pixel that sees the sky, times
-    the glass. plain [H, W] : the same for the open plain beyond the modelled ground.
+    Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel,
+    and weight: the share of the pixel times the glass in between (or its mirror), so that
+    luminance = sum of weight x reflectance x E / pi. sky [H, W] : share of the pixel that sees
+    the sky, times the glass. plain [H, W] : the same for the open plain beyond the modelled
+    ground. height: rows of the panorama; heading_deg: azimuth of its centre column. Samples
+    from index first_mirrored on are mirror images.
     """
 
     scene: BoxScene
@@ -38,7 +40,7 @@ class SceneView:
     box: NDArray[np.int32]
     pixel: NDArray[np.int32]
     weight: Array
-    first_mirrored: int  # samples from here on are mirror images
+    first_mirrored: int
     sky: NDArray[np.float32]
     plain: NDArray[np.float32]
 

@@ -82,9 +82,9 @@ class Rendering:
 class GroundTruth:
     """A room that can be rendered in any light; `ground_truth` creates it.
 
-    from_points : CSR [m, columns] gathered irradiance of the pixels' points; to_pixels : CSR
-    [H W, m] their part in each pixel (reflectance / pi, glass, smoothing); from_pieces : CSR [p,
-    columns] of the surface pieces.
+    from_points : CSR [m, columns] gathered irradiance of the pixels' points; to_pixels : CSR [H
+    W, m] their part in each pixel (reflectance / pi, glass, smoothing); from_pieces : CSR [p,
+    columns] of the surface pieces. key : identifies room, size and quality; "" if not stored.
     """
 
     setup: SiteFile
@@ -93,7 +93,7 @@ class GroundTruth:
     from_points: Any
     to_pixels: Any
     from_pieces: Any
-    key: str = ""  # of room, size and quality
+    key: str = ""
 
     @property
     def height(self) -> int:

@@ -46,8 +46,9 @@ class PairRow:
     panorama, sunpatch: paths relative to the csv. An empty text means that there is none; NaN means
     unknown. sun_altitude_deg: true, without refraction; steadiness: range of the global irradiance
     over its mean; sun_in_map: whether the pictures contain the disc; refraction: False for a
-    rendering that shows the sun at its true altitude; line: number of the line in the csv, from 1,
-    0 if not read.
+    rendering that shows the sun at its true altitude; ok: whether the row may be
+    used; why: the reason if not; state: of the room, such as lamp=on; line: number of the line in
+    the csv, from 1, 0 if not read.
     """
 
     t_utc: datetime
