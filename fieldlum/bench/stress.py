@@ -264,10 +264,10 @@ class StressRow:
     name: model and options; regime: name of the condition; n_train, n_test: numbers of hours.
     log10_mse_weighted, median, worst: mean, median and largest error of the test hours.
     expected_mse: mean error that the model expected, None if it expects none. untrusted_share: of
-    the test hours. warned: whether the fit warned; told: whether the tool reported the error in any
-    way. wild: number of hours with gross errors; wild_unflagged: those without any warning,
-    distrust or large expected error. beside: regime of the normal case; times_normal: the mean
-    error over that of the normal case.
+    the test hours. warned: whether the fit warned. Other columns, in order: whether the tool
+    reported the error in any way; the number of hours with gross errors, and of those without any
+    warning, distrust or large expected error; the regime of the normal case; the mean error over
+    that of the normal case.
     """
 
     name: str
