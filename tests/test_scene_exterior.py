@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from matplotlib.text import Annotation
 from test_scene_search import ROOM, captures
 
 from fieldlum.records import Obstruction
+from fieldlum.scene_fit.acceptance import SOLID_GAIN, pays
+from fieldlum.scene_fit.bars import propose_merged
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.exterior import (
     exterior_parameters,
@@ -18,10 +21,11 @@ from fieldlum.scene_fit.exterior import (
     propose_exterior,
 )
 from fieldlum.scene_fit.furniture import lattice, propose_solids
-from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.pictures import plan_of
 from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.scene_search import SceneSearch
+from fieldlum.scene_fit.search import GuessCost
 from fieldlum.scene_fit.stated_room import StatedRoom
 
 HIDDEN_ELEVATION_DEG = 22.0
@@ -76,8 +80,9 @@ def test_a_room_without_a_shade_gets_none() -> None:
         Obstruction(0.6, 1.1, 0.55, 1.2, 0.8, 0.05, 0.5),
         Obstruction(3.4, 1.0, 0.0, 0.8, 0.8, 0.4, 0.5),  # a chest
         Obstruction(1.0, 1.4, 0.0, 0.35, 0.35, 0.45, 0.4),  # a stool
+        Obstruction(0.0, 1.4, 0.0, 0.4, 1.8, 2.0, 0.5),  # a cabinet at the west wall
     ],
-    ids=["table", "low table", "table of unusual height", "chest", "stool"],
+    ids=["table", "low table", "table of unusual height", "chest", "stool", "cabinet"],
 )
 def test_furniture_is_found_where_it_is(solid: Obstruction) -> None:
     search, start = _search((solid,))
@@ -95,6 +100,41 @@ def test_an_empty_room_gets_no_furniture() -> None:
     search, start = _search(())
     search.relight(start)
     assert search.furniture(start) is start
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("gain", "kept_out_gain", "stays"),
+    [
+        (0.005, 0.002, True),
+        (0.005, 0.0, False),  # only the searched hours want it
+        (0.003, 0.1, False),
+        (0.03, 0.0, True),  # no held-out hour sees it
+        (0.03, -0.01, False),  # held-out hours contradict
+    ],
+)
+def test_an_element_stays_if_held_out_hours_agree(
+    gain: float, kept_out_gain: float, stays: bool
+) -> None:
+    without = guess_of(ROOM)
+    with_it = replace(without, north_deg=1.0)  # any other guess
+
+    def cost(share: float) -> GuessCost:
+        return cast("GuessCost", lambda guess: 1.0 - share if guess is with_it else 1.0)
+
+    assert pays(cost(gain), cost(kept_out_gain), without, with_it, SOLID_GAIN) is stays
+
+
+@pytest.mark.analytic
+def test_two_bars_that_touch_may_be_one() -> None:
+    bars = (
+        Bar(0, False, (1.85, 1.88), (0.1, 0.2)),
+        Bar(0, False, (1.90, 1.91), (0.1, 0.25)),
+        Bar(0, False, (2.10, 2.15), (0.1, 0.2)),
+        Bar(0, True, (1.85, 1.88), (0.1, 0.2)),
+    )
+    (merged,) = propose_merged(replace(guess_of(ROOM), bars=bars))
+    assert merged.bars == (bars[2], bars[3], Bar(0, False, (1.85, 1.91), (0.1, 0.2)))
 
 
 @pytest.mark.analytic

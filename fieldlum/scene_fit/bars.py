@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,28 @@ RUNNING_M = 1.0
 MAX_BAR_M = 0.2
 MIN_BAR_M = 0.015
 START_DEPTH_M = 0.06
+MAX_GAP_M = 0.05  # between two bars that may be one; chosen
 # share of a pixel's rays that must be lit, so that its brightness counts; chosen, not varied
 _LIT_SHARE = 0.8
+
+
+def propose_merged(guess: Guess) -> list[Guess]:
+    """Return guesses in which two parallel bars of a window, at most 5 cm apart, are one bar.
+
+    It is the last bar of each guess, covers both, and has the depth of the wider one.
+    """
+    proposals: list[Guess] = []
+    for one, other in combinations(guess.bars, 2):
+        if (one.window, one.upright) != (other.window, other.upright):
+            continue
+        (low, end), (start, high) = sorted((one.span_m, other.span_m))
+        if start - end > MAX_GAP_M:
+            continue
+        wider = max(one, other, key=lambda bar: bar.span_m[1] - bar.span_m[0])
+        both = replace(wider, span_m=(low, max(end, high)))
+        rest = [bar for bar in guess.bars if bar is not one and bar is not other]
+        proposals.append(replace(guess, bars=(*rest, both)))
+    return proposals
 
 
 @dataclass(frozen=True)

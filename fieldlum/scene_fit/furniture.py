@@ -31,6 +31,10 @@ SOLID_ALBEDO = 0.4
 CLEAR_M = 0.1
 APART_M = 0.45
 MAX_PROPOSALS = 6
+# Cabinets and shelves against walls: depth, length and heights; chosen as usual sizes.
+CABINET_DEPTH_M = 0.4
+CABINET_LENGTH_M = 1.6
+CABINET_HEIGHTS_M = (0.75, 1.1, 2.0)
 MIN_SIDE_M = 0.04  # a thinner solid only explains noise; chosen, not measured
 
 # Chosen: twice the tape's 5 cm; places between window and camera, thickness and albedo (that of
@@ -41,11 +45,11 @@ COLUMN_M, COLUMN_ALBEDO = 0.2, 0.5
 
 
 def lattice(guess: Guess) -> list[Solid]:
-    """Return solids of usual sizes at every 0.4 m of the room's floor.
+    """Return solids of usual sizes at every 0.4 m of the room's floor and along its walls.
 
     At each place: columns (0.3 m) and boxes (0.8 m) that are 0.4, 0.75 or 1.1 m high or reach the
-    ceiling, and table tops (0.8 m) at the same three heights. Walls cut them off. Solids around the
-    camera are left out.
+    ceiling, and table tops (0.8 m) at the same three heights. Along walls: cabinets of 1.6 x 0.4 m
+    that are 0.75, 1.1 or 2 m high. Walls cut them off. Solids around the camera are left out.
     """
     width, length, height = guess.size_m
     boxes = [(side, 0.0, min(top, height)) for side in SIDES_M for top in (*HEIGHTS_M, height)]
@@ -56,7 +60,25 @@ def lattice(guess: Guess) -> list[Solid]:
             low = (max(x - side / 2.0, 0.0), max(y - side / 2.0, 0.0), bottom)
             high = (min(x + side / 2.0, width), min(y + side / 2.0, length), top)
             solids.append(Solid(low, high, SOLID_ALBEDO))
+    solids += _cabinets(guess)
     return [solid for solid in solids if not _holds_camera(guess, solid)]
+
+
+def _cabinets(guess: Guess) -> list[Solid]:
+    """Return cabinets of three heights at every 0.4 m along the four walls."""
+    solids: list[Solid] = []
+    for (axis, side), top in product(WALLS.values(), CABINET_HEIGHTS_M):
+        along = 1 - axis
+        depth = (guess.size_m[axis] - CABINET_DEPTH_M, guess.size_m[axis])
+        for middle in _places(guess.size_m[along]):
+            low, high = [0.0, 0.0, 0.0], [0.0, 0.0, min(top, guess.size_m[2])]
+            low[axis], high[axis] = depth if side else (0.0, CABINET_DEPTH_M)
+            low[along] = max(middle - CABINET_LENGTH_M / 2.0, 0.0)
+            high[along] = min(middle + CABINET_LENGTH_M / 2.0, guess.size_m[along])
+            solids.append(
+                Solid((low[0], low[1], low[2]), (high[0], high[1], high[2]), SOLID_ALBEDO)
+            )
+    return solids
 
 
 def _places(extent_m: float) -> Array:

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.scene_fit.acceptance import BAR_GAIN, SHADE_GAIN, SOLID_GAIN, pays
 from fieldlum.scene_fit.bars import (
     MAX_BAR_M,
     MIN_BAR_M,
     propose_bars,
+    propose_merged,
     seen_picture,
     window_picture,
 )
@@ -61,16 +63,12 @@ KEPT_OUT_EVERY = 3
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
-BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
-SOLID_GAIN = 0.004  # the same for a solid; one that only explains noise gains less
-KEPT_OUT_GAIN = 0.001  # the same on held-out hours, which exceeds rounding; chosen
 # Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
-# searches start. A shade needs a larger gain, because a wrong one moves north, clock and edges.
+# searches start.
 MAX_SOLIDS = 8
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SOLID_TRIALS = 3
-SHADE_GAIN = 0.02
 FINAL_VIEW_WEIGHT = 0.2  # of the windows' picture in the last searches (decision 28)
 
 
@@ -162,10 +160,7 @@ class SceneSearch:
         return guess
 
     def shaded(self, guess: Guess) -> Guess:
-        """Add up to two blinds, curtains, facades, canopies, arched or slanted window tops.
-
-        One is added only if it lowers the cost by at least 2 %, and by 0.1 % in held-out hours.
-        """
+        """Add up to two blinds, curtains, facades, canopies, arched or slanted tops that pay."""
         coarse = self.objective(self.fit_evidence.coarse())
         for _ in range(MAX_SHADES):
             trials = [self._covered(guess, coarse), self._faced(guess), self._shaped(guess, coarse)]
@@ -238,20 +233,23 @@ class SceneSearch:
                 guess = without
         return guess
 
+    def _merged(self, guess: Guess) -> Guess:
+        """Return the guess with one bar for two neighbours that do not explain clearly more."""
+        objective = self.objective(self.evidence.coarse())
+        for trial in propose_merged(guess):
+            one, cost = pattern_search(objective, trial, bar_parameters(trial)[-3:])
+            if cost < objective(guess) * (1.0 + BAR_GAIN):
+                return self._merged(one)
+        return guess
+
     def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
         """Return whether an element lowers the misfit enough, in fitted and in held-out hours."""
-        for hours, share in ((self.fit_hours, least), (self.kept_out, KEPT_OUT_GAIN)):
-            objective = self.objective(self.evidence.hours(hours))
-            if objective(with_it) > objective(without) * (1.0 - share):
-                return False
-        return True
+        both = (self.fit_hours, self.kept_out)
+        fitted, kept_out = (self.objective(self.evidence.hours(hours)) for hours in both)
+        return pays(fitted, kept_out, without, with_it, least)
 
     def furniture(self, guess: Guess) -> Guess:
-        """Return the guess with the proposed solid that lowers the misfit most.
-
-        Return the same object if none of the best three lowers it by 0.4 %, and by 0.1 % in
-        held-out hours.
-        """
+        """Return the guess with the best proposed solid; the same object if none of three pays."""
         albedo = self.albedo_with_solids(guess)
         coarse = self._solid_cost(self.fit_evidence.coarse(), guess, albedo)
         limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
@@ -372,7 +370,7 @@ class SceneSearch:
         faint = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
         self.evidence = replace(self.evidence, view=faint)
         self.relight(guess)
-        guess = self._cleared(self._drawn(guess, seed, tick))
+        guess = self._cleared(self._drawn(self._merged(guess), seed, tick))
         more = self.furnished(self.shaded(guess), MAX_SOLIDS)
         if more is guess:
             return guess
