@@ -116,9 +116,9 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
 
     Far is over 20 W/m2, over eight times the difference of the two neighbours, and over three times
     the usual step, which is the ninth largest of the other steps within 120 rows on each side.
-    Where the light changes often, as under broken clouds,
-    no row is a spike (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243
-    rows, are not judged.
+    Where the light changes often, as under broken clouds, no row is a spike
+    (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243 rows, are not
+    judged.
     """
     out = np.zeros(len(value), bool)
     if len(value) < 3 + 2 * _SPIKE_ROWS:
