@@ -189,7 +189,7 @@ def test_the_warning_is_in_every_result(tmp_path: Path) -> None:
     answer = run(MIRRORING, "nearest", patch="none", out=tmp_path / "m", captures=False)
     (warning,) = [note for note in answer["notes"] if "plane mirror" in note]
     assert warning.startswith("WARNING: ") and "azimuth 203" in warning
-    assert "not trusted" in warning and "Predicted hours include it" in warning
+    assert "not trusted" in warning and "Predicted hours include the mirrored sun" in warning
     config = models.read_config(tmp_path / "m")
     assert warning in config.state["warnings"]
     (mirror,) = read_mirrors(tmp_path / "m", config)

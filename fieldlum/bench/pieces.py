@@ -38,8 +38,9 @@ PieceKind = Literal["score", "random", "greedy", "periods", "stress", "rendering
 class BenchFiles:
     """The files of a benchmark, relative to `folder`; "" for files that were not stated.
 
-    pairs, test, pool: sessions or csv files. site: SITE.toml. scene: value of the option --scene.
-    models: names, or folders of trained models.
+    pairs, test, pool: sessions or csv files with the hours to train on, to test on, and to draw
+    seasons from. models: names, or folders of trained models. site: SITE.toml. scene: "", "none" or
+    the folder of a scene, as in the option --scene.
     """
 
     folder: Path
@@ -51,7 +52,10 @@ class BenchFiles:
     scene: str = ""
 
     def hashed(self) -> tuple[str, ...]:
-        """Return the names of the pairs.csv files that a worker must have with the same content."""
+        """Return the pairs.csv files that a worker must have with the same content.
+
+        They are paths relative to `folder`, each once.
+        """
         found = [name for name in (self.pairs, self.test, self.pool) if name]
         tables = [f"{name}/pairs.csv" if (self.folder / name).is_dir() else name for name in found]
         return tuple(dict.fromkeys(os.path.normpath(table) for table in tables))
@@ -94,8 +98,9 @@ def bench_files(
 class BenchData:
     """The pairs of a benchmark.
 
-    test: hours that no model was trained on; None to use held-out days. pool: hours from which
-    seasons are drawn. folder: the folder to which paths of trained models are relative.
+    data: hours to train on. test: hours that no model was trained on; None to use held-out days.
+    pool: hours from which seasons are drawn. folder: the folder to which paths of trained models
+    are relative.
     """
 
     data: Dataset
@@ -298,7 +303,11 @@ def _perform_here(folder: Path, piece: Piece, *, loaded: BenchData, progress: Pr
 
 
 def perform(folder: Path, argument: tuple[Piece, BenchFiles]) -> Any:
-    """Read the pairs below `folder`, once in each process, run a piece and return its rows."""
+    """Run a piece on any worker; return the result of `work`.
+
+    folder: the folder on this worker to which the files in `argument` are relative. The pairs are
+    read once in each process.
+    """
     piece, files = argument
     return work(piece, _loaded(replace(files, folder=folder)))
 

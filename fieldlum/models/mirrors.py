@@ -120,9 +120,10 @@ class Mirror:
     def _consequence(self) -> str:
         if self.predicted:
             return (
-                "Predicted hours include it where captures showed it; the other days predict for "
-                f"{self.judged - self.wrong} of {self.judged} captures correctly whether it is in "
-                "view. Hours in which the captures do not decide this are not trusted"
+                "Predicted hours include the mirrored sun where captures showed it; the other days "
+                f"predict for {self.judged - self.wrong} of {self.judged} captures correctly "
+                "whether it is in view. Hours in which the captures do not decide this are not "
+                "trusted"
             )
         reason = (
             f"because the other days predict {self.wrong} of {self.judged} captures wrongly"

@@ -147,11 +147,12 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
         subject = (
             f"the {len(rows)} captures of {day}" if day else f"{len(rows)} of {len(data)} captures"
         )
+        verbs = ("contradicts", "is") if len(rows) == 1 else ("contradict", "are")
         notes.append(
-            f"WARNING: {subject} contradict the other days and are not used: their median "
+            f"WARNING: {subject} {verbs[0]} the other days and {verbs[1]} not used: the median "
             f"light is {np.median(changes.factor[rows]):.2f} times the predicted light. "
             "Possible causes are a moved blind, a lamp, snow or wrong irradiance; look at "
-            "them, mark what was different (fieldlum status SESSION --mark SLOT "
+            "the pictures, mark what was different (fieldlum status SESSION --mark SLOT "
             f"blind=half), and train again: {_slots(data, rows)}"
         )
     return notes

@@ -37,9 +37,11 @@ class TransportTable(TypedDict):
     """The table "transport" of config.json.
 
     kernel: fields of `Kernel` without facades, in 0.1.0 those of `FluxKernel`; recipe: fields of
-    `Recipe`; room: as in SITE.toml, None without `Physics`; patchwork: fields of `PatchDescriptor`;
-    states: of `StateColumns`, absent in 0.1.0; trust: figures of `Uncertainty`; tried: recipes;
-    sky_field: fields of `SkyField`, present if the fit used the skies that windows showed.
+    `Recipe`; patch_scale: factor on all sun patches; room: as in SITE.toml, None without a coarse
+    room model (`Physics`); patchwork: fields of `PatchDescriptor`, None without sun patches;
+    states: fields of `StateColumns`, absent in 0.1.0; trust: the single numbers of `Uncertainty`;
+    tried: recipes that were compared, with their scores; sky_field: fields of `SkyField`, present
+    if the fit used the skies that windows showed.
     """
 
     kernel: dict[str, float]
@@ -178,9 +180,10 @@ def _kernel(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Kernel:
 
 @dataclass(frozen=True, slots=True)
 class FluxKernel(Kernel):
-    """The kernel of 0.1.0, which also compared the total direct flux in view.
+    """The kernel of models of fieldlum 0.1.0, with a term for the total light of the sun patches.
 
-    flux_of_cells [c]: contribution of each cell to the flux.
+    flux_width: distance between two unit vectors to the sun over which this term changes;
+    flux_of_cells: weight of each cell of `Features.cells` in the total [c].
     """
 
     flux_width: float = 0.8
