@@ -11,7 +11,7 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.glare.pictures import Picture
 from fieldlum.glare.standards import disturbed_share
-from fieldlum.records import Flag, Panorama, SunSource, utc_text
+from fieldlum.records import Flag, Panorama, SunSource, counted, utc_text
 
 # Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
 VERDICTS = (
@@ -23,11 +23,20 @@ VERDICTS = (
 
 
 class ViewAnswer(TypedDict):
-    """The figures of one view direction in `glare --json`; None where there is no figure.
+    """The figures of one view direction in `glare --json`, with names as in `glare_directions`.
 
-    That is the case for an unseen direction, and for an index of sources without a source. dgp_low,
-    dgp_high: bounds for a partly seen direction. sources: the strongest glare sources of a single
-    picture. reference: the result of evalglare.
+    azimuth_deg, altitude_deg : the view direction, clockwise from true north and above the horizon;
+    altitude_deg for single pictures only. task_cdm2, window_to_task, uniformity : see
+    `contrast.ViewRegions.ratios`. melanopic_edi_lx : see `contrast.melanopic_edi_lx`. verdict : the
+    grade of DGP; "A to B" if dgp_low and dgp_high have different grades; "not seen" without
+    figures. seen : "seen", "partly seen" or "not seen"; seen_share : share (0 to 1) of the vertical
+    illuminance of a uniform field that comes from seen pixels. dgp_low, dgp_high : bounds of DGP,
+    for a partly seen direction of a panorama only. source_count : number of glare sources of a
+    single picture; sources : its strongest ones, at most 20. reference : evalglare's figures, if
+    requested; a panorama has them for fully seen directions only.
+
+    Figures are None for a direction of a panorama that is not seen. ugr, dgi, ugp, cgi are also
+    None without a glare source, and so are the figures of a region that the picture does not cover.
     """
 
     azimuth_deg: float
@@ -56,7 +65,17 @@ class ViewAnswer(TypedDict):
 
 
 class GlareAnswer(TypedDict):
-    """The object that `glare --json` prints for one picture."""
+    """The object that `glare --json` prints for one picture.
+
+    file : path of the picture. t_utc : time of the picture; None if unknown. heading_deg : azimuth
+    of a panorama's centre column, or of a fisheye's view, clockwise from true north. sun : the sun
+    as a source next to the pixels (fields of `SunSource`); None if there is none. melanopic_der :
+    the assumed spectrum, as a text. views : one entry for each view direction. disturbed_share :
+    share (0 to 1) of the views with figures whose DGP is above 0.40; None if no view has figures.
+    covered_share : share of the front hemisphere that the picture covers; 1 for a panorama.
+    rammg_cdm2, rammg_lightness : of a panorama only, see `contrast`. calibration_factor : factor
+    that scaled the luminance to a measured illuminance; absent without one.
+    """
 
     file: str
     t_utc: str | None
@@ -73,7 +92,10 @@ class GlareAnswer(TypedDict):
 
 
 def verdict(dgp: float) -> str:
-    """Return the grade of a DGP: imperceptible, perceptible, disturbing or intolerable."""
+    """Return the grade of a DGP, which must not be NaN.
+
+    Below 0.35 imperceptible, below 0.40 perceptible, below 0.45 disturbing, otherwise intolerable.
+    """
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
@@ -85,7 +107,12 @@ def answer_of(
     sun: SunSource | None,
     covered_share: float,
 ) -> GlareAnswer:
-    """Return the object that `glare --json` prints for a picture, from the figures of its views."""
+    """Return the object that `glare --json` prints for a picture, from the figures of its views.
+
+    path : becomes `file`. warnings : texts that come before those of `picture_warnings`. sun : the
+    sun as a source next to the pixels, or None. covered_share : share (0 to 1) of the front
+    hemisphere that the picture covers.
+    """
     panorama = picture.panorama
     known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
     return {
@@ -102,14 +129,17 @@ def answer_of(
 
 
 def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
-    """Return the sun with `factor` times its illuminance; None without a sun."""
+    """Return a copy of `sun` with its illuminance multiplied by `factor`; None if `sun` is None."""
     if sun is None:
         return None
     return replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
 
 
 def seen_pixels(panorama: Panorama) -> np.ndarray | None:
-    """Return a mask [H, W] of the pixels that a lens saw; None if all were seen."""
+    """Return a mask [H, W], True for pixels that a lens saw; None if all were seen.
+
+    It is also None for a panorama without flags.
+    """
     if panorama.flags is None:
         return None
     outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
@@ -117,9 +147,10 @@ def seen_pixels(panorama: Panorama) -> np.ndarray | None:
 
 
 def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Return the luminance [H, W] with unseen and negative pixels set to 0, and warnings.
+    """Return a copy of the luminance [H, W] with unseen and negative pixels set to 0, and warnings.
 
-    Negative pixels are noise. Raises InputError for seen pixels that are not finite.
+    Negative pixels are noise: a warning gives their number; without any the list is empty. Raises
+    InputError, which names `path`, if a seen pixel is not finite.
     """
     pixels = np.array(panorama.luminance_cdm2, np.float32)
     seen = seen_pixels(panorama)
@@ -129,19 +160,20 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
     if bad:
         raise InputError(
             path,
-            f"{bad} pixels are not finite",
+            f"{counted(bad, 'pixel')} with an infinite or missing (NaN) luminance",
             "a finite luminance in cd/m2 in every pixel",
             "merge or render the picture again",
         )
     dark = int((pixels < 0).sum())
     np.maximum(pixels, 0.0, out=pixels)
-    return pixels, [f"{dark} pixels below 0 cd/m2 count as 0"] if dark else []
+    warning = f"luminance below 0 cd/m2 counts as 0: {counted(dark, 'pixel')}"
+    return pixels, [warning] if dark else []
 
 
 def picture_warnings(picture: Picture) -> list[str]:
-    """Return the reader's warnings on a picture, and others about its pixels and its view.
+    """Return texts that warn a user about a picture, first those of its reader (`picture.notes`).
 
-    These are about a missing view direction, a picture without light, and clipped pixels.
+    The others are about a missing view direction, a picture without light, and clipped pixels.
     """
     warnings = list(picture.notes)
     if not picture.directed:
@@ -159,12 +191,12 @@ def picture_warnings(picture: Picture) -> list[str]:
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:
         warnings.append(
-            f"{clipped} pixels are clipped in every frame: their luminance, and DGP, are "
-            "lower bounds; capture shorter exposures as well"
+            f"clipped in every frame: {counted(clipped, 'pixel')}; the true luminance there, and "
+            "DGP, may be higher; capture shorter exposures as well"
         )
     return warnings
 
 
 def plain(value: float) -> float | None:
-    """Return the number, or None if it is not finite."""
+    """Return `value` as a float, or None if it is NaN or infinite."""
     return float(value) if np.isfinite(value) else None

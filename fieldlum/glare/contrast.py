@@ -32,7 +32,8 @@ MELANOPIC_DER_D65 = 1.0  # CIE S 026:2018, by definition
 def local_contrast(image: Float) -> NDArray[np.float64]:
     """Return the weighted mean absolute difference of each pixel to its eight neighbours, [H, W].
 
-    It is 0 on the border.
+    Diagonal neighbours have the weight 1 / sqrt(2), the others 1. Pixels on the border of the image
+    [H, W] are 0.
     """
     values = np.asarray(image, np.float64)
     out = np.zeros_like(values)
@@ -51,7 +52,11 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
 
 
 def contrast_levels(image: Float) -> NDArray[np.float64]:
-    """Return the mean local contrast of each of five pyramid levels, full size first, [5]."""
+    """Return the mean local contrast of each of five pyramid levels of an image [H, W], [5].
+
+    The first level is the image; each further one has half the rows and columns of the level
+    before.
+    """
     import cv2
 
     level = np.asarray(image, np.float64)
@@ -65,14 +70,18 @@ def contrast_levels(image: Float) -> NDArray[np.float64]:
 
 
 def rammg(luminance_cdm2: Float) -> float:
-    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2; a sun disc in the map dominates it."""
+    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2: the mean contrast of five pyramid levels.
+
+    Remove a sun disc from the map first, because it dominates the result.
+    """
     return float(contrast_levels(luminance_cdm2).mean())
 
 
 def rammg_lightness(luminance_cdm2: Float) -> float:
-    """Return RAMMG of the CIELAB L* of a map [H, W] in cd/m2.
+    """Return RAMMG, the mean contrast of five pyramid levels, of a map's lightness L*.
 
-    White is five times the map's mean luminance, which is weighted by solid angle.
+    luminance_cdm2 : [H, W = 2H]. White (L* = 100) is five times the map's mean luminance, weighted
+    by solid angle.
     """
     image = np.asarray(luminance_cdm2, np.float64)
     omega = equirect_solid_angles(*image.shape)
@@ -81,7 +90,11 @@ def rammg_lightness(luminance_cdm2: Float) -> float:
 
 
 def lightness(relative: Float) -> NDArray[np.float64]:
-    """Return CIE 1976 L* of Y / Yn, at most 100, in the shape of `relative`."""
+    """Return CIE 1976 L*, 0 to 100, of luminance relative to white.
+
+    relative : luminance over the luminance of white (Y / Yn), of any shape, which is the shape of
+    the result; values outside 0 to 1 are clipped.
+    """
     ratio = np.clip(relative, 0.0, 1.0)
     return np.where(ratio > (6 / 29) ** 3, 116.0 * np.cbrt(ratio) - 16.0, ratio * (29 / 3) ** 3)
 
@@ -89,14 +102,20 @@ def lightness(relative: Float) -> NDArray[np.float64]:
 def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
     """Return the estimated melanopic equivalent daylight illuminance [lx], in the shape of `ev_lx`.
 
-    It is Ev times the melanopic daylight efficacy ratio of D65, which is 1 (CIE S 026). The ratio
-    of a blue sky is higher.
+    It is the vertical illuminance `ev_lx` [lx] times the melanopic daylight efficacy ratio of D65,
+    which is 1 (CIE S 026). The ratio of a blue sky is higher.
     """
     return np.asarray(ev_lx, float) * MELANOPIC_DER_D65
 
 
 class ViewRegions:
-    """Solid angles of the pixels in task cone, 40-degree band and front half, for d directions."""
+    """The pixels of a panorama in three regions of the view, for d view directions.
+
+    task : a cone of 15 degrees radius around the direction 30 degrees below the line of sight; band
+    : within 20 degrees of the horizon, in front of the observer; half : the hemisphere in front.
+    Each is [H * W, d]: the solid angle of a pixel in the region, sr; 0 outside. `ratios` computes
+    the figures of maps.
+    """
 
     def __init__(
         self,
@@ -122,13 +141,14 @@ class ViewRegions:
         self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
 
     def ratios(self, luminance_cdm2: Float) -> dict[str, NDArray[np.float64]]:
-        """Return three figures of n maps [n, H, W] in cd/m2 by name, [n, d] each.
+        """Return three figures by name, [n, d] each, of n maps in d view directions.
 
-        task_cdm2 : mean of a cone of 15 degrees radius, 30 degrees below the line of sight.
-        window_to_task : mean of the pixels in view brighter than 2000 cd/m2, over task_cdm2; NaN
-        without such pixels. uniformity : harmonic over arithmetic mean of the band within 20
-        degrees of the horizon: 1 if it is uniform, less with dark corners. A figure of a region of
-        which lenses saw less than 98 % is NaN.
+        luminance_cdm2 : [n, H, W]. task_cdm2 : mean luminance of the task cone, which has 15
+        degrees radius and is 30 degrees below the line of sight. window_to_task : mean luminance of
+        the pixels above 2000 cd/m2 in the front hemisphere, over task_cdm2; NaN without such
+        pixels. uniformity : harmonic over arithmetic mean luminance of the band within 20 degrees
+        of the horizon: 1 if the band is uniform, less with dark corners. A figure is NaN if lenses
+        saw less than 98 % of its region.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)

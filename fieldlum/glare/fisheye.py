@@ -18,10 +18,11 @@ SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))
 
 
 def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the unit ray of each pixel of an equidistant 180-degree picture, and its circle.
+    """Return unit rays [N, N, 3] of an equidistant 180-degree picture, and its circle [N, N].
 
-    Rays are (right, up, forward), [N, N, 3]; the circle is a mask [N, N], with N = size * samples
-    and `samples` rays along the edge of a pixel.
+    size : pixels along the picture's edge; samples : rays along a pixel's edge, so that N = size *
+    samples. A ray is (right, up, forward) of the observer; row 0 is at the top. The circle is a
+    mask, True within 90 degrees of the view direction.
     """
     n = size * samples
     axis = ((np.arange(n) + 0.5) / n - 0.5) * np.pi
@@ -35,7 +36,7 @@ def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDAr
 def fisheye_solid_angles(size: int) -> NDArray[np.float64]:
     """Return the solid angle [sr] of each pixel of an equidistant 180-degree picture, [size, size].
 
-    It is 0 outside the circle.
+    It is 0 for pixels whose centre is more than 90 degrees from the view direction.
     """
     axis = ((np.arange(size) + 0.5) / size - 0.5) * np.pi
     angle = np.hypot(axis[None, :], axis[:, None])
@@ -50,11 +51,15 @@ def panorama_to_fisheye(
     size: int = 800,
     sun: SunSource | None = None,
 ) -> NDArray[np.float32]:
-    """Return an equidistant 180-degree picture (`FISHEYE_VIEW`) of a panorama [H, W], [size, size].
+    """Return an equidistant 180-degree picture (`FISHEYE_VIEW`) of a panorama, [size, size], cd/m2.
 
-    Each pixel is the mean of samples of the panorama, which is constant over each of its pixels.
-    The samples are fine enough for both grids, so that flux is preserved. The sun's energy is added
-    to the pixels of its disc. Pixels outside the circle are 0.
+    luminance_cdm2 : the panorama [H, W = 2H]; heading_deg : azimuth of its centre column.
+    azimuth_deg : the horizontal view direction of the picture. Azimuths are clockwise from north.
+    sun : its light is added to the pixels of its disc; nothing is added for None or a sun behind
+    the observer.
+
+    A pixel is the mean of samples of the panorama, fine enough for both grids, so that the flux is
+    preserved. Pixels outside the circle are 0.
     """
     height, width = luminance_cdm2.shape
     samples = max(2, int(np.ceil(2.0 * height / size)))

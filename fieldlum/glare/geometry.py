@@ -15,17 +15,19 @@ LARGEST_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
 
 
 def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> NDArray[np.float64]:
-    """Return `views` horizontal directions at equal steps, the first along the heading, [views].
+    """Return the azimuths of `views` horizontal directions at equal steps, [views].
 
-    They are in degrees clockwise from north, in [0, 360).
+    The first is `heading_deg`; the others follow clockwise. All are in degrees clockwise from
+    north, in [0, 360).
     """
     return (heading_deg + np.arange(views) * 360.0 / views) % 360.0
 
 
 def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.float64]:
-    """Return the axes right, up and forward of an upright head as rows, [3, 3].
+    """Return the unit vectors right, up and forward of an upright head that looks there, [3, 3].
 
-    World axes: x east, y north, z up.
+    Rows are the vectors, columns x east, y north, z up. azimuth_deg : of the view direction,
+    clockwise from north; altitude_deg : above the horizon.
     """
     forward = direction(altitude_deg, azimuth_deg)
     right = direction(0.0, azimuth_deg + 90.0)
@@ -33,10 +35,11 @@ def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.floa
 
 
 def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
-    """Return the coordinates right and up [rad] of rays [..., 3], and the cosine to the view.
+    """Return each ray's coordinates right and up [rad], and the cosine of its angle to the view.
 
-    The vector (right, up) points away from the line of sight; its length is the angle between them,
-    in rad. These are the coordinates of a -vta picture. Each result has the shape [...].
+    rays : [..., 3] unit vectors (x east, y north, z up). frame : [3, 3], by `view_frame`. The
+    length of (right, up) is the angle between ray and line of sight, as in a Radiance picture with
+    -vta. The cosine is negative behind the observer. Each result has the shape [...].
     """
     x, y, z = np.moveaxis(rays @ frame.T, -1, 0)
     off = np.hypot(x, y)
@@ -46,10 +49,11 @@ def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
 
 
 def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return the position index: Guth's above the line of sight, Iwata's below, at most 16.
+    """Return the position index P of glare: 1 on the line of sight, more away from it, at most 16.
 
-    right_rad, up_rad : as of `angles_from_view`, of one shape. Above: IES Lighting Handbook; below:
-    Iwata and Osterhaus 2010 in CIE coordinates. evalglare has used these forms since version 3.02.
+    right_rad, up_rad : coordinates by `angles_from_view`; the result has their shape. Above the
+    line of sight it is Guth's (IES Lighting Handbook), below it that of Iwata and Osterhaus 2010 in
+    CIE coordinates. evalglare has used these forms since version 3.02.
     """
     right, up = np.asarray(right_rad, float), np.asarray(up_rad, float)
     angle = np.hypot(right, up)
@@ -68,11 +72,13 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float6
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """The weights of each panorama pixel for each of d view directions.
+    """The weights of each panorama pixel for each of d horizontal view directions.
 
-    illuminance : [H * W, d] solid angle times cosine, 0 behind, sr. moments : [H * W, 3, d] solid
-    angle in the visible hemisphere, and this times the coordinates right and up. frames : [d, 3, 3]
-    axes right, up and forward.
+    azimuths_deg : [d] the view directions, clockwise from north. frames : [d, 3, 3] unit vectors
+    right, up and forward of each as rows. illuminance : [H * W, d] solid angle times cosine to the
+    view direction, sr, 0 behind the observer; its product with a flat map is Ev. moments : [H * W,
+    3, d] solid angle, sr, and this times the pixel's coordinates right and up by
+    `angles_from_view`; 0 behind. shape : (H, W) of the panorama.
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -83,10 +89,11 @@ class Views:
 
 
 def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: ArrayLike) -> Views:
-    """Compute the weights of a panorama's pixels, once for all hours.
+    """Return the weights of a panorama's pixels in d view directions, the same for all hours.
 
-    They need 16 bytes for each pixel and direction. azimuths_deg : [d] view directions, clockwise
-    from north.
+    height, width : of the panorama in pixels; heading_deg : azimuth of its centre column;
+    azimuths_deg : [d] view directions; azimuths are clockwise from north. The weights need 16 bytes
+    of memory for each pixel and direction.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)

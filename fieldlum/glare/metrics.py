@@ -36,10 +36,11 @@ DGP_BASE = 0.159
 
 
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
-    """Return daylight glare probability, at most 1 (Wienold and Christoffersen 2006).
+    """Return daylight glare probability, [...], at most 1 (Wienold and Christoffersen 2006).
 
-    There is no low-light correction. ev_lx : [...], lx; contrast : [...], the sum of L^2 omega /
-    P^2 over sources.
+    ev_lx : [...] vertical illuminance at the eye; contrast : [...] the sum of L^2 omega / P^2 over
+    glare sources, with L luminance [cd/m2], omega solid angle [sr] and P position index. There is
+    no low-light correction: without light the result is 0.159.
     """
     ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
     glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)
@@ -49,15 +50,17 @@ def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
 def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
     """Return simplified DGP, 6.22e-5 Ev + 0.184, at most 1, [...] (Wienold 2007).
 
-    It is not valid for hours with the sun in view.
+    ev_lx : vertical illuminance Ev at the eye. The formula is not valid for hours with the sun in
+    view.
     """
     return np.minimum(6.22e-5 * np.asarray(ev_lx, float) + 0.184, 1.0)
 
 
 def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return UGR, 8 log10(0.25 / Lb sum L^2 omega / P^2), [...] (CIE 117:1995).
+    """Return the unified glare rating UGR, 8 log10(0.25 / Lb sum L^2 omega / P^2), [...].
 
-    It is NaN without a source. contrast : sum L^2 omega / P^2; background_cdm2 : Lb, cd/m2.
+    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
+    NaN; background_cdm2 : the background luminance Lb. Source: CIE 117:1995.
     """
     total = np.asarray(contrast, float)
     ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
@@ -65,18 +68,20 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 
 
 def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
-    """Return the daylight glare index, 10 log10 of `source_sum`, [...]; NaN without a source.
+    """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
 
-    source_sum : Hopkinson's terms, summed over sources (Hopkinson 1972, with P for windows).
+    source_sum : Hopkinson's terms summed over sources, the third row of `sums_of_sources`
+    (Hopkinson 1972, with the position index P for windows).
     """
     total = np.asarray(source_sum, float)
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
 
 
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return UGP, 0.26 log10(0.25 / Lb sum L^2 omega / P^2) (Hirning, Isoardi and Cowling 2014).
+    """Return the unified glare probability UGP, 0.26 log10(0.25 / Lb sum L^2 omega / P^2), [...].
 
-    It is NaN without a source. Arguments and result have one shape [...]; background_cdm2 : cd/m2.
+    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
+    NaN; background_cdm2 : the background luminance Lb. Source: Hirning, Isoardi and Cowling 2014.
     """
     return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
 
@@ -84,8 +89,9 @@ def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArray[np.float64]:
     """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L^2 omega / P^2), [...].
 
-    Source: Einhorn 1979. Ed is the illuminance from the sources. The result is NaN without a
-    source. Arguments and result have one shape [...], illuminances in lx.
+    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
+    NaN; ev_lx : Ev, vertical illuminance of the complete view; source_ev_lx : Ed, the part of Ev
+    from the sources. Source: Einhorn 1979.
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
@@ -95,8 +101,9 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArr
 def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64]:
     """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2, [...].
 
-    This is the age-adjusted Stiles-Holladay formula (CIE 146:2002). veiling_sum : over sources,
-    lx/deg2, with angles of at least 1 degree from the line of sight.
+    veiling_sum : [...] sum over sources of their vertical illuminance E [lx] over the square of
+    their angle from the line of sight [deg], of at least 1 degree. age_years : of the observer.
+    This is the age-adjusted Stiles-Holladay formula (CIE 146:2002).
     """
     return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
 
@@ -110,17 +117,21 @@ def glare_directions(
     *,
     views: Views | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the glare of n panoramas in d horizontal view directions, [n, d] each.
+    """Return the glare of n panoramas in d horizontal view directions by name, [n, d] each.
 
-    luminance_cdm2 : [n, H, W] without the sun's disc.
+    luminance_cdm2 : [n, H, W] without the sun's disc. heading_deg : azimuth of the centre column;
+    azimuths_deg : [d] view directions; both clockwise from north.
     sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
-    of it in mirrors.
-    disc_lx : [n] or [m, n] normal illuminance at the lens from each, lx; 0 where it is hidden.
-    views : weights from `panorama_views`; pass them if you call this for many blocks of hours.
+    of it in mirrors; None without a sun.
+    disc_lx : [n] or [m, n] illuminance from each, at the lens, on a plane normal to it; 0 where it
+    is hidden; None without a sun.
+    views : weights from `panorama_views`, which then replace heading_deg and azimuths_deg; pass
+    them if you call this for many blocks of hours.
 
     Keys: ev_lx, dgp, dgps, ugr, dgi, ugp, cgi, veiling_cdm2 (for an age of 25 years),
     veiling_age70_cdm2 (70 years), and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
-    sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev.
+    sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,
+    dgi, ugp and cgi are NaN without a source.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
     count, height, width = maps.shape
@@ -141,8 +152,9 @@ def sun_per_lx(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what a sun disc of 1 lx (normal) adds to Ev and to the contrast of DGP, [n, d] each.
 
-    A disc of E lx adds E times the first to Ev, and E squared times the second to the contrast; see
-    `glare_directions`. sun_direction : [n, 3] unit vectors.
+    sun_direction : [n, 3] unit vectors (x east, y north, z up). Both are 0 for a sun behind the
+    observer. A disc of E lx adds E times the first to Ev [lx], and E squared times the second to
+    `contrast` (see `glare_directions`).
     """
     right, up, cosine = _sun_angles(np.asarray(sun_direction, float), views)
     ahead = cosine > 0
@@ -156,10 +168,11 @@ def dgp_with_disc(
     disc_lx: Float,
     images: Sequence[DiscLight] = (),
 ) -> NDArray[np.float64]:
-    """Return DGP with a disc of another illuminance than in `parts`, [..., n, d].
+    """Return the DGP that `parts` would have with another illuminance of the sun, [..., n, d].
 
-    parts : result of `glare_directions`; per_lx : result of `sun_per_lx`; disc_lx : [..., n];
-    images : the same two of each mirrored sun.
+    parts : result of `glare_directions`; its sun and images of the sun are removed first. per_lx :
+    result of `sun_per_lx` for the sun; disc_lx : [..., n] its new normal illuminance. images : the
+    same pair (result of `sun_per_lx`, illuminance) of each mirrored sun.
     """
     ev = parts["ev_lx"] - parts["sun_ev_lx"]
     contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0)
@@ -209,8 +222,13 @@ def sums_of_sources(
 ) -> NDArray[np.float64]:
     """Return four sums over the s glare sources in each of d views, [4, d].
 
-    Rows: L^2 omega / P^2; illuminance; DGI's terms; E / angle^2 [lx/deg2]. Arguments are [s, d],
-    except ev, [d], the vertical illuminance of the complete view, lx.
+    mean_cdm2, omega_sr, right_rad, up_rad, source_ev_lx : [s, d] mean luminance, solid angle,
+    coordinates of the centre by `angles_from_view`, and vertical illuminance of each source. ev :
+    [d] vertical illuminance of the complete view, lx.
+
+    Rows: L^2 omega / P^2 (`contrast`); vertical illuminance from the sources, lx; Hopkinson's terms
+    for `dgi`; illuminance over the squared angle from the line of sight [lx/deg2] for
+    `veiling_cdm2`.
     """
     index = position_index(right_rad, up_rad)
     background = np.maximum(ev - source_ev_lx.sum(axis=0), 0.0) / np.pi
@@ -240,9 +258,10 @@ def combine(
 ) -> dict[str, NDArray[np.float64]]:
     """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
 
-    sums : [n, 4, d] by `sums_of_sources`; all other arguments [n, d], of the sun also [m, n, d]:
-    illuminance from the map and from the sun [lx], luminance of the disc [cd/m2], and its place
-    right and up [rad].
+    map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `sums_of_sources`,
+    without the sun. sun_ev, sun_cdm2, sun_right, sun_up : [n, d], or [m, n, d] for the sun and
+    images of it: vertical illuminance [lx], luminance of the disc [cd/m2] and its coordinates right
+    and up [rad].
     """
 
     def total(of_suns: Float) -> NDArray[np.float64]:

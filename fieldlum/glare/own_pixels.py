@@ -31,9 +31,10 @@ TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(TASK_RADIUS_DEG)))  # task
 class GlareSources:
     """The s glare sources of one view, [s] each, the largest contrast first.
 
-    right_rad, up_rad : equidistant coordinates of the centre. ev_lx : vertical illuminance from the
-    source. contrast : L^2 omega / P^2. label : [H, W] number of each pixel's source, from 1 in this
-    order; 0 elsewhere.
+    mean_cdm2 : mean luminance; solid_angle_sr : solid angle; right_rad, up_rad : coordinates of the
+    centre by `angles_from_view`; ev_lx : vertical illuminance from the source; contrast : L^2 omega
+    / P^2. label : [H, W] number of the source that a pixel belongs to, from 1 in this order; 0 for
+    a pixel of no source.
     """
 
     mean_cdm2: NDArray[np.float64]
@@ -51,10 +52,11 @@ class GlareSources:
 def glare_of_pixels(
     luminance_cdm2: NDArray[np.float32], grid: PictureGrid, sun: SunSource | None = None
 ) -> tuple[dict[str, float], GlareSources]:
-    """Return the figures of `glare_directions` for the picture's own view, and its sources.
+    """Return the figures of `glare_directions` in the picture's view direction, and its sources.
 
-    luminance_cdm2 : [H, W] without negative or missing values; grid : by `picture_grid`; sun : a
-    disc that is not in the pixels.
+    luminance_cdm2 : [H, W] without negative or missing values; grid : its weights by
+    `picture_grid`. sun : a disc that is not in the pixels; it counts in the figures, but is not
+    among the sources. None without one.
     """
     ev = weighted_sum(luminance_cdm2, grid.illuminance)
     sources = glare_sources(luminance_cdm2, grid)
@@ -82,7 +84,7 @@ def glare_of_pixels(
 
 
 def weighted_sum(values: Float, weights: Float) -> float:
-    """Return the sum of values times weights, [H, W] each, in double precision, block by block."""
+    """Return the sum over all pixels of values times weights, [H, W] each, in double precision."""
     height, width = values.shape
     return float(
         sum(
@@ -105,7 +107,12 @@ def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float
 
 
 def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
-    """Return the luminance [H, W] to add so that the pixels of the sun's disc have its energy."""
+    """Return the luminance [H, W] that the sun's disc adds to the pixels of a picture, in cd/m2.
+
+    All pixels with a centre in the disc get the same luminance, so that they have the disc's
+    energy. If there is none, the nearest pixel gets the energy. A sun behind the observer adds
+    nothing.
+    """
     from fieldlum.glare.fisheye import SUN_RADIUS_RAD
 
     height, width = grid.solid_angle.shape
@@ -126,7 +133,11 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
 
 
 def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
-    """Group the pixels [H, W] above 2000 cd/m2 into glare sources, as `sources_of` does."""
+    """Return the glare sources of a picture [H, W] with the weights `grid`.
+
+    Pixels above 2000 cd/m2 that are closer than 0.1 rad form one source; pixels from 50 000 cd/m2
+    on form sources of their own, as in `sources_of`.
+    """
     label = np.zeros(luminance_cdm2.shape, np.int32)
     row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
     if len(row) == 0:
@@ -188,10 +199,11 @@ def _numbered(
 
 
 def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
-    """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`).
+    """Return task_cdm2, window_to_task and uniformity of a picture, as `ViewRegions.ratios` does.
 
-    A figure is NaN if the picture covers less than 95 % of its region; window_to_task also without
-    a pixel above 2000 cd/m2. luminance_cdm2 : [H, W], cd/m2.
+    luminance_cdm2 : [H, W]; grid : its weights by `picture_grid`. task_cdm2 and window_to_task are
+    NaN if the picture covers less than 95 % of the task cone, uniformity if it covers less than 95
+    % of the band; window_to_task also without a pixel above 2000 cd/m2.
     """
     totals = np.zeros(7)
     height, width = luminance_cdm2.shape

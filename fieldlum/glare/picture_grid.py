@@ -23,10 +23,11 @@ _GRAZING_COSINE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PictureGrid:
-    """The weights of each pixel of a view, [H, W] each; 0 behind the observer.
+    """The weights of each pixel of a picture with the view `view`, [H, W] each.
 
-    solid_angle : sr; illuminance : solid angle times cosine, sr; task, band : masks of the pixels
-    within the task cone and the horizontal band (see `contrast`).
+    solid_angle : of the pixel's part in front of the observer, sr; illuminance : this times the
+    cosine to the view direction, sr. Both are 0 behind the observer. task, band : masks, True for
+    pixels in the task cone and in the horizontal band (see `contrast.ViewRegions`).
     """
 
     view: PictureView
@@ -37,14 +38,14 @@ class PictureGrid:
 
     @property
     def covered_share(self) -> float:
-        """Share of the front hemisphere that the picture covers."""
+        """Share (0 to 1) of the front hemisphere's solid angle that the picture covers."""
         return min(1.0, float(self.solid_angle.sum(dtype=float)) / (2.0 * np.pi))
 
 
 def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
-    """Return the solid angle, the cosine weight and the regions of each pixel of a picture.
+    """Return the weights of each pixel of a picture of height x width pixels with a Radiance view.
 
-    It needs 10 bytes a pixel.
+    They need 10 bytes of memory for each pixel.
     """
     solid_angle = np.zeros((height, width), np.float32)
     illuminance = np.zeros((height, width), np.float32)
@@ -64,7 +65,10 @@ def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
 
 
 def row_blocks(height: int, width: int) -> Iterator[slice]:
-    """Yield slices of rows, from the top, that divide a picture into blocks of limited size."""
+    """Yield slices of rows, from the top, that divide a picture of height x width pixels.
+
+    A slice has at most 250 000 pixels, but at least one row.
+    """
     step = max(1, _BLOCK_PIXELS // width)
     for first in range(0, height, step):
         yield slice(first, min(first + step, height))
@@ -73,7 +77,11 @@ def row_blocks(height: int, width: int) -> Iterator[slice]:
 def centres(
     rows: slice, height: int, width: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centres of pixels in some rows: y [k, 1] and x [1, W], -1/2 to 1/2, y upwards."""
+    """Return y [k, 1] and x [1, W] of the centres of pixels in the k rows of the slice `rows`.
+
+    Both run from -1/2 to 1/2 over the picture of height x width pixels, x to the right, y upwards;
+    row 0 is at the top.
+    """
     y = 0.5 - (np.arange(rows.start, rows.stop) + 0.5) / height
     x = (np.arange(width) + 0.5) / width - 0.5
     return y[:, None], x[None, :]

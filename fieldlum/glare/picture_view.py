@@ -31,10 +31,12 @@ _SAME_PROPORTION = 0.02  # relative; -vh and -vv are often rounded to degrees; c
 
 @dataclass(frozen=True, slots=True)
 class PictureView:
-    """A Radiance view.
+    """A Radiance view, which gives the direction of each point of a picture.
 
-    kind : a, h, s or v; forward, up : unit vectors; horizontal_deg, vertical_deg : full angles;
-    shift, lift : in picture widths and heights.
+    kind : mapping: a (equidistant), h (hemispherical), s (stereographic) or v (perspective);
+    forward, up : perpendicular unit vectors (x east, y north, z up); horizontal_deg, vertical_deg :
+    full angles of view; shift, lift : offset to the right and upwards in picture widths and
+    heights.
     """
 
     kind: str
@@ -47,22 +49,22 @@ class PictureView:
 
     @property
     def azimuth_deg(self) -> float:
-        """Azimuth of the view direction, clockwise from north."""
+        """Azimuth of the view direction, clockwise from north, in [0, 360)."""
         return float(np.degrees(np.arctan2(self.forward[0], self.forward[1])) % 360.0)
 
     @property
     def altitude_deg(self) -> float:
-        """Altitude of the view direction."""
+        """Altitude of the view direction above the horizon, negative for a view downwards."""
         return float(np.degrees(np.arcsin(np.clip(self.forward[2], -1.0, 1.0))))
 
     @property
     def frame(self) -> NDArray[np.float64]:
-        """Unit vectors right, up and forward as rows, [3, 3]."""
+        """Unit vectors right, up and forward of the view as rows, [3, 3]; x east, y north, z up."""
         return np.stack([np.cross(self.forward, self.up), self.up, self.forward])
 
     @property
     def text(self) -> str:
-        """The view as Radiance's options."""
+        """The view as Radiance's options, such as "-vta -vp 0 0 0 -vd 0 -1 0 ..."."""
         vectors = [" ".join(f"{v:.9g}" for v in vector) for vector in (self.forward, self.up)]
         return (
             f"-vt{self.kind} -vp 0 0 0 -vd {vectors[0]} -vu {vectors[1]} "
@@ -73,10 +75,11 @@ class PictureView:
 
 @dataclass(frozen=True, slots=True)
 class PictureRays:
-    """Directions in the frame of the view, and their density.
+    """Directions of points of a picture, and how much solid angle a unit of picture area has there.
 
-    right, up, forward : components of unit vectors. density : solid angle per unit of x times y
-    [sr]; 0 where the mapping has no direction.
+    right, up, forward : components of unit vectors along the axes of the view. density : solid
+    angle [sr] over picture area, where the complete picture has the area 1; 0 where the mapping has
+    no direction. All have one shape.
     """
 
     right: Float
@@ -86,7 +89,11 @@ class PictureRays:
 
 
 def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
-    """Return the directions of points [...] of the picture; x right, y up, -1/2 to 1/2 each."""
+    """Return the directions of points of a picture with the view `view`.
+
+    x, y : [...] coordinates of the points, from -1/2 to 1/2 over the picture, x to the right, y
+    upwards; the view's shift and lift are added to them.
+    """
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
     across = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
     upwards = (np.asarray(y, float) + view.lift) * 2.0 * reach[1]
@@ -121,9 +128,10 @@ def _reach(kind: str, angle_deg: float) -> float:
 def check_proportion(
     view: PictureView, height: int, width: int, pixel_aspect: float, source: Path
 ) -> None:
-    """Raise InputError if the picture's proportions contradict its angles.
+    """Raise InputError if a picture's width over height contradicts the view's angles by over 2 %.
 
-    pixel_aspect : height over width of a pixel, from the header's PIXASPECT lines.
+    height, width : in pixels, one pixel more is tolerated. pixel_aspect : height over width of a
+    pixel, from the header's PIXASPECT lines. source : the file that the error names.
     """
     expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
     actual = width / height / pixel_aspect
@@ -141,10 +149,12 @@ def check_proportion(
 
 
 def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
-    """Parse Radiance's view options; if an option is repeated, the last one counts.
+    """Return the view that Radiance's view options `text` describe.
 
-    Without -vd the view is horizontal and faces `heading_deg` (Radiance's own default is north).
-    Raises InputError for an impossible view.
+    The last of repeated options counts; unknown ones are ignored. Without -vd the view is
+    horizontal and faces `heading_deg`, clockwise from north (Radiance's own default is north).
+    Raises InputError, which names `source`, for a missing or unknown view type, and for impossible
+    numbers.
     """
     options = _options(text, source)
     kind = options.get("vt", "")

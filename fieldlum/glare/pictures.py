@@ -34,10 +34,11 @@ _INHERITED = (
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture's luminance on its own pixels, rows from the top.
+    """A luminance picture with its view.
 
-    panorama : the pixels; its heading_deg is the azimuth of the view for a fisheye. view : None for
-    a panorama. directed : whether a view direction is stated; if not, the azimuth is the heading of
+    panorama : the pixels, rows from the top, also of a picture that is no panorama; heading_deg is
+    then the azimuth of its view. view : the view of a fisheye or perspective picture; None for a
+    panorama. directed : False if the view states no direction: its azimuth is then the heading of
     an .exr, or Radiance's default, north. notes : warnings of the reader.
     """
 
@@ -48,9 +49,10 @@ class Picture:
 
 
 def read_picture(path: Path, view_options: str = "") -> Picture:
-    """Read a .hdr or .exr picture. If `view_options` are given, they replace the file's view.
+    """Return a .hdr or .exr picture with its view, which `view_options` replace if they are not "".
 
-    Raises InputError for a missing or damaged file, and a missing or contradictory view.
+    view_options : Radiance's options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180". Raises InputError
+    for a missing or damaged file, and a missing or contradictory view.
     """
     if not path.is_file():
         raise InputError(

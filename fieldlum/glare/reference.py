@@ -23,11 +23,12 @@ FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light c
 
 @dataclass(frozen=True, slots=True)
 class ReferenceGlare:
-    """evalglare's figures of one picture, without contrast, which it does not print.
+    """evalglare's figures of one picture; NaN for figures that its version does not print.
 
-    sources : number of glare sources. veiling_cdm2 : veiling luminance of Stiles and Holladay
-    without the age term, Lveil_cie of evalglare. ev_lx : vertical illuminance. version, flags :
-    of the evalglare that was run. NaN for figures that its version does not print.
+    dgp, dgi, ugr, ugp, cgi : its indices. ev_lx : vertical illuminance. background_cdm2 :
+    background luminance. sources : number of glare sources. veiling_cdm2 : veiling luminance of
+    Stiles and Holladay without the age term (evalglare's Lveil_cie). version, flags : of the
+    evalglare that was run.
     """
 
     dgp: float
@@ -57,9 +58,10 @@ def reference_version() -> str:
 
 
 def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
-    """Return evalglare's figures for a picture [H, W], by default an equidistant 180-degree one.
+    """Return evalglare's figures for a picture [H, W] in cd/m2.
 
-    Raises FieldlumError if evalglare prints no figures.
+    view : its view as Radiance's options, by default an equidistant 180-degree one. Raises
+    FieldlumError if evalglare prints no figures.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
@@ -68,7 +70,7 @@ def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> Referen
 
 
 def reference_glare_of_file(path: Path) -> ReferenceGlare:
-    """Return evalglare's figures for a picture on disk that has a VIEW.
+    """Return evalglare's figures for a .hdr picture on disk whose header states its VIEW.
 
     Raises FieldlumError if evalglare prints no figures.
     """
@@ -87,7 +89,10 @@ def _parse(text: str, trouble: str) -> ReferenceGlare:
     names, _, figures = line.partition(":")
     row = dict(zip(names.split(","), figures.split(), strict=False))
     if "dgp" not in row:
-        raise FieldlumError(f"evalglare printed no result: {trouble}")
+        raise FieldlumError(
+            f"evalglare printed no result: {trouble}; expected a line that begins with 'dgp,'; "
+            "install pyradiance again"
+        )
     head = text.split(maxsplit=1)[0] if text.split() else "0"
     return ReferenceGlare(
         float(row["dgp"]),

@@ -49,10 +49,11 @@ def picture_glare(
 ) -> GlareAnswer:
     """Return the object that `glare --json` prints for a .hdr or .exr picture.
 
-    azimuths_deg : view directions; empty: ten around a panorama, a fisheye's own. reference : add
-    evalglare's figures. view_options : replace the view that the file states. measured_ev_lx :
-    scale the picture so that its first view has this vertical illuminance. Raises InputError for an
-    unusable picture.
+    azimuths_deg : view directions, clockwise from north; if empty, ten around a panorama, or a
+    fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
+    replace the view in the file; "" to use the file's. measured_ev_lx : scale the picture so that
+    its first view has this vertical illuminance; None for no scaling. Raises InputError for an
+    unusable picture, or if a picture to scale has no light in its first view.
     """
     picture = read_picture(path, view_options)
     judge = _panorama_answer if picture.view is None else single_picture_glare
@@ -64,7 +65,7 @@ def picture_glare(
             path,
             "no light was seen in the first view direction",
             "light there, so that the picture can be scaled to the measured illuminance",
-            "check the view direction, or omit the measured illuminance",
+            "check the view direction, or omit the measured illuminance (--calibrate-ev)",
         )
     factor = measured_ev_lx / ev
     answer = judge(picture, path, azimuths_deg, reference, factor)
@@ -73,9 +74,10 @@ def picture_glare(
 
 
 def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> GlareAnswer:
-    """Return the same as `picture_glare`, for a panorama in memory; its `file` is "".
+    """Return the same as `picture_glare`, for a panorama in memory; the answer's `file` is "".
 
-    Raises InputError for a map that is not twice as wide as high, or not finite.
+    azimuths_deg : view directions, clockwise from north; ten if empty. Raises InputError for a map
+    that is not twice as wide as high, or has seen pixels that are not finite.
     """
     source = Path("panorama")
     height, width = panorama.luminance_cdm2.shape
@@ -152,19 +154,19 @@ def _view_rows(
 def _unseen_text(seen: np.ndarray) -> str:
     return (
         f"no lens saw {100 * (~seen).mean():.0f} % of the panorama: view directions that are "
-        "mostly "
-        "unseen have no result; partly seen ones have the lowest and the highest DGP for an unseen "
-        "part between black and the brightest 1 % of the seen part"
+        "mostly unseen have no result; partly seen ones have two values of DGP, the lowest and the "
+        "highest for an unseen part between black and the brightest 1 % of the seen part"
     )
 
 
 def take_out_sun(
     luminance_cdm2: Float, heading_deg: float, recorded: SunSource | None
 ) -> tuple[Float, SunSource | None]:
-    """Return the map without a sun disc in its pixels, and the sun as a source or None.
+    """Return the map without a sun disc in its pixels, and the sun as a source; None without a sun.
 
-    Renderings can have the disc in their pixels. If the picture records a sun separately, that sun
-    is returned and the map is unchanged. luminance_cdm2 : [H, W = 2H], cd/m2.
+    luminance_cdm2 : [H, W = 2H]; heading_deg : azimuth of its centre column, clockwise from north.
+    recorded : the sun that the picture records separately: it is returned, and the map is
+    unchanged. If it is None, a disc in the pixels (of a rendering) is searched and removed.
     """
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:

@@ -35,10 +35,11 @@ SHOWN_SOURCES = 20
 def single_picture_glare(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
 ) -> GlareAnswer:
-    """Return the `glare` answer of a fisheye in its own view direction.
+    """Return the `glare` answer of a fisheye or perspective picture in its own view direction.
 
-    factor : multiplies its luminance; reference : add evalglare's figures. Raises InputError for
-    another azimuth in azimuths_deg, and for pixels that are not finite.
+    path : names the picture in the answer and in errors. factor : multiplies the luminance.
+    reference : add evalglare's figures. Raises InputError if `azimuths_deg` has another azimuth
+    than the picture's own (it may be empty), and for pixels that are not finite.
     """
     view = picture.view
     assert view is not None
@@ -63,8 +64,8 @@ def single_picture_glare(
     share = grid.covered_share
     if share < FULLY_SEEN_SHARE:
         warnings.append(
-            f"the picture covers {100 * share:.0f} % of the view: Ev is a lower bound, and DGP "
-            "counts the part outside the picture as black"
+            f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
+            "bound, and DGP counts the part outside the picture as black; use a 180-degree fisheye"
         )
     return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share)
 
@@ -85,7 +86,7 @@ def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> N
     if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
         raise InputError(
             path,
-            f"--view-azimuth with a fisheye picture, whose view direction is {azimuth_deg:.1f} deg",
+            f"--view-azimuth with a picture that has one view direction, {azimuth_deg:.1f} deg",
             "--view-azimuth only with a panorama",
             "remove --view-azimuth",
         )

@@ -22,9 +22,9 @@ REACH_RAD = 0.1
 
 
 def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
-    """Return a mask [H, W] of the pixels within `radius_rad` of a pixel of a panorama's `mask`.
+    """Return a mask [H, W], True for panorama pixels within `radius_rad` of a True pixel of `mask`.
 
-    It continues across the seam of the panorama.
+    mask : [H, W = 2H]. Distances are angles on the sphere, also across the panorama's seam.
     """
     height, width = mask.shape
     rows = np.flatnonzero(mask.any(axis=1))
@@ -53,9 +53,10 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
 
 
 def group_pixels(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the number of each pixel's source, from 1, [H, W]; 0 outside `mask`.
+    """Return the number of the glare source of each pixel, from 1, [H, W]; 0 outside `mask`.
 
-    Pixels closer than 0.1 rad belong to one source.
+    mask : [H, W = 2H] of a panorama, True for bright pixels. Pixels closer than 0.1 rad belong to
+    one source.
     """
     from scipy.ndimage import label
 
@@ -82,9 +83,10 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
 
 
 def sources_of(luminance_cdm2: Float) -> list[NDArray[np.int64]]:
-    """Return the flat pixel indices of each glare source of a panorama [H, W] in cd/m2.
+    """Return an array of flat pixel indices for each glare source of a panorama [H, W = 2H], cd/m2.
 
-    Sources without their peaks (pixels from 50 000 cd/m2 on) come first, then the peaks.
+    Pixels above 2000 cd/m2 that are closer than 0.1 rad form one source. Pixels from 50 000 cd/m2
+    on (peaks) form sources of their own, which come last. The list is empty without bright pixels.
     """
     bright = luminance_cdm2 > SOURCE_CDM2
     if not bright.any():

@@ -31,8 +31,9 @@ DRAWS = 400  # years drawn for an interval, whose ends are the 10th and the 390t
 def disturbed_share(dgp: Float) -> NDArray[np.float64]:
     """Return, for each hour, the share of its view directions with disturbing glare, 0 to 1, [n].
 
-    Disturbing means a DGP above 0.40. dgp : [n, d], NaN for directions that no lens saw; these do
-    not count. The result is NaN for an hour in which no direction counts.
+    Disturbing means a DGP above 0.40. dgp : [n, d] of n hours in d directions, NaN for directions
+    that no lens saw; these do not count. The result is NaN for an hour in which no direction
+    counts.
     """
     known = np.isfinite(dgp)
     over = (np.where(known, dgp, 0.0) > DISTURBING_DGP).sum(axis=1)
@@ -42,13 +43,15 @@ def disturbed_share(dgp: Float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Protection:
-    """Glare protection in d directions.
+    """Glare protection by EN 17037 in d view directions.
 
-    dgp_exceeded [d] : the DGP that is exceeded in 5 % of the occupied hours; hours_over [d, 3] :
-    hours above .35, .40, .45; low, high [d] : ends of the 95 % interval of dgp_exceeded, None if
-    the model has no uncertainty; classes [d]; certain [d] : whether the interval is within one
-    class; seen [d] : "seen", "partly seen" or "not seen". A direction that was not seen has NaN in
-    dgp_exceeded, low and high, and the class "not seen".
+    azimuths_deg [d] : clockwise from north; occupied_hours : hours of the year in which the room is
+    used; dgp_exceeded [d] : the DGP that is exceeded in 5 % of them; hours_over [d, 3] : number of
+    them with a DGP above .35, .40, .45; low, high [d] : ends of the 95 % interval of dgp_exceeded,
+    None if the model has no uncertainty; classes [d] : "high", "medium", "minimum" or "none" (by
+    `class_of`); certain [d] : True if the interval is within one class, False without an interval;
+    seen [d] : "seen", "partly seen" or "not seen"; empty: not recorded. A direction that was not
+    seen has NaN in dgp_exceeded, low and high, and the class "not seen".
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -63,11 +66,11 @@ class Protection:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Mask [d] of the directions that have a class."""
+        """Mask [d], True for directions that have a class ("none" is one), False for "not seen"."""
         return np.array([name != NOT_SEEN_CLASS for name in self.classes])
 
     def sentence(self, i: int) -> str:
-        """Return the class and DGP of direction `i`, with their certainty, as a sentence."""
+        """Return class, DGP and certainty of direction number `i` (from 0) as a sentence."""
         value, name = self.dgp_exceeded[i], self.classes[i]
         if name == NOT_SEEN_CLASS:
             return "not seen: no lens saw enough of this direction"
@@ -89,15 +92,20 @@ class Protection:
 
 
 def class_of(dgp_exceeded: float) -> str:
-    """Return the EN 17037 class of a DGP exceeded in 5 % of the hours: high to none."""
+    """Return the EN 17037 class of a DGP that is exceeded in 5 % of the occupied hours.
+
+    At most 0.35 is "high" protection, at most 0.40 "medium", at most 0.45 "minimum", otherwise
+    "none".
+    """
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 
 
 def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
-    """Return the DGP that is exceeded in 5 % of the occupied hours, [..., d].
+    """Return the DGP of each direction that is exceeded in 5 % of the occupied hours, [..., d].
 
-    dgp : [..., n, d] of the lit hours; the other occupied hours are dark and count too. The result
-    is the (k + 1)th largest value, with k = floor(0.05 * occupied_hours), or 0 if n <= k.
+    dgp : [..., n, d] of the n lit occupied hours in d directions; the other occupied hours are dark
+    and count too, as hours without glare. The result is the (k + 1)th largest value, with k =
+    floor(0.05 * occupied_hours), or 0 if n <= k.
     """
     lit = dgp.shape[-2]
     rank = int(np.floor(EXCEEDED_SHARE * occupied_hours + 1e-9))
@@ -109,12 +117,13 @@ def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
 def dgp_uncertainty(
     ev_lx: Float, contrast: Float, ev_relative: Float, source_relative: Float
 ) -> NDArray[np.float64]:
-    """Return the standard uncertainty of DGP, [n, d].
+    """Return the standard uncertainty of DGP, [n, d], by first-order propagation.
 
-    ev_relative, source_relative : relative uncertainties of Ev and of the luminance of sources. The
-    propagation is of first order. The error of Ev has opposite signs in the Ev term and in the
-    contrast term, but both are added: the result is larger than the true uncertainty. The sources'
-    error is assumed to be independent.
+    ev_lx : [n, d] vertical illuminance; contrast : [n, d] sum of L^2 omega / P^2 over sources;
+    ev_relative, source_relative : [n, d] relative standard uncertainties of Ev and of the luminance
+    of sources. The error of Ev has opposite signs in the Ev term and in the contrast term, but both
+    are added: the result is larger than the true uncertainty. The sources' error is assumed to be
+    independent.
     """
     ratio = contrast / np.maximum(ev_lx, 1e-6) ** 1.87
     slope = DGP_CONTRAST / np.log(10.0) * ratio / (1.0 + ratio)
@@ -127,8 +136,8 @@ class GlareDoubt:
     """Further uncertainty of the DGP of n hours in d directions, besides the model's own error.
 
     seen [d] : "seen", "partly seen" or "not seen"; least, most [n, d] : least and largest DGP over
-    possible light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as k
-    possible rooms show it, None if the room is certain.
+    possible light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as
+    visible in each of k possible rooms, None if the room is certain.
     """
 
     seen: tuple[str, ...]
@@ -137,7 +146,7 @@ class GlareDoubt:
     drawn: Float | None = None
 
     def hours(self, rows: NDArray[np.bool_]) -> GlareDoubt:
-        """Return the uncertainty of some of the hours; rows : mask [n]."""
+        """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
         drawn = None if self.drawn is None else self.drawn[:, rows]
         return GlareDoubt(self.seen, self.least[rows], self.most[rows], drawn)
 
@@ -150,10 +159,15 @@ def protection(
     rng: np.random.Generator,
     doubt: GlareDoubt | None = None,
 ) -> Protection:
-    """Return the EN 17037 glare protection of d directions, with 95 % intervals.
+    """Return the EN 17037 glare protection in d view directions, with 95 % intervals.
 
-    dgp : [n, d] of the lit occupied hours; u_dgp : its standard uncertainty by the model, None for
-    no intervals. The interval comes from 400 drawn years with normal errors around the model's DGP;
+    dgp : [n, d] of the n lit occupied hours. u_dgp : [n, d] its standard uncertainty by the model.
+    Without it (None, or not finite in a direction that was seen) there are no intervals: low and
+    high are None. occupied_hours : number of lit and dark occupied hours. azimuths_deg : [d],
+    clockwise from north. doubt : uncertainty of unseen parts and of the room; None if everything is
+    seen and the room is certain.
+
+    The interval comes from 400 years drawn with `rng`, with normal errors around the model's DGP;
     half of their variance is common to all hours. Each drawn year takes the sun's disc from one of
     the drawn rooms. The lower end uses `doubt.least`, the upper end `doubt.most`.
     """
@@ -210,9 +224,10 @@ def hours_to_capture(
 ) -> NDArray[np.float64]:
     """Return how much each hour's uncertainty keeps classes of directions undecided, [n].
 
-    dgp, u_dgp : [n, d]; undecided : mask [d]; limits : DGP limit of each direction, [d]. The value
-    is the sum over the undecided directions of p (1 - p), with p the probability that the hour's
-    DGP is above the limit (normal error). Capture the hours with the largest values.
+    dgp, u_dgp : [n, d] DGP and its standard uncertainty; undecided : mask [d], True for directions
+    that count; limits : [d] DGP limit of each direction. The value is the sum over the undecided
+    directions of p (1 - p), with p the probability that the hour's DGP is above the limit (normal
+    error). Capture the hours with the largest values.
     """
     from scipy.special import ndtr
 
@@ -223,6 +238,9 @@ def hours_to_capture(
 
 
 def nearest_limits(protection: Protection) -> NDArray[np.float64]:
-    """Return for each direction the class limit nearest to its dgp_exceeded, [d]."""
+    """Return for each direction the class limit that is nearest to its dgp_exceeded, [d].
+
+    It is 0.35, 0.40 or 0.45; 0.35 for a direction that was not seen.
+    """
     limits = np.array([limit for _, limit in CLASSES])
     return limits[np.abs(limits[None, :] - protection.dgp_exceeded[:, None]).argmin(axis=1)]

@@ -29,9 +29,11 @@ _THIN = 4  # use every fourth row and column, which suffices for a percentile; o
 class ViewCoverage:
     """The seen and unseen parts of d view directions.
 
-    seen_share [d] : share of the illuminance of a uniform field; unseen_illuminance [d] : solid
-    angle times cosine of the unseen pixels, sr; unseen_sources [d] : their solid angle over the
-    square of the position index, sr.
+    seen_share [d] : share (0 to 1) of the vertical illuminance of a uniform field that comes from
+    seen pixels; unseen_illuminance [d] : sum over the unseen pixels of solid angle times cosine,
+    sr; unseen_sources [d] : their solid angle over the square of the position index, sr. Times a
+    luminance and a squared luminance, the last two give what the unseen pixels add to Ev and to
+    `contrast`.
     """
 
     seen_share: NDArray[np.float64]
@@ -40,22 +42,28 @@ class ViewCoverage:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """State of each direction: "seen", "partly seen" or "not seen"."""
+        """State of each direction, [d].
+
+        "seen" from a seen_share of 0.98 on, "partly seen" from 0.5 on, otherwise "not seen".
+        """
         return seen_words(self.seen_share)
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Mask [d] of the directions that are seen at least partly and therefore have figures."""
+        """Mask [d], True for directions that are seen or partly seen and therefore have figures."""
         return np.array([word != NOT_SEEN for word in self.words])
 
     @property
     def partly(self) -> NDArray[np.bool_]:
-        """Mask [d] of the partly seen directions, whose DGP has bounds."""
+        """Mask [d], True for partly seen directions, whose DGP has bounds."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 
 def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
-    """Return the coverage of each direction of `views`; seen [H, W], None if all were seen."""
+    """Return how much of each view direction of `views` lenses saw.
+
+    seen : mask [H, W] of the panorama, True for pixels that a lens saw; None if all were seen.
+    """
     count = len(views.azimuths_deg)
     if seen is None or seen.all():
         return ViewCoverage(np.ones(count), np.zeros(count), np.zeros(count))
@@ -76,7 +84,7 @@ def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
 def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
 
-    luminance_cdm2 : [n, H, W].
+    luminance_cdm2 : [n, H, W] of n maps; seen : mask [H, W], True for pixels that a lens saw.
     """
     height, width = seen.shape
     step = max(1, min(_THIN, height // 16))
@@ -94,9 +102,11 @@ def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np
 def unseen_dgp_bounds(
     coverage: ViewCoverage, ev_lx: Float, contrast: Float, most_cdm2: Float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and the largest DGP over possible unseen luminances, [n, d] each.
+    """Return the least and the largest DGP over possible luminances of the unseen part, [n, d].
 
-    ev_lx, contrast : [n, d] of the seen part; most_cdm2 : [n] the brightest likely luminance.
+    ev_lx, contrast : [n, d] of the seen part, as of `glare_directions`; most_cdm2 : [n] the
+    brightest likely luminance of the unseen part. If nothing is unseen, both are the DGP of the
+    seen part.
     """
     low = high = dgp(ev_lx, contrast)
     if not coverage.unseen_illuminance.any():
