@@ -310,7 +310,7 @@ def test_a_clipped_sun_without_its_row_is_a_lower_bound(tmp_path: Path) -> None:
     paired = read_panorama_with_sun(path, {row.panorama: row})
     assert "pair found no stronger sun" in paired.attributes["note"]
     notes = load_pairs(session).notes
-    assert any("the sun of 1 maps is clipped" in note for note in notes)
+    assert any("the sun is clipped in 1 map:" in note for note in notes)
 
 
 @pytest.mark.contract

@@ -45,12 +45,15 @@ def find_turns(
     heading_deg: float,
     progress: Progress,
 ) -> CameraTurns:
-    """Return how each capture's camera was turned, in the order of `pictures`.
+    """Return how the camera of each capture was turned relative to most captures, in order of time.
 
-    The turns are read from the table next to the csv `pairs` if its names and checksums are those
-    of all maps. Otherwise they are estimated by `camera_turns`; with at least 5 captures and 40
-    rows of pixels, a new table is written if the folder is writable. pictures: names as in the csv
-    [n]; maps, has_value (True for measured pixels): in the order of time [n, H, W].
+    pairs: path of pairs.csv. pictures: names of its panoramas as in the csv [n]; maps [n, H, W] and
+    has_value [n, H, W] (True for measured pixels) belong to them. heading_deg: azimuth of the maps'
+    centre column.
+
+    The turns are read from a table next to the csv if its names and checksums are those of all
+    maps. Otherwise `camera_turns` estimates them, and with at least 5 captures and 40 rows of
+    pixels a new table is written. In a read-only folder nothing is written, and no error is raised.
     """
     path = alignment_path(pairs)
     digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
@@ -88,12 +91,14 @@ def align(
     heading_deg: float,
     turns: CameraTurns,
 ) -> None:
-    """Turn maps, masks [n, H, W] and counts of captures to the common pose, in place.
+    """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
 
-    has_value: True for measured pixels. Captures that were not turned, or that cannot be aligned,
-    do not change. counts: weight of each pixel [H, W] in a capture, None for 1. Interpolation blurs
-    sharp edges, such as a window's: a pixel's weight is multiplied by a factor from this
-    uncertainty, which is 0 instead of less than a half. heading_deg: of the panoramas.
+    maps: [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts: for each capture
+    the weights of its pixels in training [H, W], None if all are 1; heading_deg: azimuth of the
+    maps' centre column. A capture that was not turned, or that cannot be aligned, does not change.
+
+    Interpolation blurs sharp edges, such as a window's. Therefore a pixel's weight is multiplied by
+    `weight_of` this uncertainty; a factor below a half becomes 0.
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
@@ -111,10 +116,11 @@ def align(
 def shown_place(
     altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: NDArray[np.floating]
 ) -> tuple[float, float]:
-    """Return altitude and azimuth [deg] at which a turned camera's picture shows a direction.
+    """Return the altitude and azimuth [deg] at which a turned camera's panorama shows a direction.
 
-    altitude_deg, azimuth_deg: the true direction; heading_deg: of the panorama; angles_deg: the
-    camera's turn in heading (clockwise), tilt (up) and roll (clockwise) [3].
+    altitude_deg, azimuth_deg: the true direction, azimuth clockwise from north; heading_deg:
+    azimuth of the panorama's centre column; angles_deg: the camera's turn in heading (clockwise
+    positive), tilt (up) and roll (clockwise) [3].
     """
     if not angles_deg.any():
         return altitude_deg, azimuth_deg
@@ -124,10 +130,11 @@ def shown_place(
 
 
 def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
-    """Return a note on each pose that was corrected, and one on captures that are not used.
+    """Return sentences for the user: one for each pose that was corrected, one on unused captures.
 
-    The list is empty if no camera was turned. days: local date of each capture [n]; table: name of
-    the file with the turns.
+    Captures that cannot be aligned are not used. The list is empty if all captures are aligned and
+    no camera was turned. days: local date of each capture [n]; table: name of the file with the
+    turns.
     """
     notes = []
     for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
@@ -138,14 +145,14 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
             for name, angle, error in zip(("heading", "tilt", "roll"), pose, u, strict=True)
         ]
         notes.append(
-            f"the camera was turned in {_captures(rows, days)} by {', '.join(parts)} degrees; "
-            f"these captures were aligned to the others (angles of each capture: {table})"
+            f"the camera was turned in {_captures(rows, days)} by {', '.join(parts)} degrees "
+            "(positive: clockwise, up, clockwise); the pictures were turned back in memory "
+            f"(angles of each capture: {table})"
         )
     if not turns.aligned.all():
         notes.append(
-            f"WARNING: {_captures(~turns.aligned, days)} cannot be aligned with the others and "
-            "are not used: the camera was turned or moved; put these captures into a separate "
-            "session"
+            f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "
+            "others: the camera was turned too far or moved; put them into a separate session"
         )
     return notes
 

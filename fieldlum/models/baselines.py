@@ -21,7 +21,12 @@ LEAST_SHARE = 0.02
 
 
 class MeanFitted:
-    """A model that predicts the same map for every hour: the mean of log10 L of each pixel."""
+    """A model that predicts the same map for every hour: the mean of log10 L of each pixel.
+
+    log10_mean: this mean [H, W], L in cd/m2; domain: range of light in the captures; parameters:
+    number of fitted values, H times W; held_out_mse: None, because errors on other days are not
+    computed.
+    """
 
     name = "mean"
     held_out_mse: NDArray[np.float64] | None = None
@@ -31,16 +36,17 @@ class MeanFitted:
         self.parameters = log10_mean.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict the mean map for each of the n hours, [n, H, W]; patch_cdm2 is not used.
+        """Predict the mean map for each of the n hours of `light`, [n, H, W].
 
-        The expected error is NaN; trusted hours have light like that of the captures.
+        patch_cdm2 is not used. The prediction has no standard deviation, and NaN as expected error.
+        Hours whose light is similar to that of the captures are trusted.
         """
         n = len(light.dni_wm2)
         maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
         return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
 
     def state(self) -> ModelState:
-        """Return settings for config.json and arrays for weights.npz."""
+        """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
         config = {"domain": self.domain.state(), "with_patch": False}
         return ModelState(config, {"log10_mean": self.log10_mean})
 
@@ -53,7 +59,10 @@ def fit_mean(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> MeanFitted:
-    """Fit the mean of log10 L (L at least 1e-3 cd/m2) of each pixel; only `data` is used."""
+    """Fit the mean of log10 L (L at least 1e-3 cd/m2) of each pixel over the captures of `data`.
+
+    The other arguments are those of every model's fit and are not used.
+    """
     log10 = np.zeros(data.shape)
     # one by one, because the logarithm of all maps would double the memory
     for luminance in data.luminance_cdm2:
@@ -62,11 +71,15 @@ def fit_mean(
 
 
 class NearestFitted:
-    """A model that predicts the captured hour with the most similar sun and sky.
+    """A model that predicts the map of the captured hour with the most similar sun and sky.
 
-    That hour's map is scaled by the ratio of global irradiances. If the model was fitted with sun
-    patches in cd/m2 (patch "absolute"), the map's sun patch is replaced by that of the predicted
-    hour.
+    That map is scaled by the ratio of global irradiances of the two hours. With with_patch, the
+    map's sun patch (surfaces in direct sun) is replaced by that of the predicted hour.
+
+    rest_cdm2: captured maps, with with_patch without their sun patches [m, H, W]; features: by
+    `light_features` [m, 5]; scale: by `outside` [m]; domain: range of light in the captures;
+    parameters: number of stored luminances; held_out_mse: None, because errors on other days are
+    not computed.
     """
 
     name = "nearest"
@@ -85,11 +98,13 @@ class NearestFitted:
         self.parameters = rest_cdm2.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict scaled maps of the captured hours with the most similar light, [n, H, W].
+        """Predict for n hours the scaled map of the captured hour with the most similar light.
 
-        patch_cdm2: sun patches [n, H, W], added if the model was fitted with patches. The expected
-        error is NaN; trusted hours have light like that of the captures. Raises ValueError without
-        patch_cdm2 for a model that was fitted with sun patches.
+        patch_cdm2: luminance by direct sun in the hours of `light` [n, H, W], which is added if the
+        model was fitted with sun patches, and otherwise not used. The prediction has no standard
+        deviation, and NaN as expected error. Hours whose light is similar to that of the captures
+        are trusted. Raises ValueError without patch_cdm2 for a model that was fitted with sun
+        patches.
         """
         wanted, scale = light_features(light), outside(light)
         distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
@@ -102,17 +117,17 @@ class NearestFitted:
         return Prediction(maps, None, np.full(len(maps), np.nan), self.domain.holds(light))
 
     def state(self) -> ModelState:
-        """Return settings for config.json and arrays for weights.npz."""
+        """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
         arrays = {"rest_cdm2": self.rest_cdm2, "features": self.features, "scale": self.scale}
         config = {"domain": self.domain.state(), "with_patch": self.with_patch}
         return ModelState(config, arrays)
 
 
 def light_features(light: Light) -> NDArray[np.float64]:
-    """Return the features by which hours are compared, [n, 5].
+    """Return five features of each of n hours, [n, 5]; similar hours have similar values.
 
-    These are the sun's direction (three values, times 0.3 plus the beam share), the beam share DNI
-    / (DNI + DHI), and 0.3 log10 of diffuse irradiance plus 10 W/m2.
+    These are the vector to the sun (three values) times 0.3 plus the beam share, the beam share DNI
+    / (DNI + DHI), and 0.3 log10 of (diffuse irradiance plus 10 W/m2).
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -121,7 +136,10 @@ def light_features(light: Light) -> NDArray[np.float64]:
 
 
 def outside(light: Light) -> NDArray[np.float64]:
-    """Return global horizontal irradiance plus 1 W/m2, [n], by which maps are scaled."""
+    """Return the global horizontal irradiance of each hour plus 1 W/m2, [n].
+
+    Maps are scaled in proportion to it.
+    """
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
     return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
 
@@ -136,8 +154,9 @@ def fit_nearest(
 ) -> NearestFitted:
     """Return a model that stores the captured hours; only `data` and `patch` are used.
 
-    With patch "absolute" the sun patches of `data`, if any, are subtracted; at least 2 % of a
-    pixel's light remains. With "gain" or "none" they stay in the maps.
+    With patch "absolute" the sun patches of `data`, if any, are subtracted from the maps; at least
+    2 % of a pixel's light remains. With "gain" or "none" they stay in the maps. The other arguments
+    are those of every model's fit.
     """
     with_patch = patch == "absolute" and data.patch_cdm2 is not None
     rest = data.luminance_cdm2
@@ -149,7 +168,7 @@ def fit_nearest(
 
 
 def from_state(state: ModelState) -> Fitted:
-    """Return the baseline (mean or nearest) that its method `state` described.
+    """Return the baseline model, mean or nearest, that the content of a model folder describes.
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """

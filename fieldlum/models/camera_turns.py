@@ -72,11 +72,12 @@ MOST_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not 
 
 @dataclass(frozen=True, slots=True)
 class CameraTurns:
-    """Turn of each capture's camera relative to most captures; zero if it was not turned.
+    """Turn of each capture's camera relative to the pose that most captures share.
 
-    angles_deg: heading (clockwise), tilt (up) and roll (clockwise) [n, 3]; u_deg: standard
-    uncertainties [n, 3]; aligned: True if the capture can be used: its turn is under 10 pixels, and
-    the picture, turned back, has its edges where the room's edges are [n].
+    angles_deg: turn in heading (clockwise positive), tilt (up) and roll (clockwise) [n, 3], zero if
+    the camera was not turned or cannot be aligned; u_deg: standard uncertainties of the turns [n,
+    3]; aligned: True if the capture can be used: its turn is under 10 pixels, and its picture,
+    turned back, has its edges where the room's edges are [n].
     """
 
     angles_deg: Array
@@ -85,7 +86,10 @@ class CameraTurns:
 
     @property
     def turned(self) -> NDArray[np.bool_]:
-        """Whether each capture must be turned back, [n]."""
+        """Mask [n], True for captures that must be turned back.
+
+        These are aligned captures with a turn that is not zero.
+        """
         return self.aligned & self.angles_deg.any(axis=1)
 
 
@@ -102,10 +106,11 @@ def _axes(heading_deg: float) -> Array:
 
 
 def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return the directions at which a turned camera's picture shows `rays`, [..., 3].
+    """Return the directions at which a turned camera's panorama shows `rays`, [..., 3].
 
-    rays: unit vectors, x east, y north, z up; heading_deg: of the panorama; angles_deg: the
-    camera's turn in heading (clockwise), tilt (up) and roll (clockwise) [3].
+    rays: unit vectors to what is seen, x east, y north, z up, as the results; heading_deg: azimuth
+    of the panorama's centre column; angles_deg: the camera's turn in heading (clockwise positive),
+    tilt (up) and roll (clockwise) [3].
     """
     vector = -np.radians(angles_deg) @ _axes(heading_deg)
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
@@ -129,22 +134,22 @@ def _at(maps: Array, places: Array) -> Array:
 
 
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return a turned camera's map [H, W] as an unturned camera would show it.
+    """Return a turned camera's map [H, W] as the camera would show it without the turn, [H, W].
 
-    heading_deg: of the panorama; angles_deg: the camera's turn in heading, tilt and roll [3].
-    Interpolation is linear between pixels. Pass ln L, so that a bright window does not spread over
-    its frame.
+    heading_deg: azimuth of the map's centre column; angles_deg: the camera's turn in heading, tilt
+    and roll [3], as in `CameraTurns`. Interpolation is linear between pixels. Pass ln L, so that a
+    bright window does not spread over its frame.
     """
     height, width = maps.shape
     return _at(maps, _places((height, width), heading_deg, angles_deg))
 
 
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return the uncertainty of `turned_back` by edges between pixels, [H, W], in units of `maps`.
+    """Return the standard uncertainty that interpolation in `turned_back` causes, [H, W].
 
-    maps: one map [H, W], ln L or another quantity. A turn by a fraction f of a pixel mixes
-    neighbours in the picture, and turning it back mixes them again. What remains is f (1 - f) of
-    the contrast of the neighbours.
+    maps: one map [H, W], ln L or another quantity, whose unit the result has. A turn by a fraction
+    f of a pixel mixes neighbours in the picture, and turning it back mixes them again. What remains
+    is f (1 - f) times the range of values among the 3 x 3 neighbours.
     """
     height, width = maps.shape
     places = _places((height, width), heading_deg, angles_deg)
@@ -281,12 +286,12 @@ def camera_turns(
     *,
     progress: Progress = quiet,
 ) -> CameraTurns:
-    """Return how the camera of each capture [n, H, W] was turned; captures in the order of time.
+    """Return how the camera of each capture was turned relative to most captures.
 
-    seen: True for pixels with a value [H, W]; heading_deg: of the panoramas. Consecutive captures
-    of one pose get the median turn; a turn too small to be certain is zero. With fewer than 5
-    captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all captures
-    aligned.
+    luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen: True for pixels
+    with a value [H, W]; heading_deg: azimuth of the centre column. Consecutive captures of one pose
+    get their median turn; a turn too small to be certain is zero. With fewer than 5 captures or 40
+    rows of pixels, or if nothing was seen, all turns are zero and all captures count as aligned.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))

@@ -24,10 +24,11 @@ MOST_SUN_DEG = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Columns of a pairs.csv, of its n usable rows; angles that the csv does not have are NaN.
+    """Values in n rows of a pairs.csv; a sun angle that the csv does not have is NaN.
 
-    lines: line numbers in the file; panorama: paths of the pictures; altitude_deg, azimuth_deg: of
-    the sun.
+    lines: line numbers in the file; t_utc: start times; panorama: paths of the pictures; dni_wm2,
+    dhi_wm2: direct normal and diffuse horizontal irradiance; altitude_deg, azimuth_deg: the sun's
+    position, azimuth clockwise from north.
     """
 
     lines: Sequence[int]
@@ -42,9 +43,9 @@ class Stated:
 def check_plausible(path: Path, rows: Stated, site: Site) -> None:
     """Raise InputError, naming the line, for rows that contradict each other or the sun.
 
-    It detects a repeated time or picture, a sun position more than 2.5 degrees from that computed
-    for `site`, and irradiance that is too large or too small for any sky, such as values in kW/m2.
-    path: the csv that the error names.
+    It detects a repeated time or picture, a sun position in the csv more than 2.5 degrees from that
+    computed for `site`, and irradiance that is too large or too small for any sky, such as values
+    in kW/m2. path: the csv that the error names.
     """
     _check_once(path, rows.lines, rows.t_utc, "have the same t_utc")
     _check_once(

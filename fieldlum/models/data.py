@@ -17,7 +17,7 @@ from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.models.pair_pictures import fill_gaps, read_pictures
 from fieldlum.models.teaching import joined_counts
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Progress, SiteFile, quiet, slot_id
+from fieldlum.records import Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.alignment_csv import alignment_path
@@ -36,13 +36,15 @@ _NAMED = 3  # number of slots that a note names; chosen
 class Dataset:
     """Captured hours with their light. The maps have no sun disc: disc_lx has its illuminance.
 
-    luminance_cdm2: [n, H, W]; patch_cdm2: direct sun only [n, H, W], or None; disc_lx: illuminance
-    of the visible disc at the lens, normal to the sun [n]; heading_deg: azimuth of the maps' centre
-    column; days: local standard dates [n]; slots: UTC start times as ids [n]; seen: True for pixels
-    that the camera saw [H, W]; steadiness: range of the irradiance during the bracket over its mean
-    (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user; counts:
-    weight of each value in training [n, H, W], None if all are 1; scene: what was used of a fitted
-    scene, or None.
+    light: light outside in the n hours; luminance_cdm2: [n, H, W]; patch_cdm2: luminance by direct
+    sun on surfaces (sun patches) [n, H, W], None without them; disc_lx: illuminance of the visible
+    disc at the lens, on a plane normal to the sun [n]; heading_deg: azimuth of the maps' centre
+    column, clockwise from north; days: local dates without daylight saving time [n]; slots: UTC
+    start times as ids, such as 20270320T153000Z [n]; setup: content of SITE.toml; seen: True for
+    pixels that the camera saw [H, W]; steadiness: range of the irradiance during the bracket over
+    its mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user;
+    counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
+    fitted scene, None without one.
     """
 
     light: Light
@@ -58,7 +60,7 @@ class Dataset:
     source: str = ""
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
-    scene: UsedScene | None = None  # the fitted scene, set by `scene_fit.with_scene`
+    scene: UsedScene | None = None
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -70,7 +72,7 @@ class Dataset:
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Solid angle of the seen pixels, divided by its mean; 0 where nothing was seen, [H, W]."""
+        """Solid angle of a pixel over the mean of the seen pixels, [H, W]; 0 for unseen ones."""
         weights = np.where(self.seen, equirect_solid_angles(*self.shape), 0.0)
         return weights / weights[self.seen].mean()
 
@@ -79,7 +81,10 @@ class Dataset:
         return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
-        """Return the hours that indices from 0 [k] or a boolean array [n] select, in that order."""
+        """Return some of the n hours, selected by `index`.
+
+        index: indices from 0 [k], whose order is followed, or a mask [n], True for hours to take.
+        """
         rows = np.asarray(index)
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
         return replace(
@@ -177,12 +182,14 @@ def load_pairs(
 ) -> Dataset:
     """Read the captures of a pairs.csv with their pictures, in the order of time.
 
-    where: the csv, a session or its folder; site: SITE.toml, by default that of the session or
-    site.toml next to the csv. Rows with ok = 0, without irradiance, or from a camera that cannot be
-    aligned are not used. The sun's position is that of the csv; an empty one is computed. Raises
-    InputError for a missing csv, site file or picture, an unreadable cell or picture, pictures that
-    differ in size or heading, or implausible rows; NotEnoughDataError if no row or no pixel is
-    usable.
+    where: path of the csv, a session or its folder; site: path of SITE.toml, None for that of the
+    session or site.toml next to the csv. Rows with ok = 0, without irradiance, or from a camera
+    that cannot be aligned are not used. The sun's position is that of the csv; where its cells are
+    empty, it is computed.
+
+    Raises InputError for a missing csv, site file or picture, an unreadable cell or picture,
+    pictures that differ in size or heading, or implausible rows; NotEnoughDataError if no row or no
+    pixel is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():
@@ -195,7 +202,7 @@ def load_pairs(
     pairs = PairsFile.read(path)
     rows, refused, notes = _usable_rows(pairs), len(pairs.refused), list(pairs.warnings)
     if refused:
-        notes.append(f"{refused} rows with ok = 0 are not used")
+        notes.append(f"left out: {counted(refused, 'row')} with ok = 0")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
         more = f" and {len(dark) - _NAMED} more" if len(dark) > _NAMED else ""
@@ -204,8 +211,8 @@ def load_pairs(
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
         raise NotEnoughDataError(
-            f"{path}: no usable row; see its column 'why', correct the "
-            "cause and run fieldlum pair again"
+            f"{path}: no usable row; expected a row with ok = 1 and irradiance above 0; see the "
+            "column 'why', correct the cause and run fieldlum pair again"
         )
     return _assemble(path, rows, setup, notes, progress)
 
@@ -222,9 +229,8 @@ def _assemble(
     pictures = read_pictures(path, rows, setup, progress)
     if pictures.bounds:
         notes.append(
-            f"the sun of {pictures.bounds} maps is clipped, so that its illuminance is only a "
-            "lower "
-            "bound: run fieldlum pair, and read its cautions"
+            f"the sun is clipped in {counted(pictures.bounds, 'map')}: its illuminance there is "
+            "only a lower bound; run fieldlum pair, and read its cautions"
         )
     heading = pictures.heading_deg
     names = [row.panorama for row in rows]
@@ -242,8 +248,8 @@ def _assemble(
     seen, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
         notes.append(
-            f"{filled} missing values of pixels that have one in most maps were filled with the "
-            "pixel's median over those maps"
+            f"filled {counted(filled, 'missing value')} of pixels that have values in most maps, "
+            "with the median of the pixel over the maps that have one"
         )
     if not seen.all():
         notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")

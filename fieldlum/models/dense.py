@@ -44,7 +44,11 @@ PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache
 class DenseFitted:
     """A trained network with everything that its prediction needs.
 
-    held_out_mse is None: errors on days without captures are not computed for a network.
+    net, shape: the network and its form; average_log10: mean of log10 L over the training images
+    [H, W]; heading_deg: azimuth of the maps' centre column; patch: how sun patches are used;
+    domain: range of light in the captures; training: content of a `TrainingRecord`; parameters:
+    number of fitted values; held_out_mse: None, because errors on days without captures are not
+    computed for a network.
     """
 
     name = "dense"
@@ -86,11 +90,12 @@ class DenseFitted:
             yield torch.cat(parts).float().cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps, [n, H, W]; patch_cdm2: sun patches of the same shape.
+        """Predict maps of the n hours of `light`, [n, H, W].
 
-        The network has no variance: `log10_sd` is None, the expected error NaN, and `trusted` only
-        means that the hour's light is like captured light. Raises ValueError without patch_cdm2 for
-        a network trained with sun patches; others do not use it.
+        patch_cdm2: luminance by direct sun in these hours [n, H, W]. Raises ValueError without it
+        for a network trained with sun patches; other networks do not use it. The network has no
+        variance: `log10_sd` is None, the expected error NaN, and `trusted` only means that the
+        hour's light is similar to captured light.
         """
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
@@ -106,7 +111,7 @@ class DenseFitted:
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
 
     def state(self) -> ModelState:
-        """Return settings for config.json and arrays for weights.npz."""
+        """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
         config = {
             "shape": asdict(self.shape),
             "patch": self.patch,
@@ -130,7 +135,7 @@ class DenseFitted:
 
 
 def from_state(state: ModelState) -> DenseFitted:
-    """Return the network that `DenseFitted.state` described.
+    """Return the network that the content of a model folder describes.
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
@@ -162,10 +167,11 @@ def fit(
     progress: Progress = quiet,
     **options: Any,
 ) -> DenseFitted:
-    """Train the network on `data`; seed: of all random numbers; budget_s: time for training.
+    """Train the network on `data`; seed: of all random numbers; budget_s: time for training [s].
 
-    options: fields of `Shape`, and other arguments of `dense_training.train`, such as its plan and
-    the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
+    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. budget_s None:
+    no limit. options: fields of `Shape`, and other arguments of `dense_training.train`, such as its
+    plan and the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
     """
     shape = Shape(
         **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}

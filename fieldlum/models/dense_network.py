@@ -36,16 +36,17 @@ DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 class Shape:
     """The form of the network of Liu, Colburn and Inanici (2020).
 
-    width, depth: of the layers of branch one; patch_width: of branch two; sky_map: whether the sky
-    patch behind a pixel is an input; curve: encoding of luminance. The defaults are the paper's
-    final form, other values its ablations (Table 1 and Figure 8).
+    width, depth: units of each layer and number of layers in branch one; patch_width: units of
+    branch two (200 in the form "cnn", by `dense_training.train`); sky_map: whether the luminance of
+    the sky patch behind a pixel is an input; form: "cnn" trains with complete images as batches, as
+    convolutions with kernel 1 would; curve: encoding of luminance, see `encode`. The defaults are
+    the paper's final form, other values its ablations (Table 1 and Figure 8).
     """
 
     width: int = 600
-    depth: int = 4  # layers of branch one
-    patch_width: int = 400  # width of branch two; the CNN form has 200
+    depth: int = 4
+    patch_width: int = 400
     sky_map: bool = True
-    # cnn: convolutions with kernel 1, so batches are complete images
     form: Literal["dense", "cnn"] = "dense"
     curve: Literal["log", "gamma"] = "log"
 
@@ -55,10 +56,10 @@ class Shape:
 
 
 def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Return luminance, floored at 1 cd/m2, encoded so that 1.6e9 cd/m2 is 1; same shape.
+    """Return luminance encoded for the network, in the same shape: 1.6e9 cd/m2 becomes 1.
 
-    The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L / 1.6e9)^(1/10). Larger luminances are
-    above 1.
+    Luminance below 1 cd/m2 counts as 1. The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L /
+    1.6e9)^(1/10). Larger luminances than 1.6e9 cd/m2 give values above 1.
     """
     floored = np.maximum(luminance_cdm2, 1.0)
     if curve == "gamma":
@@ -67,9 +68,10 @@ def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float
 
 
 def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Return the luminance [cd/m2] of encoded values, as the inverse of `encode`.
+    """Return the luminance [cd/m2] of values encoded by `encode` with the same curve.
 
-    Values outside [0, 1] are clipped first, which bounds every prediction; the least result is 1.
+    Values outside [0, 1] are clipped first, which bounds every prediction: the least result is 1,
+    the largest 1.6e9 cd/m2.
     """
     inside = np.clip(encoded, 0.0, 1.0)
     if curve == "gamma":
@@ -84,8 +86,9 @@ def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
 class Net(nn.Module):
     """The network of Liu, Colburn and Inanici (2020): two branches that are merged.
 
-    With the default sizes it has 1 689 201 parameters, or 1 688 601 without the sky as the eighth
-    input of branch one.
+    Branch one has position, sun, irradiance, mean luminance and sky of a pixel as inputs, branch
+    two the luminance of the sun patch there. With the default sizes the network has 1 689 201
+    parameters, or 1 688 601 without the sky as the eighth input of branch one.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -97,9 +100,10 @@ class Net(nn.Module):
         self.out = nn.Linear(shape.width, 1)
 
     def forward(self, scene: Tensor, patch: Tensor) -> Tensor:
-        """Return the encoded luminance [b] for inputs of branch one [b, 7 or 8] and two [b, 1].
+        """Return the encoded luminance [b] of b pairs of an hour and a pixel.
 
-        scene: result of `scene_inputs`; patch: encoded luminance of the sun patch.
+        scene: input of branch one, by `scene_inputs` [b, 7 or 8]; patch: input of branch two, the
+        encoded luminance of the sun patch [b, 1].
         """
         x = scene
         for layer in self.scene:
@@ -140,8 +144,8 @@ class Canvas:
 def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
     """Return the inputs of all P = H W pixels, row by row, that do not depend on the hour.
 
-    average_log10: mean of log10 L over training images, at least 0 [H, W]; heading_deg: azimuth of
-    the centre column.
+    average_log10: mean of log10 L [cd/m2] over training images, at least 0 [H, W]; heading_deg:
+    azimuth of the maps' centre column, clockwise from north.
     """
     from fieldlum.sky import reinhart_patches
 
@@ -162,8 +166,9 @@ def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
 class HourInputs:
     """Inputs of n hours that do not depend on the pixel.
 
-    sun: altitude, azimuth, DNI, DHI, scaled [n, 4]; sky: encoded luminance of the sky patches [n,
-    2306], whose last column is 0 and serves directions below the horizon; None without a sky map.
+    sun: the sun's altitude and azimuth, DNI and DHI, scaled as in `hours` [n, 4]; sky: encoded
+    luminance of the 2305 sky patches [n, 2306], whose last column is 0, for pixels at or below the
+    horizon; None without a sky map.
     """
 
     sun: Tensor
@@ -211,14 +216,20 @@ def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor)
 
 
 def pick_device() -> torch.device:
-    """Return the GPU of this process (torchrun numbers the processes); the CPU without a GPU."""
+    """Return the GPU of this process, or the CPU if there is no GPU.
+
+    With torchrun, process k of a machine gets its GPU number k.
+    """
     if not torch.cuda.is_available():
         return torch.device("cpu")
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
 
 def bfloat16_pays(device: torch.device) -> bool:
-    """Return whether the hardware has bfloat16 products; emulated ones are slower than float32."""
+    """Return whether the hardware itself computes products in bfloat16.
+
+    Emulated ones are slower than float32.
+    """
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     capability = torch.backends.cpu.get_cpu_capability()

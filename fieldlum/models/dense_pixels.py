@@ -19,31 +19,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PixelSampler:
-    """All pairs of one of n hours and one of P seen pixels, on the device.
+    """All pairs of one of n hours and one of P seen pixels, as tensors on one device.
 
-    The index of a pair is hour times P plus the index of its pixel in `seen`. target, patch:
-    encoded luminance of map and sun patch [n, P], patch None without patches; weight: relative
-    solid angle [P]; seen: flat pixel indices [P]; counts: how much a pixel counts in an hour [n,
-    P], None for 1.
+    The index of a pair is hour times P plus the pixel's index in `seen`. canvas, hours: inputs of
+    all pixels and of the n hours; target: encoded luminance of the map [n, P]; patch: that of the
+    sun patch [n, P], None without patches; weight: solid angle of the pixel, relative to the mean
+    [P]; seen: flat index of the pixel in the map [P]; counts: further weight of a pixel in an hour
+    [n, P], None for 1. The length is n times P.
     """
 
     canvas: Canvas
     hours: HourInputs
-    target: Tensor  # [n, P]
-    patch: Tensor | None  # [n, P]
-    weight: Tensor  # [P]
-    seen: Tensor  # pixel indices [P]
-    counts: Tensor | None = None  # [n, P]
+    target: Tensor
+    patch: Tensor | None
+    weight: Tensor
+    seen: Tensor
+    counts: Tensor | None = None
 
     def __len__(self) -> int:
         return self.target.numel()
 
     def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return inputs and targets of b pairs of an hour and a pixel.
+        """Return inputs, targets and weights of b pairs of an hour and a pixel.
 
-        numbers [b]: indices of the pairs. The results are the scene inputs [b, 7 or 8], the encoded
+        numbers: indices of the pairs [b]. The results are the scene inputs [b, 7 or 8], the encoded
         luminance of the sun patch [b, 1] (0 without patches), the encoded target [b] and the weight
-        [b].
+        in the loss [b].
         """
         hour = numbers // len(self.seen)
         place = numbers - hour * len(self.seen)
@@ -60,8 +61,8 @@ def pixels_of(
 ) -> PixelSampler:
     """Return all pairs of an hour of `data` and a seen pixel, encoded, on the device.
 
-    base: inputs of the pixels that do not depend on the hour. patch: with "none" sun patches are
-    left out, otherwise they are used in cd/m2.
+    base: inputs of the pixels that do not depend on the hour, by `canvas`. shape: its curve and
+    sky_map are used. patch: with "none" sun patches are left out, otherwise they are used in cd/m2.
     """
     seen = np.flatnonzero(data.seen)
 

@@ -36,10 +36,11 @@ _WARM_SHARE = 0.03  # share of the short schedule in which the rate rises; not m
 class TrainingPlan:
     """The length and the learning rate of a training.
 
-    schedule "paper": at most `epochs` passes over all training pixels; fewer if its three stages
-    end earlier. "short": `steps` steps of `batch_pixels` pixels each; after a warm-up the learning
-    rate falls to 0. A time budget can end both earlier. rate: highest learning rate; micro_pixels:
-    pixels whose gradient is computed at once, which limits the memory.
+    schedule "paper": at most `epochs` passes over all training pixels, fewer if its three stages
+    end earlier; steps and batch_pixels are not used. "short": `steps` updates with `batch_pixels`
+    pixels each; after a warm-up the learning rate falls to 0; epochs is not used. A time budget can
+    end both earlier. rate: highest learning rate; micro_pixels: pixels whose gradient is computed
+    at once, which limits the memory.
     """
 
     schedule: Literal["paper", "short"] = "paper"
@@ -54,10 +55,11 @@ class TrainingPlan:
 class Run:
     """The progress of a training, which is stored in its checkpoint.
 
-    epoch, step: numbers of completed ones; stage (from 0), stage_epoch: of the paper's schedule;
-    stale: epochs without improvement at this learning rate; rate: learning rate, in the short
-    schedule its highest value; best: least validation loss; elapsed_s, cpu_s: time used; skipped:
-    updates omitted because the loss was not finite.
+    epoch, step: number of completed epochs and batches; stage (from 0), stage_epoch: stage of the
+    paper's schedule, and completed epochs in it; stale: consecutive epochs without improvement at
+    this learning rate; rate: learning rate, in the short schedule its highest value; best: least
+    validation loss so far; elapsed_s, cpu_s: time used; skipped: number of updates omitted because
+    the loss was not finite.
     """
 
     epoch: int = 0
@@ -75,11 +77,11 @@ class Run:
 def affordable_plan(
     pixels_per_s: float, count: int, budget_s: float, micro_pixels: int
 ) -> TrainingPlan:
-    """Return the paper's schedule if it fits in the budget, else a short one.
+    """Return the paper's schedule if its 90 passes fit in the budget, else a short one.
 
-    count: training pixels of all hours, of which the paper's schedule uses each 90 times. The short
-    schedule has as many steps as `pixels_per_s` allows, but at least 25, of 512 to 8192 pixels
-    each.
+    pixels_per_s: measured speed of training; count: training pixels of all hours; budget_s:
+    available time; micro_pixels: see `TrainingPlan`. The short schedule has as many steps of 512 to
+    8192 pixels as the time allows, but at least 25.
     """
     affordable = pixels_per_s * budget_s
     if affordable >= TrainingPlan().epochs * count:
@@ -94,10 +96,10 @@ def affordable_plan(
 
 
 def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the indices from 0 of images for training [k] and for validation [n - k].
+    """Return the indices from 0 of images for training [k] and for validation [n - k], each sorted.
 
-    A tenth of the n images, but at least one, is drawn for validation; a single image is used for
-    both.
+    A tenth of the n images, but at least one, is drawn by `seed` for validation; a single image is
+    used for both.
     """
     order = np.random.default_rng(seed).permutation(n)
     cut = max(1, round(VALIDATION_SHARE * n))
@@ -105,9 +107,10 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
-    """Return the indices, below `total`, of the pairs of hour and pixel for validation, [b].
+    """Return the indices, below `total`, of the pairs of hour and pixel that validate, [b].
 
-    The paper's schedule uses all of them, the short one at most 60 000, which `seed` draws.
+    total: number of pairs in the validation images. The paper's schedule uses all of them, the
+    short one at most 60 000, which `seed` draws.
     """
     if plan.schedule == "paper" or total <= SHORT_VALIDATION_PIXELS:
         return torch.arange(total)
@@ -118,11 +121,12 @@ def validation_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
 def epoch_batches(
     pixels: PixelSampler, plan: TrainingPlan, run: Run, shape: Shape, seed: int
 ) -> Iterator[Tensor]:
-    """Yield the training pairs of each batch of one epoch, as indices [b] of `PixelSampler`.
+    """Yield the training pairs of each batch of the next epoch, as indices [b] of `PixelSampler`.
 
-    The random order depends only on `seed` and `run.epoch`, so that a resumed training continues
-    with the same batches. An epoch of the short schedule has a 25th of its steps. In the form "cnn"
-    a batch consists of complete images.
+    run: progress; its epoch and stage are used. The random order depends only on `seed` and the
+    epoch, so that a resumed training continues with the same batches. In the short schedule an
+    epoch has a 25th of all steps. In the form "cnn" (of `shape`) a batch consists of complete
+    images.
     """
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
     images, per_image = pixels.target.shape
@@ -152,10 +156,10 @@ def _all_pixels(group: Tensor, per_image: int) -> Tensor:
 
 
 def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """Return the learning rate of the short schedule: a warm-up, then a cosine that falls to zero.
+    """Return the learning rate of the next step of the short schedule.
 
-    It falls with the share of steps or of `budget_s` that is used, whichever is larger; budget_s
-    None: no limit.
+    After a warm-up it falls along a cosine to 0, by the share of steps or of `budget_s` that is
+    used, whichever is larger; budget_s None: no limit.
     """
     warm = min(1.0, (run.step + 1) / (_WARM_SHARE * plan.steps + 1))
     done = min(_done_share(plan, run, budget_s), 1.0)
@@ -163,10 +167,11 @@ def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
 
 
 def update_paper_rate(run: Run, improved: bool) -> None:
-    """Update `run` after an epoch: halve the rate after two epochs without improvement.
+    """Update `run` in place after an epoch of the paper's schedule.
 
-    Begin the next stage after 30 epochs of a stage, or when the rate is below 1e-10. improved:
-    whether this epoch lowered the validation loss.
+    Halve the rate after two epochs without improvement. Begin the next stage after 30 epochs of a
+    stage, or when the rate is below 1e-10. improved: whether this epoch lowered the validation
+    loss.
     """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1
@@ -178,14 +183,17 @@ def update_paper_rate(run: Run, improved: bool) -> None:
 
 
 def passes(plan: TrainingPlan, run: Run, count: int) -> float:
-    """Return how often, on average, each of `count` training pixels was used."""
+    """Return how often, on average, each training pixel was used.
+
+    count: number of training pixels, which are pairs of an hour and a pixel.
+    """
     return run.step * plan.batch_pixels / count if plan.schedule == "short" else float(run.epoch)
 
 
 def finished(plan: TrainingPlan, run: Run, budget_s: float | None) -> bool:
-    """Return whether the budget, the steps, the epochs or the stages are used up.
+    """Return whether the training must end: budget, steps, epochs or stages are used up.
 
-    budget_s None: no limit.
+    budget_s: time limit [s] for run.elapsed_s; None: no limit.
     """
     if budget_s and run.elapsed_s >= budget_s:
         return True
@@ -195,7 +203,11 @@ def finished(plan: TrainingPlan, run: Run, budget_s: float | None) -> bool:
 
 
 def thousandths(plan: TrainingPlan, run: Run, budget_s: float | None) -> int:
-    """Return the progress of the training from 0 to 1000."""
+    """Return the progress of the training from 0 to 1000.
+
+    It is the share of steps or epochs, or of budget_s [s] if that is larger; budget_s None: no
+    limit.
+    """
     return min(1000, int(1000 * _done_share(plan, run, budget_s)))
 
 

@@ -26,9 +26,10 @@ def keep(
     mark: str,
     best: dict[str, Tensor],
 ) -> None:
-    """Write a checkpoint atomically: progress, plan, optimiser, current and best weights.
+    """Write a checkpoint to `path` atomically: progress, plan, optimiser, current and best weights.
 
-    best: weights of the least validation loss; mark: digest of training data, patch mode and seed.
+    best: weights with the least validation loss; mark: digest of training data, patch mode and
+    seed, which `restore` compares.
     """
     state = {
         "net": net.state_dict(),
@@ -48,8 +49,9 @@ def restore(
 ) -> tuple[TrainingPlan, dict[str, Tensor]]:
     """Load a checkpoint into net, optimiser and run; return its plan and its best weights.
 
-    Raises InputError for a checkpoint of another network, of other data, patch mode or seed, and
-    for one that cannot be read or contains other objects than tensors, numbers and texts.
+    shape, mark: the form of this network, and the digest of this training's data, patch mode and
+    seed. Raises InputError if those of the checkpoint differ, and for a checkpoint that cannot be
+    read or contains other objects than tensors, numbers and texts.
     """
     try:
         with warnings.catch_warnings():

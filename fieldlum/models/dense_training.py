@@ -57,9 +57,12 @@ _ONE_UPDATE_S = 1e-3  # a budget that ends after one update
 class TrainingRecord:
     """What config.json records of a training, under the key dense_training.
 
-    seconds, cpu_seconds: time used; pixels_seen_per_pixel: average number of uses of a training
-    pixel; skipped_updates: those whose loss was not finite; bfloat16: whether products were in that
-    precision; validation_slots: slots of the images for validation.
+    schedule: "paper" or "short"; epochs, steps: number of completed epochs and batches; seconds,
+    cpu_seconds: time used; pixels_seen_per_pixel: average number of uses of a training pixel;
+    best_validation_loss: see `loss_value`; skipped_updates: number of updates omitted because the
+    loss was not finite; seed: of all random numbers; device: "cpu" or "cuda"; bfloat16: whether
+    products were computed in that precision; plan: length and learning rate; validation_slots:
+    slots of the images for validation.
     """
 
     schedule: str
@@ -78,7 +81,11 @@ class TrainingRecord:
 
 
 class TrainedNet(NamedTuple):
-    """A trained network: best weights, mean log10 L of the training images [H, W], and a record."""
+    """A trained network.
+
+    net: with the weights of the least validation loss; average_log10: mean of log10 L over the
+    training images, at least 0 [H, W]; record: what config.json records of the training.
+    """
 
     net: Net
     average_log10: NDArray[np.float64]
@@ -111,10 +118,11 @@ def _loss_parts(
 
 
 def loss_value(parts: Tensor) -> float:
-    """Return MSE + 10 RER from [S_error, S_target, count].
+    """Return the loss MSE + 10 RER of a batch; parts: [S_error, S_target, count].
 
-    S_error, S_target: weighted sums of squared errors and targets over `count` pixels. MSE is
-    S_error / count, RER (relative error) is the root of S_error / S_target.
+    S_error, S_target: weighted sums of squared errors and of squared targets (encoded luminance)
+    over `count` pixels. MSE is S_error / count; RER (relative error) is the root of S_error /
+    S_target.
     """
     error, target, count = parts.tolist()
     return error / count + RER_SHARE * math.sqrt(error / max(target, 1e-12))
@@ -163,13 +171,15 @@ def train(
     bfloat16: bool | None = None,
     progress: Progress = quiet,
 ) -> TrainedNet:
-    """Train the network; return it with the weights of the best validation.
+    """Train the network on `data`; return it with the weights of the least validation loss.
 
-    plan: None uses the paper's schedule if it fits in `budget_s` [s] or there is no budget, else a
-    short one by measured speed. least_passes: without a plan, end after one update if the budget
-    allows less than half of these passes over the training pixels. checkpoint: written after each
-    epoch; an existing one is continued, with its plan. stop_after_epochs: end early, as an
-    interruption would. bfloat16: None uses it where it is fast. Raises InputError for a checkpoint
+    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. plan: length
+    and learning rate. None uses the paper's schedule if there is no budget_s [s] or it fits in it,
+    else a short one by measured speed. least_passes: without a plan, end after one update if the
+    budget allows less than half of these passes over the training pixels. checkpoint: path, written
+    after each epoch; an existing one is continued, with its plan; None for none. stop_after_epochs:
+    number of epochs after which this call ends early, as an interruption would. bfloat16: compute
+    products in this precision; None does so where it is fast. Raises InputError for a checkpoint
     that cannot be used.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()

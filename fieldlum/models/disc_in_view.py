@@ -31,10 +31,11 @@ DRAWN_ROOMS = 64
 
 
 def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
-    """Return the disc's illuminance at the lens by the room of `setup`, [n] lx; None without one.
+    """Return the illuminance of the sun's disc at the lens by the room of `setup`, [n] lx.
 
-    It is on a plane normal to the sun, 0 where the room hides the sun. Raises InputError for an
-    impossible room or a room file that cannot be traced.
+    light: n hours. The illuminance is on a plane normal to the sun, 0 where the room hides the sun.
+    None if `setup` has no room. Raises InputError for an impossible room or a room file that cannot
+    be traced.
     """
     room = setup.room
     if room is None:
@@ -55,12 +56,13 @@ def drawn_discs_lx(
     count: int = DRAWN_ROOMS,
     uncertainty: RoomUncertainty | None = None,
 ) -> Array | None:
-    """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n] lx.
+    """Return the illuminance of the sun's disc in rooms drawn from the room's uncertainty.
 
-    It is at the lens, on a plane normal to the sun. Return None without a room. uncertainty: that
-    of a fitted room; by default 5 cm and 1 degree, as for a stated room. A room from a file has no
-    parameters: there the sun is shifted at random, with a standard deviation of 1.5 degrees along
-    each axis.
+    The result is [count, n] lx for the n hours of `light`, at the lens, on a plane normal to the
+    sun. None if `setup` has no room. The room of `setup` is drawn `count` times with `rng`.
+    uncertainty: that of a fitted room; None for 5 cm and 1 degree, as for a stated room. A room
+    from a file has no parameters: there the sun is shifted at random instead, with a standard
+    deviation of 1.5 degrees along each axis.
     """
     room = setup.room
     if room is None:
@@ -96,10 +98,11 @@ def guessed_disc_lx(
 ) -> Array:
     """Return the disc's illuminance guessed from predicted maps, without any geometry, [n] lx.
 
-    maps: [n, H, W] cd/m2. With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun
-    shifted by each of them. If the sun's pixel has 0.3 to 1.3 times the luminance of the Perez sky
-    there, it shows sky through glass, and the disc shines through with that factor, at most 1;
-    otherwise the illuminance is 0. A twig or a blind is not detected.
+    maps: [n, H, W] cd/m2, of the n hours of `light`; heading_deg: azimuth of their centre column.
+    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each of them. If
+    the sun's pixel has 0.3 to 1.3 times the luminance of the Perez sky there, it shows sky through
+    glass, and the disc shines through with that factor, at most 1; otherwise the illuminance is 0.
+    A twig or a blind is not detected.
     """
     sky = np.array(
         [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]

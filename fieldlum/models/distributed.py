@@ -13,30 +13,30 @@ from torch import distributed as dist
 
 
 def rank() -> int:
-    """Return the number of this process from 0; 0 without torchrun."""
+    """Return the number of this process among torchrun's processes, from 0; 0 without torchrun."""
     return int(os.environ.get("RANK", "0"))
 
 
 def world() -> int:
-    """Return the number of processes, 1 without torchrun."""
+    """Return the number of processes that torchrun started; 1 without torchrun."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def join(device: torch.device) -> None:
-    """Join the group of torchrun's processes; do nothing if there is only one process."""
+    """Join the group of torchrun's processes, once; do nothing if there is only one process."""
     if world() > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
 
 
 def total(tensor: Tensor) -> Tensor:
-    """Return the sum over all processes in the shape and unit of `tensor`, computed in place."""
+    """Return `tensor` after each value in it was replaced by its sum over all processes."""
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor
 
 
 def agreed(value: float, device: torch.device) -> float:
-    """Return the value of the process with rank 0, in all processes.
+    """Return in every process the value that the process with rank 0 passed.
 
     Processes that disagree about the end of a training would wait for each other without end.
     """
