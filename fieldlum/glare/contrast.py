@@ -111,10 +111,10 @@ def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
 class ViewRegions:
     """The pixels of a panorama in three regions of the view, for d view directions.
 
-    task : a cone of 15 degrees radius around the direction 30 degrees below the line of sight; band
-    : within 20 degrees of the horizon, in front of the observer; half : the hemisphere in front.
-    Each is [H * W, d]: the solid angle of a pixel in the region, sr; 0 outside. `ratios` computes
-    the figures of maps.
+    Each region is [H * W, d]: the solid angle of a pixel in it, sr; 0 outside. task : a cone of 15
+    degrees radius around the direction 30 degrees below the line of sight. band : within 20 degrees
+    of the horizon, in front of the observer. half : the hemisphere in front. `ratios` computes the
+    figures of maps.
     """
 
     def __init__(

@@ -49,7 +49,7 @@ def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
 
 
 def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return the position index P of glare: 1 on the line of sight, more away from it, at most 16.
+    """Return the position index P of glare: 1 on the line of sight, greater off it, at most 16.
 
     right_rad, up_rad : coordinates by `angles_from_view`; the result has their shape. Above the
     line of sight it is Guth's (IES Lighting Handbook), below it that of Iwata and Osterhaus 2010 in

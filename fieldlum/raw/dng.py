@@ -27,9 +27,10 @@ _XYZ_TO_SRGB = (
 
 
 def channel_positions(cfa: str) -> tuple[tuple[int, int], ...]:
-    """Return the places (row, column) of R, G1, G2 and B in a mosaic's 2 x 2 cell, from 0.
+    """Return the places (row, column, from 0) of R, G1, G2 and B in a mosaic's 2 x 2 cell.
 
-    cfa: colours of the cell row by row, such as "RGGB". G1 is the green in the row of red.
+    cfa: colours of the cell row by row, such as "RGGB". G1 is the green in the row of red, G2 the
+    green in the row of blue.
     """
     red, blue = divmod(cfa.index("R"), 2), divmod(cfa.index("B"), 2)
     return red, (red[0], blue[1]), (blue[0], red[1]), blue
@@ -78,9 +79,11 @@ def write_dng(
 ) -> None:
     """Write an uncompressed DNG with an EXIF directory; LibRaw returns the same counts exactly.
 
-    counts : [h, w] 16-bit, black included; black_dn, white_dn : levels stated in the file, black
-    for R, G1, G2, B; cfa : colours of the top left 2 x 2 pixels row by row; t_camera : time for the
-    EXIF, None for no time; colour_matrix : [3, 3], XYZ to camera RGB. A file at `path` is replaced.
+    A file at `path` is replaced. counts : [h, w] 16-bit, black level included. exposure : shutter
+    time, f-number, ISO and the name of an ND filter for the EXIF. black_dn : black level for R, G1,
+    G2, B, and white_dn : white level, both only recorded in the file. cfa : colours of the top left
+    2 x 2 pixels row by row. t_camera : time for the EXIF, None for no time. colour_matrix : [3, 3],
+    converts XYZ to camera RGB.
     """
     exif: dict[int, tuple[int, Any]] = {
         33434: (_RATIONAL, [rational(exposure.shutter_s)]),

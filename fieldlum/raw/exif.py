@@ -26,18 +26,19 @@ class ExifTag(Protocol):
 
     @property
     def values(self) -> object:
-        """Return the content of the tag."""
+        """Content of the tag: a text, or a list of numbers or fractions."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """The EXIF of a frame.
+    """What the EXIF of a frame states.
 
-    t_camera is the camera's own clock: naive unless the file states its offset from UTC
-    (OffsetTimeOriginal), None if the file has no valid time. make, model: "" if not recorded. The
-    exposure's nd, the name of a filter, comes from an ImageDescription ``ND=name``, which fieldlum
-    and exiftool write and cameras do not.
+    exposure: shutter time, f-number, ISO, and `nd`, the name of a filter, from an ImageDescription
+    ``ND=name``, which fieldlum and exiftool write and cameras do not. t_camera: start of the frame
+    by the camera's own clock, naive unless the file states its offset from UTC
+    (OffsetTimeOriginal), None if the file has no valid time. make, model: of the camera, "" if not
+    recorded.
     """
 
     exposure: Exposure
@@ -47,9 +48,10 @@ class FrameInfo:
 
 
 def tags_of(path: Path) -> dict[str, ExifTag]:
-    """Return the tags that exifread finds; no tags if it cannot parse the file.
+    """Return the EXIF tags of a frame by exifread's name, such as "EXIF FNumber".
 
-    Raises InputError for a file that is missing, empty or unreadable.
+    There are no tags if exifread cannot parse the file. Raises InputError for a file that is
+    missing, empty or unreadable.
     """
     import exifread
 
@@ -71,7 +73,7 @@ def tags_of(path: Path) -> dict[str, ExifTag]:
 
 
 def numbers(tags: Mapping[str, ExifTag], *names: str) -> list[float]:
-    """Return the values of the first tag of `names` that has finite numbers only.
+    """Return the values of the first tag in the order of `names` that has finite numbers only.
 
     The list is empty if there is no such tag.
     """
@@ -117,10 +119,10 @@ def info_of(
 ) -> FrameInfo:
     """Return the exposure, time and camera that the EXIF tags of a frame state.
 
-    path : of the frame, for errors. fallback : shutter time [s], f-number and ISO by LibRaw, 0 for
-    a missing one; used where the tags lack a value. lens_f_number : f-number to use if tags and
-    fallback lack one, as for a lens without electronics. Raises InputError for an exposure time,
-    f-number or ISO that is missing or impossible.
+    path : of the frame, for errors. fallback : shutter time [s], f-number and ISO by LibRaw, used
+    where the tags lack a value; 0 for a value that LibRaw lacks too. lens_f_number : f-number to
+    use if tags and fallback lack one, as for a lens without electronics; 0 for none. Raises
+    InputError for an exposure time, f-number or ISO that is missing or impossible.
     """
     shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
     f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1] or lens_f_number]
@@ -155,10 +157,11 @@ def info_of(
 
 
 def roll_deg_of(path: Path) -> float | None:
-    """Return the camera's roll that EXIF Orientation states; None if it is missing or mirrored.
+    """Return the camera's roll in degrees that EXIF Orientation states: 0, 90, 180 or -90.
 
-    The roll is 0, 90, 180 or -90 deg, clockwise as seen from behind the camera. fieldlum never
-    turns pixels by it. Raises InputError for a file that is missing or empty.
+    Positive is clockwise as seen from behind the camera. None if Orientation is missing or
+    mirrored. fieldlum never turns pixels by it. Raises InputError for a file that is missing or
+    empty.
     """
     tag = numbers(tags_of(path), "Image Orientation")
     return _ROLL_DEG.get(int(tag[0])) if tag else None
@@ -175,9 +178,10 @@ def same_model(found: str, wanted: str) -> bool:
 
 
 def rational(value: float) -> Fraction:
-    """Return a positive number as the fraction that a camera writes: 1/250, or 28/5 for 5.6.
+    """Return a positive number as the fraction that a camera writes.
 
-    A unit fraction within a relative difference of 1e-6 is preferred.
+    For example, 0.004 gives 1/250 and 5.6 gives 28/5. Below 1 a unit fraction is preferred if it
+    differs by less than 1e-6 of the value.
     """
     inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
     if inverse and abs(float(inverse) / value - 1) < 1e-6:
@@ -186,7 +190,7 @@ def rational(value: float) -> Fraction:
 
 
 def time_tags(t_camera: datetime | None) -> dict[int, str]:
-    """Return the EXIF tags of a time: tag number and text; no tags for None.
+    """Return the EXIF tags (number: text) of the time a frame was taken; no tags for None.
 
     They are DateTimeOriginal, SubSecTimeOriginal (three digits) and, for a time with an offset from
     UTC, OffsetTimeOriginal.

@@ -28,23 +28,24 @@ _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
 
 
 def is_jpeg(path: Path) -> bool:
-    """Return whether a file's suffix is that of a JPEG."""
+    """Return whether a file's suffix is .jpg or .jpeg in any case; the content is not read."""
     return path.suffix.lower() in _JPEG_SUFFIXES
 
 
 def possible_frames(folder: Path) -> list[Path]:
-    """Return the files in a folder that can be frames, sorted by name.
+    """Return the files in a folder that can be frames, sorted by path.
 
-    Hidden files and files with the suffix of a text or of an unfinished copy are omitted.
+    Hidden files, files with the suffix of a text or of an unfinished copy, and folders are omitted.
     """
     files = (path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
     return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
 
 
 def unreadable(path: Path) -> str:
-    """Return why the pixels of a frame cannot be read; "" if they can.
+    """Return why the pixels of a JPEG or raw frame cannot be read; "" if they can.
 
-    Decodes the frame, which takes some seconds for a large raw file.
+    Decodes the frame, which takes some seconds for a large raw file. A missing f-number is no
+    reason for a raw frame.
     """
     try:
         if is_jpeg(path):

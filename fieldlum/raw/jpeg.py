@@ -17,10 +17,11 @@ from fieldlum.session import replacing
 
 @dataclass(frozen=True, slots=True)
 class JpegFrame:
-    """A JPEG frame: codes [h, w, 3], red first, not turned by the orientation tag.
+    """A JPEG frame as the camera wrote it.
 
-    t_camera: the camera's own clock, naive unless the EXIF states its offset from UTC; None if not
-    recorded. make, model: of the camera, "" if not recorded.
+    codes: values from 0 to 255 [h, w, 3], red first, not turned by the orientation tag; exposure:
+    by the EXIF; t_camera: time by the camera's own clock, naive unless the EXIF states its offset
+    from UTC; None if not recorded; make, model: of the camera, "" if not recorded.
     """
 
     codes: NDArray[np.uint8]
@@ -31,7 +32,7 @@ class JpegFrame:
 
 
 def read_jpeg(path: Path) -> JpegFrame:
-    """Read a JPEG frame.
+    """Return the codes and the EXIF of a JPEG frame.
 
     Raises InputError for a file that cannot be read, is no complete JPEG, or whose EXIF lacks
     exposure time, f-number or ISO.
@@ -70,7 +71,8 @@ def write_jpeg(
 ) -> None:
     """Write codes [h, w, 3], red first, as a JPEG with EXIF, without chroma subsampling.
 
-    t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
+    A file at `path` is replaced. exposure: shutter time, f-number, ISO and the name of an ND filter
+    for the EXIF; t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
     """
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational

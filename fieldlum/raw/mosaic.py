@@ -37,11 +37,12 @@ _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a p
 class Mosaic:
     """One raw frame.
 
-    counts [h, w], black included; cfa names the colours of the top left 2 x 2 pixels row by row;
-    black_dn is for R, G1, G2, B, with G1 the green in the rows of red. white_dn is the file's tag,
-    often above the true saturation. t_camera: the camera's own clock, naive unless the file states
-    its offset from UTC. colour_matrix [3, 3] converts XYZ to camera RGB; None if neither the file
-    nor LibRaw has it.
+    counts: raw counts [h, w], black level included; cfa: colours of the top left 2 x 2 pixels row
+    by row, such as "RGGB"; black_dn: black level for R, G1, G2, B, with G1 the green in the rows of
+    red; white_dn: white level in the file, often above the true saturation; exposure: by the EXIF;
+    t_camera: the camera's own clock, naive unless the file states its offset from UTC, None if not
+    recorded; make, model: of the camera, "" if not recorded; colour_matrix: [3, 3], converts XYZ to
+    camera RGB; None if neither the file nor LibRaw has it.
     """
 
     counts: NDArray[np.uint16]
@@ -135,7 +136,7 @@ def _bytes_at(path: Path, at: int) -> bytes:
 def opened(path: Path) -> Any:
     """Return a raw file as rawpy's object with unpacked pixels, which the caller must close.
 
-    Raises InputError for a file that is damaged, no raw file, or not supported by LibRaw.
+    Raises InputError for a file that is damaged, is no raw file, or is not supported by LibRaw.
     """
     import rawpy
 
@@ -153,7 +154,7 @@ def opened(path: Path) -> Any:
                 path,
                 f"the file's content is {kind}",
                 "a camera raw",
-                "rename the file with its true suffix",
+                "give the file the suffix of its content",
             )
     _check_strips(path)
     try:
@@ -167,8 +168,8 @@ def opened(path: Path) -> Any:
             path,
             f"LibRaw: {text}",
             "a raw file that LibRaw supports",
-            "name only frames; if this file is a frame, copy it from the card again or convert it "
-            "to DNG",
+            "leave the file out if it is no frame; otherwise copy it from the card again or convert "
+            "it to DNG",
         ) from None
     if damage:
         raw.close()
@@ -204,9 +205,9 @@ def _damage_messages() -> Iterator[list[str]]:
 
 
 def libraw_exposure(raw: Any) -> tuple[float, float, float]:
-    """Return shutter time [s], f-number and ISO that LibRaw read from a file; 0 for a missing one.
+    """Return the shutter time [s], f-number and ISO that LibRaw read from a raw file.
 
-    raw : an object of `opened`.
+    raw : an object of `opened`. A value that the file lacks is 0.
     """
     other = raw.other
     return (
@@ -265,11 +266,11 @@ def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64]
 
 
 def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
-    """Read the visible mosaic of a raw frame, without the masked pixels at its edges.
+    """Return the visible mosaic of a raw frame, without the masked pixels at its edges.
 
-    lens_f_number : f-number to use if the frame states none; with 0 that is an error. Raises
-    InputError for a file that LibRaw cannot open, without a Bayer mosaic, or without exposure time,
-    f-number or ISO.
+    lens_f_number : f-number to use if the frame states none; with 0 a missing one is an error.
+    Raises InputError for a file that is damaged or that LibRaw cannot open, without a Bayer mosaic,
+    or without exposure time, f-number or ISO.
     """
     tags = tags_of(path)
     with opened(path) as raw:
@@ -277,7 +278,9 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
         counts = raw.raw_image_visible
         if not 0 < counts.size <= _LARGEST_PIXELS or min(counts.shape) < 2:
             raise _damaged(
-                path, f"a mosaic of {counts.shape} pixels", f"2 x 2 to {_LARGEST_PIXELS:,} pixels"
+                path,
+                f"a mosaic of {' x '.join(map(str, counts.shape[::-1]))} pixels",
+                f"at least 2 x 2 and at most {_LARGEST_PIXELS / 1e6:.0f} million pixels",
             )
         black = raw.black_level_per_channel
         black_dn = tuple(float(black[index[at]]) for at in channel_positions(cfa))
@@ -303,10 +306,11 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
 
 
 def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
-    """Read the EXIF of a JPEG or raw frame; for a raw frame LibRaw provides missing values.
+    """Return the exposure, time and camera of a JPEG or raw frame by its EXIF.
 
-    lens_f_number : f-number to use if the frame states none; with 0 that is an error. Raises
-    InputError without exposure time, f-number or ISO.
+    For a raw frame LibRaw provides values that the EXIF lacks. lens_f_number : f-number to use if
+    the frame states none; with 0 a missing one is an error. Raises InputError without exposure
+    time, f-number or ISO.
     """
     tags = tags_of(path)
     with suppress(InputError):
