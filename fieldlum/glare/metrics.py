@@ -220,11 +220,11 @@ def sums_of_sources(
     source_ev_lx: Float,
     ev: Float,
 ) -> NDArray[np.float64]:
-    """Return four sums over the s glare sources in each of d views, [4, d].
+    """Return four sums over the s glare sources in each of d views, [4, d], without the sun's disc.
 
     mean_cdm2, omega_sr, right_rad, up_rad, source_ev_lx : [s, d] mean luminance, solid angle,
     coordinates of the centre by `angles_from_view`, and vertical illuminance of each source. ev :
-    [d] vertical illuminance of the complete view, lx.
+    [d] vertical illuminance of the complete map, lx.
 
     Rows: L^2 omega / P^2 (`contrast`); vertical illuminance from the sources, lx; Hopkinson's terms
     for `dgi`; illuminance over the squared angle from the line of sight [lx/deg2] for
@@ -260,8 +260,8 @@ def combine(
 
     map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `sums_of_sources`,
     without the sun. sun_ev, sun_cdm2, sun_right, sun_up : [n, d], or [m, n, d] for the sun and
-    images of it: vertical illuminance [lx], luminance of the disc [cd/m2] and its coordinates right
-    and up [rad].
+    images of it: vertical illuminance [lx] and luminance of the disc [cd/m2], both 0 for a sun
+    behind the observer, and its coordinates right and up [rad].
     """
 
     def total(of_suns: Float) -> NDArray[np.float64]:

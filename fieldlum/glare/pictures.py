@@ -86,7 +86,7 @@ def _check_views(header: RadianceHeader, path: Path) -> None:
     if header.heading_deg is not None and header.views:
         raise InputError(
             path,
-            f"the header has both a panorama (FIELDLUM_VIEW=) and VIEW= {header.view[:80]}",
+            f"the header has the lines FIELDLUM_VIEW= (a panorama) and VIEW= {header.view[:80]}",
             "one of the two",
             "remove one of the two lines from the header",
         )

@@ -82,13 +82,13 @@ class Protection:
                 f"{text} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model states no "
                 f"uncertainty"
             )
-        between = (
-            f"DGP exceeded in 5 % of occupied hours: {value:.3f}, between {self.low[i]:.3f} "
-            f"and {self.high[i]:.3f}"
+        interval = (
+            f"DGP exceeded in 5 % of occupied hours: {value:.3f}, 95 % interval "
+            f"{self.low[i]:.3f} to {self.high[i]:.3f}"
         )
         if self.certain[i]:
-            return f"{text} ({between})"
-        return f"cannot tell yet: {text} is the most likely class ({between})"
+            return f"{text} ({interval})"
+        return f"cannot tell yet: {text} is the most likely class ({interval})"
 
 
 def class_of(dgp_exceeded: float) -> str:

@@ -45,11 +45,11 @@ def find_turns(
     heading_deg: float,
     progress: Progress,
 ) -> CameraTurns:
-    """Return how the camera of each capture was turned relative to most captures, in order of time.
+    """Return how the camera of each capture was turned relative to most captures.
 
-    pairs: path of pairs.csv. pictures: names of its panoramas as in the csv [n]; maps [n, H, W] and
-    has_value [n, H, W] (True for measured pixels) belong to them. heading_deg: azimuth of the maps'
-    centre column.
+    pairs: path of pairs.csv. The other arguments have the n captures in the order of time:
+    pictures: names of the panoramas as in the csv; maps: [n, H, W]; has_value: True for measured
+    pixels [n, H, W]. heading_deg: azimuth of the maps' centre column.
 
     The turns are read from a table next to the csv if its names and checksums are those of all
     maps. Otherwise `camera_turns` estimates them, and with at least 5 captures and 40 rows of
@@ -97,8 +97,8 @@ def align(
     the weights of its pixels in training [H, W], None if all are 1; heading_deg: azimuth of the
     maps' centre column. A capture that was not turned, or that cannot be aligned, does not change.
 
-    Interpolation blurs sharp edges, such as a window's. Therefore a pixel's weight is multiplied by
-    `weight_of` this uncertainty; a factor below a half becomes 0.
+    Interpolation blurs sharp edges, such as a window's. Therefore each pixel's weight is multiplied
+    by `weight_of` the uncertainty that this causes; a factor below a half becomes 0.
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]

@@ -73,11 +73,11 @@ def fit_mean(
 class NearestFitted:
     """A model that predicts the map of the captured hour with the most similar sun and sky.
 
-    That map is scaled by the ratio of global irradiances of the two hours. With with_patch, the
-    map's sun patch (surfaces in direct sun) is replaced by that of the predicted hour.
+    That map is scaled by the ratio of global irradiances of the two hours. If with_patch is True,
+    the map's sun patch (surfaces in direct sun) is replaced by that of the predicted hour.
 
-    rest_cdm2: captured maps, with with_patch without their sun patches [m, H, W]; features: by
-    `light_features` [m, 5]; scale: by `outside` [m]; domain: range of light in the captures;
+    rest_cdm2: captured maps, without their sun patches if with_patch is True [m, H, W]; features:
+    by `light_features` [m, 5]; scale: by `outside` [m]; domain: range of light in the captures;
     parameters: number of stored luminances; held_out_mse: None, because errors on other days are
     not computed.
     """
@@ -98,13 +98,13 @@ class NearestFitted:
         self.parameters = rest_cdm2.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict for n hours the scaled map of the captured hour with the most similar light.
+        """Predict the scaled map of the capture with the most similar light to each hour.
 
-        patch_cdm2: luminance by direct sun in the hours of `light` [n, H, W], which is added if the
-        model was fitted with sun patches, and otherwise not used. The prediction has no standard
-        deviation, and NaN as expected error. Hours whose light is similar to that of the captures
-        are trusted. Raises ValueError without patch_cdm2 for a model that was fitted with sun
-        patches.
+        The result is [n, H, W] for n hours. patch_cdm2: luminance by direct sun in the n hours of
+        `light` [n, H, W], which is added if the model was fitted with sun patches, and otherwise
+        not used. The prediction has no standard deviation, and NaN as expected error. Hours whose
+        light is similar to that of the captures are trusted. Raises ValueError without patch_cdm2
+        for a model that was fitted with sun patches.
         """
         wanted, scale = light_features(light), outside(light)
         distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
@@ -126,8 +126,8 @@ class NearestFitted:
 def light_features(light: Light) -> NDArray[np.float64]:
     """Return five features of each of n hours, [n, 5]; similar hours have similar values.
 
-    These are the vector to the sun (three values) times 0.3 plus the beam share, the beam share DNI
-    / (DNI + DHI), and 0.3 log10 of (diffuse irradiance plus 10 W/m2).
+    With the beam share b = DNI / (DNI + DHI) these are the unit vector to the sun (three values)
+    times (0.3 + b), b, and 0.3 log10 of (DHI plus 10 W/m2).
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(

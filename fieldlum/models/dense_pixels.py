@@ -23,9 +23,9 @@ class PixelSampler:
 
     The index of a pair is hour times P plus the pixel's index in `seen`. canvas, hours: inputs of
     all pixels and of the n hours; target: encoded luminance of the map [n, P]; patch: that of the
-    sun patch [n, P], None without patches; weight: solid angle of the pixel, relative to the mean
-    [P]; seen: flat index of the pixel in the map [P]; counts: further weight of a pixel in an hour
-    [n, P], None for 1. The length is n times P.
+    sun patch [n, P], None without patches; weight: solid angle of the pixel over the mean of the
+    seen pixels [P]; seen: flat index of the pixel in the map [P]; counts: further weight of a pixel
+    in an hour [n, P], None for 1. The length is n times P.
     """
 
     canvas: Canvas

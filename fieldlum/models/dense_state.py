@@ -79,5 +79,5 @@ def restore(
             path,
             f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})",
             "a checkpoint of this training",
-            "delete the file to start again",
+            "delete the file to start the training again",
         ) from None

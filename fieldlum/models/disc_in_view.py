@@ -99,10 +99,12 @@ def guessed_disc_lx(
     """Return the disc's illuminance guessed from predicted maps, without any geometry, [n] lx.
 
     maps: [n, H, W] cd/m2, of the n hours of `light`; heading_deg: azimuth of their centre column.
-    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each of them. If
-    the sun's pixel has 0.3 to 1.3 times the luminance of the Perez sky there, it shows sky through
-    glass, and the disc shines through with that factor, at most 1; otherwise the illuminance is 0.
-    A twig or a blind is not detected.
+    turns_deg: shifts of the sun in azimuth and altitude, in degrees on the sky [k, 2]; the result
+    is then [k, n], one row for each shift. None: no shift.
+
+    If the sun is up and its pixel has 0.3 to 1.3 times the luminance of the Perez sky there, it
+    shows sky through glass, and the disc shines through with that factor, at most 1; otherwise the
+    illuminance is 0. A twig or a blind is not detected.
     """
     sky = np.array(
         [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]

@@ -29,7 +29,10 @@ def join(device: torch.device) -> None:
 
 
 def total(tensor: Tensor) -> Tensor:
-    """Return `tensor` after each value in it was replaced by its sum over all processes."""
+    """Return `tensor` after each value in it was replaced by its sum over all processes.
+
+    Without torchrun it is unchanged.
+    """
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor

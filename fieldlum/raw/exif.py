@@ -35,7 +35,7 @@ class FrameInfo:
     """What the EXIF of a frame states.
 
     exposure: shutter time, f-number, ISO, and `nd`, the name of a filter, from an ImageDescription
-    ``ND=name``, which fieldlum and exiftool write and cameras do not. t_camera: start of the frame
+    ``ND=name``, which fieldlum and exiftool write and cameras do not. t_camera: time of the frame
     by the camera's own clock, naive unless the file states its offset from UTC
     (OffsetTimeOriginal), None if the file has no valid time. make, model: of the camera, "" if not
     recorded.
@@ -67,7 +67,10 @@ def tags_of(path: Path) -> dict[str, ExifTag]:
                 return dict(exifread.process_file(file, details=False))
     except OSError as error:
         raise InputError(
-            path, error.strerror or str(error), "a readable file", "check the path"
+            path,
+            error.strerror or str(error),
+            "a readable file",
+            "check the path and its permissions",
         ) from None
     return {}
 

@@ -168,8 +168,8 @@ def opened(path: Path) -> Any:
             path,
             f"LibRaw: {text}",
             "a raw file that LibRaw supports",
-            "leave the file out if it is no frame; otherwise copy it from the card again or convert "
-            "it to DNG",
+            "leave the file out if it is no frame; otherwise copy it from the card again or "
+            "convert it to DNG",
         ) from None
     if damage:
         raw.close()
