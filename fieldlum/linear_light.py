@@ -172,7 +172,7 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
         raise InputError(
             lens.name,
             f"the curve of f/{nearest.f_number:g}: {wrong}",
-            "a loss towards the edge",
+            "a curve that is 1 on the axis, and between 0 and 1 at the edge",
             "calibrate it again: fieldlum calibrate vignette",
         )
     return nearest.coefficients, nearest.u_rel

@@ -397,7 +397,7 @@ def test_toa5_damage() -> None:
     assert len(table.samples) == 3 and len(table.broken) == 3
     assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "line feed" in table.broken[2]
     for text, said in (
-        ("TIMESTAMP,GHI\n", "no complete TOA5 header in 2 lines"),
+        ("TIMESTAMP,GHI\n", "no complete TOA5 header in the first four lines"),
         (TOA5.replace('"","","Avg","Avg","Smp"\n', ""), "no complete TOA5 header"),
         (TOA5.replace("GHI_Avg", "Volt").replace("DHI_Avg", "Amp"), "a column of irradiance"),
         (TOA5.replace("W/m^2", "mV"), "GHI_Avg is in 'mV'"),

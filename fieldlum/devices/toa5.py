@@ -78,7 +78,7 @@ def parse_toa5(
     if not is_toa5(text) or len(lines) < 4 or _TIME.fullmatch(lines[3].split(",")[0].strip('"')):
         raise InputError(
             source,
-            f"no complete TOA5 header in {len(lines)} lines",
+            "no complete TOA5 header in the first four lines",
             "four header lines of a Campbell Scientific TOA5 table",
             "copy the file from the logger again",
         )

@@ -142,9 +142,10 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
 def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
     """Return the relative uncertainty of a frame's exposure that its known causes do not explain.
 
-    left: disagreement of neighbouring frames. The typical disagreement is reduced by the noise of
-    the measured ratios, divided between the two frames, and reduced by `explained`, the known
-    relative uncertainty of one frame. Return 0 if nothing remains, or if `left` is empty.
+    left: disagreement of neighbouring frames. explained: the known relative uncertainty of one
+    frame. The variance of the disagreement, less that of the measured ratios' noise, is halved for
+    one of the two frames; less the square of `explained`, it is the square of the result. Return 0
+    if nothing remains, or if `left` is empty.
     """
     if not left:
         return 0.0

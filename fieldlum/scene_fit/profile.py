@@ -18,12 +18,12 @@ DISTANCES = {CLOCK: (1.25, 2.5, 5.0), WALL: (0.5, 1.0, 2.0)}
 def reach_of(objective: Objective, guess: Guess, names: Sequence[str]) -> dict[str, float]:
     """Return how far each parameter can move in scenes that explain the captures as well, by name.
 
-    names: "clock_min", "wall_azimuth_deg" or both; each is moved in turn, both ways in three steps
-    (to 5 min or 2 degrees), and the others are searched. A scene explains the captures as well if
-    its misfit by hours is not worse than the guess's by the one-standard-error rule, with
-    independent days. A result is 0 if no move is possible, and at most the standard deviation of
-    the prior. Repeated searches from the guess stay near it, and therefore underestimate the
-    uncertainty of numbers that compensate for each other.
+    The result has all parameters. names: "clock_min", "wall_azimuth_deg" or both: these are moved
+    in turn, both ways in three steps (to 5 min or 2 degrees), and the others are searched. A scene
+    explains the captures as well if its misfit by hours is not worse than the guess's by the
+    one-standard-error rule, with independent days. A result is 0 if no move is possible, and at
+    most the standard deviation of the prior. This is needed because searches that start at the
+    guess stay near it: their spread is too small for numbers that compensate for each other.
     """
     parameters = objective.parameters
     reach = dict.fromkeys((p.name for p in parameters), 0.0)

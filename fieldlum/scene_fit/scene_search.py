@@ -301,7 +301,7 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without bars and added solids that do not lower the misfit enough."""
+        """Return the guess without thin bars, and without bars and added solids that do not pay."""
         return self._cleared(self._pruned(guess))
 
     def _cleared(self, guess: Guess) -> Guess:

@@ -109,11 +109,12 @@ def _file_system(url: str) -> tuple[Any, str]:
         from fsspec.core import url_to_fs
 
         return url_to_fs(url)
-    except ImportError:
+    except ImportError as error:
         raise InputError(
             url,
-            "the library for this kind of URL is not installed",
-            remedy="install it with: pip install 'fieldlum[cloud]'",
+            f"the library for this kind of URL is not installed ({error})",
+            remedy="for s3:// install it with: pip install 'fieldlum[cloud]', else install that "
+            "library",
         ) from None
     except ValueError as error:
         raise InputError(

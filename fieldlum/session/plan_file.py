@@ -44,7 +44,9 @@ def parse_exposure(text: str) -> Exposure:
         float(word) for word in (shutter.removeprefix("1/"), f_number[2:], iso[3:])
     )
     if not all(0.0 < value < math.inf for value in (time, aperture, speed)):
-        raise ValueError(f"exposure {text}: a number that is not above 0")
+        raise ValueError(
+            f"exposure {text}: shutter time, f-number and ISO must be finite and above 0"
+        )
     seconds = 1.0 / time if shutter.startswith("1/") else time
     return Exposure(seconds, aperture, speed, nd[0].removeprefix("ND=") if nd else "")
 

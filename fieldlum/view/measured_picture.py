@@ -44,7 +44,10 @@ class MeasuredPicture:
     notes: tuple[str, ...]
 
     def cosine_to(self, towards: Float) -> NDArray[np.float64]:
-        """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W]."""
+        """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W].
+
+        It is -1 where the picture has no direction.
+        """
         height, width = self.luminance_cdm2.shape
         if self.view is None:
             return equirect_rays(height, width, self.heading_deg) @ towards
