@@ -27,7 +27,7 @@ def quiet(done: int, total: int, text: str) -> None:
 def utc_text(t_utc: datetime) -> str:
     """Return a time in UTC as ``2027-03-20T15:30:00Z``.
 
-    A fraction of a second is cut to three digits; a whole second has none. Raises ValueError for a
+    A fraction of a second is cut to three digits; full seconds have none. Raises ValueError for a
     naive time.
     """
     if t_utc.tzinfo is None:

@@ -34,7 +34,7 @@ from fieldlum.records import counted
     "--rows", type=click.IntRange(min=1), help="Stop after this many rows. [default: at Ctrl-C]"
 )
 def command(session_folder: Path, uri: str, every_s: float, rows: int | None) -> None:
-    """Log irradiance without a camera, until Ctrl-C or until --rows rows are written.
+    """Log irradiance without a camera, until Ctrl-C or --rows.
 
     \b
     Example:
