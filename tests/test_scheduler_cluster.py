@@ -1,6 +1,7 @@
 """A real Dask scheduler and its workers over TCP: the files of one process, none twice."""
 
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,6 +56,15 @@ def session_of(root: Path, profile_path: Path) -> Session:
 
 def files(session: Session) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in session.panoramas.iterdir()}
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file that another process is about to write."""
+    for _ in range(300):
+        if path.is_file() and (text := path.read_text()):
+            return text
+        time.sleep(0.1)
+    raise TimeoutError(path)
 
 
 def test_workers_write_the_files_of_one_process(running: Cluster, scheduler: Scheduler) -> None:
@@ -134,15 +144,15 @@ def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
     notes: list[str] = []
     names = [f"n{k}.txt" for k in range(20)]
     folder = running.shared
-    some = [
+    some = [  # the hanging unit starts first, so that its worker is known when another is killed
+        WorkUnit(how, units.troubled, folder, {"name": how, "how": how, "times": 1})
+        for how in ("hang", "full")
+    ]
+    some += [
         WorkUnit(
             name, units.written, folder, {"name": name, "seconds": 0.2}, outputs=(f"out/{name}",)
         )
         for name in names
-    ]
-    some += [
-        WorkUnit(how, units.troubled, folder, {"name": how, "how": how, "times": 1})
-        for how in ("hang", "full")
     ]
     running.worker("third")
     running.worker("fourth")
@@ -151,8 +161,7 @@ def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
     for outcome in run_units(some, limited):
         outcomes.append(outcome)
         if len(outcomes) == 4:
-            hanging = folder / "hang.try0"
-            here = hanging.is_file() and hanging.read_text() == str(running.processes["first"].pid)
+            here = text_of(folder / "hang.try0") == str(running.processes["first"].pid)
             running.signal("second" if here else "first")  # a killed worker cannot hang
     assert sorted(o.unit.name for o in outcomes) == sorted([*names, "hang", "full"]), "none twice"
     assert not [o.trouble for o in outcomes if o.trouble or o.error]
