@@ -250,7 +250,8 @@ class Kernel:
     `facades` and `beam_width` is the weight (prior variance) of one term. beam_width: distance
     between two unit vectors to the sun over which the facade term changes (0.5 is about 29
     degrees). The defaults are from a study of one room and may change threefold with little
-    effect (docs/decisions/0003-light-kernel.md). constant: a room that follows total light;
+    effect (docs/decisions/0003-light-kernel.md). constant: a room that follows total light,
+    direct sun, and sun on the ground;
     sky: distribution of the sky's light; facade: sun on the facades, smooth in the sun's
     direction; cells: sun patches in cells of the picture; bounced: the sun's light in a coarse
     model of the room; lamps: electric light, ten times the room's daylight at LAMP_LX outside;

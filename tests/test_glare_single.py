@@ -84,6 +84,8 @@ def test_a_perspective_picture_says_that_it_covers_little(tmp_path: Path) -> Non
     omega = 4 * np.arcsin(np.sin(np.arctan(tan)) ** 2)  # analytic: solid angle of a square pyramid
     assert answer["covered_share"] == pytest.approx(omega / (2 * np.pi), rel=0.02)
     assert "Ev is a lower bound" in answer["warnings"][0]
+    assert answer["views"][0]["seen"] == answer["views"][0]["verdict"] == "not seen"
+    assert answer["disturbed_share"] is None
 
 
 @pytest.mark.contract

@@ -11,6 +11,7 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.glare.pictures import Picture
 from fieldlum.glare.standards import disturbed_share
+from fieldlum.projection import NOT_SEEN
 from fieldlum.records import Flag, Panorama, SunSource, counted, utc_text
 
 # Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
@@ -28,8 +29,8 @@ class ViewAnswer(TypedDict):
     azimuth_deg, altitude_deg : the view direction, clockwise from true north and above the horizon;
     altitude_deg for single pictures only. task_cdm2, window_to_task, uniformity : see
     `contrast.ViewRegions.ratios`. melanopic_edi_lx : see `contrast.melanopic_edi_lx`. verdict : the
-    grade of DGP; "A to B" if dgp_low and dgp_high have different grades; "not seen" without
-    figures. seen : "seen", "partly seen" or "not seen"; seen_share : share (0 to 1) of the vertical
+    grade of DGP; "A to B" if dgp_low and dgp_high have different grades; "not seen" as in seen.
+    seen : "seen", "partly seen" or "not seen"; seen_share : share (0 to 1) of the vertical
     illuminance of a uniform field that comes from seen pixels. dgp_low, dgp_high : bounds of DGP,
     for a partly seen direction of a panorama only. source_count : number of glare sources of a
     single picture; sources : its strongest ones, at most 20. reference : evalglare's figures, if
@@ -69,9 +70,9 @@ class GlareAnswer(TypedDict):
 
     file : path of the picture. t_utc : time of the picture; None if unknown. heading_deg : azimuth
     of a panorama's centre column, or of a fisheye's view, clockwise from true north. sun : the sun
-    as a source next to the pixels (fields of `SunSource`); None if there is none. melanopic_der :
+    as a source next to the pixels (fields of `SunSource`); None without a sun. melanopic_der :
     the assumed spectrum, as a text. views : one entry for each view direction. disturbed_share :
-    share (0 to 1) of the views with figures whose DGP is above 0.40; None if no view has figures.
+    share (0 to 1) of the views with a grade whose DGP is above 0.40; None if no view has a grade.
     covered_share : share of the front hemisphere that the picture covers; 1 for a panorama.
     rammg_cdm2, rammg_lightness : of a panorama only, see `contrast`. calibration_factor : factor
     that scaled the luminance to a measured illuminance; absent without one.
@@ -114,7 +115,9 @@ def answer_of(
     hemisphere that the picture covers.
     """
     panorama = picture.panorama
-    known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
+    graded = [
+        np.nan if view["dgp"] is None or view["seen"] == NOT_SEEN else view["dgp"] for view in views
+    ]
     return {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -122,7 +125,7 @@ def answer_of(
         "sun": None if sun is None else asdict(sun),
         "melanopic_der": "D65, assumed",
         "views": views,
-        "disturbed_share": plain(float(disturbed_share(np.array([known]))[0])),
+        "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
         "warnings": warnings + picture_warnings(picture),
         "covered_share": covered_share,
     }

@@ -110,7 +110,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
     """Return the luminance [H, W] that the sun's disc adds to the pixels of a picture, in cd/m2.
 
     All pixels with a centre in the disc get the same luminance, so that they have the disc's
-    energy. If there is none, the nearest pixel gets the energy. A sun behind the observer adds
+    energy. Without such a pixel the nearest one gets the energy. A sun behind the observer adds
     nothing.
     """
     from fieldlum.glare.fisheye import SUN_RADIUS_RAD

@@ -26,7 +26,7 @@ from fieldlum.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels
 from fieldlum.glare.picture_grid import PictureGrid, picture_grid
 from fieldlum.glare.pictures import Picture
 from fieldlum.glare.reference import reference_glare
-from fieldlum.projection import FULLY_SEEN_SHARE, seen_words, signed_angle_deg
+from fieldlum.projection import FULLY_SEEN_SHARE, NOT_SEEN, seen_words, signed_angle_deg
 
 # most sources that are listed, because a noisy picture can have thousands; chosen
 SHOWN_SOURCES = 20
@@ -54,9 +54,10 @@ def single_picture_glare(
     row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
     row |= {name: plain(value) for name, value in figures.items()}
     row["melanopic_edi_lx"] = float(melanopic_edi_lx(np.asarray(figures["ev_lx"])))
-    row["verdict"] = verdict(figures["dgp"])
     seen_share = min(1.0, float(grid.illuminance.sum(dtype=float)) / np.pi)
-    row |= {"seen": seen_words(np.array([seen_share]))[0], "seen_share": seen_share}
+    seen = seen_words(np.array([seen_share]))[0]
+    row |= {"seen": seen, "seen_share": seen_share}
+    row["verdict"] = NOT_SEEN if seen == NOT_SEEN else verdict(figures["dgp"])
     row |= {"source_count": len(sources), "sources": _source_rows(sources)}
     if reference:
         shown = pixels if sun is None else pixels + disc_pixels(grid, sun)

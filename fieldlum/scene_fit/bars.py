@@ -39,16 +39,16 @@ def propose_merged(guess: Guess) -> list[Guess]:
     It is the last bar of each guess, covers both, and has the depth of the wider one.
     """
     proposals: list[Guess] = []
-    for one, other in combinations(guess.bars, 2):
-        if (one.window, one.upright) != (other.window, other.upright):
+    for first, second in combinations(guess.bars, 2):
+        if (first.window, first.upright) != (second.window, second.upright):
             continue
-        (low, end), (start, high) = sorted((one.span_m, other.span_m))
+        (low, end), (start, high) = sorted((first.span_m, second.span_m))
         if start - end > MAX_GAP_M:
             continue
-        wider = max(one, other, key=lambda bar: bar.span_m[1] - bar.span_m[0])
-        both = replace(wider, span_m=(low, max(end, high)))
-        rest = [bar for bar in guess.bars if bar is not one and bar is not other]
-        proposals.append(replace(guess, bars=(*rest, both)))
+        wider = max(first, second, key=lambda bar: bar.span_m[1] - bar.span_m[0])
+        merged = replace(wider, span_m=(low, max(end, high)))
+        rest = [bar for bar in guess.bars if bar is not first and bar is not second]
+        proposals.append(replace(guess, bars=(*rest, merged)))
     return proposals
 
 

@@ -237,9 +237,9 @@ class SceneSearch:
         """Return the guess with one bar for two neighbours that do not explain clearly more."""
         objective = self.objective(self.evidence.coarse())
         for trial in propose_merged(guess):
-            one, cost = pattern_search(objective, trial, bar_parameters(trial)[-3:])
+            merged, cost = pattern_search(objective, trial, bar_parameters(trial)[-3:])
             if cost < objective(guess) * (1.0 + BAR_GAIN):
-                return self._merged(one)
+                return self._merged(merged)
         return guess
 
     def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
