@@ -96,6 +96,18 @@ def test_furniture_is_found_where_it_is(solid: Obstruction) -> None:
 
 @pytest.mark.slow
 @pytest.mark.analytic
+def test_a_bookcase_of_another_size_than_the_proposals_is_no_strip() -> None:
+    search, start = _search((Obstruction(4.7, 1.0, 0.0, 0.3, 2.4, 1.8, 0.3),))
+    search.relight(start)
+    (found,) = search.furniture(start).solids
+    # the sun reaches neither its top nor its end near the window
+    assert found.low_m[0] == pytest.approx(4.7, abs=0.03)
+    assert found.high_m[1] == pytest.approx(3.4, abs=0.1)
+    assert found.high_m[1] - found.low_m[1] > 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
 def test_an_empty_room_gets_no_furniture() -> None:
     search, start = _search(())
     search.relight(start)

@@ -97,7 +97,8 @@ def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]
         picture = window_picture(evidence, guess, number, albedo)
         value = np.where(picture.weight > 0.0, picture.value, np.nan)
         extent = (picture.u_m[0], picture.u_m[-1], picture.z_m[0], picture.z_m[-1])
-        axis.imshow(value, origin="lower", extent=extent, vmin=0, vmax=1.1, cmap="viridis")
+        shares = axis.imshow(value, origin="lower", extent=extent, vmin=0, vmax=1.1, cmap="viridis")
+        figure.colorbar(shares, ax=axis, label="0: bar, 1: clear glass")
         rect = guess.windows[number]
         for bar in guess.bars:
             if bar.window != number:
