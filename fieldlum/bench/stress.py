@@ -191,7 +191,8 @@ def _months(data: Dataset) -> NDArray[np.int64]:
 def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
     """Yield every condition that the data allow, beginning with the normal case.
 
-    Captures of one season are taken from `pool`, which must not contain test hours.
+    Cases of few captures (overcast, December, one or two weeks) take them from `pool`, which must
+    not contain test hours.
     """
     yield Case("normal", data, test)
     for seed in range(1, SEEDS):

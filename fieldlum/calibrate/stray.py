@@ -144,7 +144,7 @@ def reading(
     if (flags[inside] & (Flag.CLIPPED_HIGH | Flag.OUTSIDE_LENS)).any():
         raise InputError(
             file,
-            f"the dark place {label} is clipped, or outside the lens's field",
+            f"the dark place {label} is clipped (too bright), or outside the lens's field",
             "an unclipped place inside the field",
             "check azimuth_deg and altitude_deg in its row of the csv",
         )

@@ -254,8 +254,8 @@ def fit(samples: Samples) -> VignettingFit:
         raise InputError(
             samples.frames[0],
             wrong,
-            "a loss towards the edge",
-            "check that the readings fall from the axis to the edge",
+            "a curve that is above 0 up to the edge",
+            "add readings up to the edge of the lens's image, and check the last ones",
         )
     u_rel = max(choice.rms, 0.001)
     return VignettingFit(tuple(coefficients), float(theta[0]), u_rel, residual, choice)

@@ -91,7 +91,7 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
 
 
 def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
-    """Return the number of frames that the slots need, over all headings of a turned head."""
+    """Return the number of frames of all these slots, at all headings of a turned head."""
     return sum(len(slot.exposures) for slot in slots) * max(len(setup.camera.headings), 1)
 
 

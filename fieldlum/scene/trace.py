@@ -107,9 +107,10 @@ def _cross(
 def blocked(
     low: Array, high: Array, points: NDArray[np.floating], toward: Array
 ) -> NDArray[np.bool_]:
-    """Return whether a box hides a far light from points [m, 3], [m].
+    """Return the points from which any of the boxes hides a far light, as a mask [k].
 
-    low, high : [b, 3] corners of the boxes; toward : [3] direction of the light.
+    low, high : corners of the boxes [b, 3] m; points : [k, 3] m; toward : direction of the light
+    [3].
     """
     kind = points.dtype
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)

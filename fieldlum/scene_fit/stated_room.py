@@ -29,7 +29,7 @@ class StatedRoom:
 
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
-        """How late the clock is assumed to be at the start of each search, [min].
+        """By how much the stated times are assumed late (positive) at the start of searches [min].
 
         They are -6, 0 and 6 if `is_clock_open`; otherwise the clock by sun discs, or 0 without
         discs.

@@ -86,7 +86,7 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     if len(rows):
         notes.append(
             f"WARNING: in {len(rows)} of {len(data)} captures a part of the picture is darker "
-            "than the other days predict: a person, an object or clipped highlights. The model "
+            "than the other captures predict: a person, an object or clipped highlights. The model "
             f"does not learn from these pixels; look at the captures: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts

@@ -65,7 +65,7 @@ class FrameQuality:
         exposure = {**asdict(stated), **row} if "shutter_s" in row else asdict(stated)
         quality = from_json(cls, {"file": "", "u_percent": "nan", **row, "exposure": exposure})
         if quality.correction <= 0.0:
-            raise ValueError(f"correction {quality.correction}")
+            raise ValueError(f"correction {quality.correction}, which must be above 0")
         return quality
 
 
