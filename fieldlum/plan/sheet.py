@@ -48,7 +48,8 @@ def html(
 ) -> str:
     """Return one self-contained page of HTML: room and coverage plots, then a sheet for every day.
 
-    cost: time and storage of one slot; weather: for a second coverage plot, by irradiance; notes: texts to print.
+    cost: time and storage of one slot; weather: for a second coverage plot, by irradiance; notes:
+    texts to print.
     """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
