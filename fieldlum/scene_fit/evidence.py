@@ -56,7 +56,8 @@ class SceneEvidence:
     [m]; rays: 2 x 2 in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel: index
     below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the stated
     time were -20, -19 ... 20 min late [41, n, 2]; rows: indices of the hours in the captures [n];
-    pixels: flat indices in the panorama of `shape` [m]. view: the median picture of the windows.
+    pixels: flat indices in the panorama of `shape` [m], which stand for `solid_angle_sr` of it;
+    view: the median picture of the windows.
     """
 
     log_seen: Array
@@ -69,6 +70,7 @@ class SceneEvidence:
     clock: Array
     rows: NDArray[np.intp]
     pixels: NDArray[np.intp]
+    solid_angle_sr: float
     shape: tuple[int, int]
     view: WindowView
 
@@ -206,16 +208,17 @@ class SceneEvidence:
         hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
-    def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
+    def relit(self, data: Dataset, patch: Array, reflected: Array) -> SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
 
-        data: all captures; patch: sun patches to subtract, cd/m2 [n, m].
+        data: all captures; patch, reflected: luminance of sun patches, and of surfaces that these
+        light, cd/m2 [n, m]. Patches are subtracted; `below` includes what they light.
         """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, LEAST_CDM2)
-        known = np.zeros_like(seen)
-        known[self.rows] = patch
-        below = light_below(data, seen, known)[self.rows]
+        direct, near = np.zeros_like(seen), np.zeros_like(seen)
+        direct[self.rows], near[self.rows] = patch, reflected
+        below = light_below(data, seen, direct, near)[self.rows]
         level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
         return replace(self, below=np.maximum(level, LEAST_CDM2))
 
@@ -302,7 +305,7 @@ def gather(
             f"window, but at least {min_hours} are needed: capture clear hours; until then train "
             f"uses the stated [room] or no sun patch, and states why"
         )
-    chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
+    chosen, weights, solid_angle_sr = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
     rays, pixel = _rays(data, chosen)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
     evidence = SceneEvidence(
@@ -316,10 +319,12 @@ def gather(
         _clock_table(data, rows),
         rows,
         chosen,
+        solid_angle_sr,
         data.shape,
         window_view(data, guess),
     )
-    return evidence.relit(data, np.zeros_like(evidence.below))
+    dark = np.zeros_like(evidence.below)
+    return evidence.relit(data, dark, dark)
 
 
 def _sunny(data: Dataset, room: Room) -> NDArray[np.intp]:
@@ -333,8 +338,8 @@ def _sunny(data: Dataset, room: Room) -> NDArray[np.intp]:
 
 def _draw(
     data: Dataset, guess: Guess, rows: NDArray[np.intp], count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.intp], Array]:
-    """Return randomly drawn pixels, and their weights.
+) -> tuple[NDArray[np.intp], Array, float]:
+    """Return randomly drawn pixels, their weights, and the solid angle from which they are drawn.
 
     The probability is by solid angle. Pixels that brighten strongly in some hour are drawn four
     times as often, which the weights compensate. Pixels that may look through a window are not
@@ -355,7 +360,7 @@ def _draw(
     count = min(count, int((chance > 0.0).sum()))
     drawn = rng.choice(len(omega), count, replace=False, p=chance / chance.sum())
     chosen = np.sort(drawn)
-    return chosen, 1.0 / boost[chosen]
+    return chosen, 1.0 / boost[chosen], float(omega.sum())
 
 
 def _all_rays(data: Dataset) -> tuple[NDArray[np.float32], NDArray[np.intp]]:

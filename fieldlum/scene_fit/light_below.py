@@ -25,17 +25,20 @@ BRIGHTER, DARKER = 0.12, 0.5
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
 LEAST_CDM2 = 0.1
 _RIDGE = 1e-3
+# Chosen: a scene that is wrong must not explain all light of a pixel by its patches.
+_MOST_REFLECTED = 0.8
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
-def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
+def light_below(data: Dataset, seen: Array, patch: Array, reflected: Array) -> Array:
     """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
 
-    seen: captured luminance, cd/m2 [n, m]; patch: luminance of known sun patches, cd/m2 [n, m],
-    which is subtracted; values that it dominates count less. data: the n captures, for their light
-    and room. The result is a ridge regression on 15 smooth features of sky and sun. Its rounds
-    reduce the weight of pixels that are brighter than the fit, because a sun patch only adds light.
-    It is at least 0.1.
+    seen: captured luminance; patch: luminance of known sun patches, which is subtracted, and values
+    that it dominates count less; reflected: luminance of surfaces that these patches light; each
+    cd/m2 [n, m], 0 where not known. data: the n captures, for their light and room. The result is
+    `reflected`, at most 80 % of what is left without patches, plus a ridge regression of the rest
+    on 15 smooth features of sky and sun. Its rounds reduce the weight of pixels that are brighter
+    than the fit, because a sun patch only adds light. It is at least 0.1.
     """
     features = light_features(data.light)
     kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
@@ -44,9 +47,10 @@ def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array
     basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
     basis = np.column_stack([basis, np.ones(len(data))]) / np.sqrt(np.mean(basis**2) * rank)
     total = data.light.total_lx[:, None]
-    known = np.zeros_like(seen) if patch is None else patch
-    trust = _trust(known, seen)
-    y = np.maximum(seen - known, 0.02 * seen) / total
+    trust = _trust(patch, seen)
+    rest = np.maximum(seen - patch, 0.02 * seen)
+    near = np.minimum(reflected, _MOST_REFLECTED * rest)
+    y = (rest - near) / total
     scale = np.median(y, axis=0)
     y = y / scale  # [n, m] of median 1
     fit = np.maximum(np.minimum(y, 1.5), 0.05)
@@ -64,7 +68,7 @@ def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array
         q = np.log(y / fit)
         doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
         weight = trust / (y * fit) / (1.0 + doubt)
-    return np.maximum(fit * scale * total, LEAST_CDM2)
+    return np.maximum(fit * scale * total + near, LEAST_CDM2)
 
 
 def _trust(patch: Array, seen: Array) -> Array:

@@ -40,6 +40,7 @@ from fieldlum.scene_fit.parameters import (
 from fieldlum.scene_fit.pixel_depths import clustered_solids, pixel_depths
 from fieldlum.scene_fit.principal_axes import DRAWN_SCENES, drawn_search, principal_search
 from fieldlum.scene_fit.profile import WALL
+from fieldlum.scene_fit.reflected import relit
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
     PRIOR_SHARE,
@@ -63,13 +64,13 @@ KEPT_OUT_EVERY = 3
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
-# Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
-# searches start.
+# Chosen, for time: each solid costs a search. Trials start from the best proposals of the grid.
 MAX_SOLIDS = 8
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SOLID_TRIALS = 3
-FINAL_VIEW_WEIGHT = 0.2  # of the windows' picture in the last searches (decision 28)
+# In the last searches: of the stated numbers, of the windows' picture (decisions 31, 28).
+FINAL_PRIOR_WEIGHT, FINAL_VIEW_WEIGHT = 0.25, 0.2
 
 
 class SceneSearch:
@@ -85,6 +86,7 @@ class SceneSearch:
     ) -> None:
         self.data, self.evidence, self.stated = data, evidence, stated
         self.fit_hours, self.kept_out = fit_hours, kept_out
+        self.is_late = False  # True in the last searches
         self.valley: dict[str, float] = {}
         self.start = guess_of(stated.room, data.heading_deg)
         self.parameters = room_parameters(self.start, clock_sd_min=stated.clock_sd_min)
@@ -203,8 +205,8 @@ class SceneSearch:
     def bars(self, guess: Guess, fine: float = 1.0) -> Guess:
         """Find bars in each window from its sun patches; search their place, width and depth.
 
-        They replace those up to 20 cm wide if the cost falls; blinds (wider) remain. Bars of too
-        little effect are removed. fine: factor on the last steps of the search.
+        They replace those up to 20 cm wide if the cost falls. Bars of too little effect are
+        removed. fine: factor on the last steps of the search.
         """
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
@@ -234,7 +236,7 @@ class SceneSearch:
         return guess
 
     def _merged(self, guess: Guess) -> Guess:
-        """Return the guess with one bar for two neighbours that do not explain clearly more."""
+        """Return the guess with one bar for two neighbours that hardly explain more."""
         objective = self.objective(self.evidence.coarse())
         for trial in propose_merged(guess):
             merged, cost = pattern_search(objective, trial, bar_parameters(trial)[-3:])
@@ -275,8 +277,7 @@ class SceneSearch:
     def _columns(self, guess: Guess, limit: float) -> list[tuple[float, Guess]]:
         """Return columns before a window's end that is far inside the stated one, with their costs.
 
-        A column and a narrower window look the same to the camera, but not to the sun. Only costs
-        below the limit are returned.
+        A column and a narrower window look alike, but shade differently. Costs are below the limit.
         """
         objective = self.objective(self.fit_evidence.coarse())
         trials: list[tuple[float, Guess]] = []
@@ -301,7 +302,7 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Return the guess without thin bars, and without bars and added solids that do not pay."""
+        """Return the guess without thin bars, bars and added solids that do not pay."""
         return self._cleared(self._pruned(guess))
 
     def _cleared(self, guess: Guess) -> Guess:
@@ -320,7 +321,7 @@ class SceneSearch:
         """Set `albedo`, and the light without sun in `evidence`, to estimates with this guess."""
         self.albedo = self.evidence.albedos(guess, self.albedo)
         albedo = self.albedo_with_solids(guess)
-        self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
+        self.evidence = relit(self.evidence, self.data, guess, albedo, reflects=self.is_late)
 
     def restarted(self, guess: Guess, seed: int) -> Guess:
         """Return the best of several searches from other clocks and displaced rooms.
@@ -362,13 +363,15 @@ class SceneSearch:
         """Search all parameters by drawn scenes, then shades and furniture; return the best.
 
         The windows' picture loses most of its weight: it is one picture with reveals of a rough
-        model, and its error must not exceed that of the patches of all hours. Bars were accepted
-        with its full weight, so they stay. tick: called with the number of scenes drawn so far, in
-        one or two rounds of 4 000.
+        model, and its error must not exceed that of the patches of all hours; so does the prior.
+        Bars were accepted with full weights, so they stay. From here on `relight` knows what
+        patches reflect. tick: called with the number of scenes drawn so far, up to 8 000.
         """
         view = self.evidence.view
         faint = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
         self.evidence = replace(self.evidence, view=faint)
+        self.prior_unit *= FINAL_PRIOR_WEIGHT
+        self.is_late = True
         self.relight(guess)
         guess = self._cleared(self._drawn(self._merged(guess), seed, tick))
         more = self.furnished(self.shaded(guess), MAX_SOLIDS)
