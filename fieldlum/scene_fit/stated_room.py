@@ -29,7 +29,7 @@ class StatedRoom:
 
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
-        """By how much the stated times are assumed late (positive) at the start of searches [min].
+        """Stated time less true time that each search assumes at its start [min].
 
         They are -6, 0 and 6 if `is_clock_open`; otherwise the clock by sun discs, or 0 without
         discs.
