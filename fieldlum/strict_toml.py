@@ -86,7 +86,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             or not isinstance(value, int | float)
             or not math.isfinite(value)
         ):
-            raise InputError(where, f"the value {value!r}", "a number", "correct the value")
+            raise InputError(where, f"the value {value!r}", "a finite number", "correct the value")
         return float(value)
     if isinstance(hint, type) and (
         not isinstance(value, hint) or (hint is int and isinstance(value, bool))

@@ -47,7 +47,7 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
             "t_utc,ghi_wm2\n2027-03-20T16:00:00Z,many\n",
             "no row could be read: line 2: ghi_wm2 is 'many'",
         ),
-        ("", "no header"),
+        ("", "an empty file"),
         ("t_utc;ghi_wm2\n2027-03-20T16:00:00Z;5,1\n", "columns separated by ';'; expected commas"),
         (
             't_utc,ghi_wm2\n2027-03-20T16:00:00Z,"5,1"\n',

@@ -352,7 +352,8 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
             body.append((room.session, f"{room.to_do}", hours or "nothing is open"))
     text = (
         "For each room, the number of slots that can still be captured, and examples of hours "
-        "whose capture would help to decide an uncertain class of glare."
+        "whose capture would help to decide the glare class of a view direction where it is "
+        "still uncertain."
     )
     text += "" if body else " Nothing is open."
     table = Table(("room", "slots to do", "hours like these"), tuple(body), words=True)

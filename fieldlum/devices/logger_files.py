@@ -97,9 +97,9 @@ def _read_csv(
     except (StopIteration, csv.Error):
         raise InputError(
             path,
-            "no header",
-            "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2",
-            "name the columns in the first line",
+            "an empty file",
+            "a header with t_utc and one or more of ghi_wm2, dhi_wm2, dni_wm2",
+            "copy the file from the logger again",
         ) from None
     if len(names) == 1 and (mark := next((mark for mark in ";\t|" if mark in names[0]), "")):
         raise InputError(

@@ -55,9 +55,9 @@ class SceneEvidence:
     [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1
     [m]; rays: 2 x 2 in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel: index
     below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the stated
-    time were -20, -19 ... 20 min late [41, n, 2]; rows: indices of the hours in the captures [n];
-    pixels: flat indices in the panorama of `shape` [m], which stand for `solid_angle_sr` of it;
-    view: the median picture of the windows.
+    time were -20, -19 ... 20 min after the true time [41, n, 2]; rows: indices of the hours in the
+    captures [n]; pixels: flat indices in the panorama of `shape` [m], which stand for
+    `solid_angle_sr` of it; view: the median picture of the windows.
     """
 
     log_seen: Array
@@ -382,7 +382,7 @@ def _rays(data: Dataset, chosen: NDArray[np.intp]) -> tuple[NDArray[np.float32],
 
 
 def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
-    """Return sun positions [c, n, 2] for clocks that are -20 ... 20 min late.
+    """Return sun positions [c, n, 2] for stated times -20 ... 20 min after the true ones.
 
     They are offsets from the captures' own sun columns.
     """

@@ -22,7 +22,7 @@ class Scene:
     """A fitted scene as `train` uses it.
 
     room: the fitted box relative to true north. north_deg: how far room and camera are turned
-    clockwise from the stated direction; clock_min: how late the stated times are. before, after, u:
+    clockwise from the stated direction; clock_min: stated time less true time. before, after, u:
     values and standard uncertainties by parameter. hours: number of sunny hours. misfit: by "none",
     "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong, on
     hours held out of the search. chosen: the geometry that the captures support; verdict: why;

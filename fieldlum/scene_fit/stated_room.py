@@ -43,10 +43,10 @@ class StatedRoom:
         return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess with its clock `clock_min` late, and a pose that compensates for it.
+        """Return the guess with stated times `clock_min` after the true ones, and a pose to match.
 
         With discs of the sun the pose is the most likely one for this clock; without, north
-        decreases by 0.25 degrees for each minute that the clock is later than the guess's.
+        decreases by 0.25 degrees for each minute by which `clock_min` exceeds the guess's.
         """
         if self.pose is not None:
             return self.pose.at_clock(guess, clock_min)

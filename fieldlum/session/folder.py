@@ -230,7 +230,7 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
             raise InputError(
                 session.root,
                 f"another fieldlum{_process_of(path)} {_LOCKED[purpose]} this session",
-                "one process at a time",
+                "one process at a time for this work",
                 "stop the other process first",
             ) from None
         with suppress(OSError):  # if the disk is full

@@ -112,7 +112,7 @@ def _measure_warning(found: Setting, measure: RoomError) -> str:
         f"changing {measure.name} by {measure.amount_m:+.2f} m would explain "
         f"{measure.gain / first.stated:.0%} of the misfit, changing {first.cause} "
         f"{first.gain / first.stated:.0%}. The captures do not show which is wrong: measure the "
-        f"camera's place and the windows again before changing north or clock. Until then, hours "
+        f"camera's place and the windows again before changing anything else. Until then, hours "
         f"that depend on sun patches have a larger uncertainty"
     )
 

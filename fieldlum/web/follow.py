@@ -153,7 +153,7 @@ class IrradianceFollower:
         self._days: OrderedDict[date, DayBins] = OrderedDict()
 
     def day(self, day_utc: date) -> DayBins:
-        """Return the bins of a UTC day, up to date."""
+        """Return the irradiance bins of a UTC day, with the file's newest rows."""
         if day_utc not in self._days:
             path = self._session.irradiance / f"{day_utc.isoformat()}.csv"
             self._days[day_utc] = DayBins(path)

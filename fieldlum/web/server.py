@@ -23,7 +23,7 @@ from fieldlum.web.access import SECURITY_HEADERS, Access
 from fieldlum.web.answer import Worker, answer_table
 from fieldlum.web.control import Control, control_routes
 from fieldlum.web.pictures import picture_png, scale_png
-from fieldlum.web.snapshot import Snapshots, known_slot
+from fieldlum.web.snapshot import Snapshots, is_slot_id
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
@@ -92,7 +92,7 @@ def picture_routes(session: Session) -> list[Route]:
             width = int(request.query_params.get("width", "920"))
         except (KeyError, ValueError):
             raise HTTPException(400) from None
-        if not (known_slot(slot) and 1e-6 <= low < high <= 1e12 and width >= 16):
+        if not (is_slot_id(slot) and 1e-6 <= low < high <= 1e12 and width >= 16):
             raise HTTPException(400)
         try:
             data = picture_png(session.panorama(slot), width, low, high)

@@ -333,7 +333,7 @@ def _stamp(paths: list[Path]) -> str:
     return f"{max((path.stat().st_mtime_ns for path in paths), default=0):x}"
 
 
-def known_slot(text: str) -> bool:
+def is_slot_id(text: str) -> bool:
     """Return whether a text has the form of a slot's id, so that it is safe in a file name."""
     try:
         return slot_id(parse_utc(text)) == text

@@ -1,4 +1,4 @@
-"""Find a clock that differs between days: how late the stated times are on each day.
+"""Find a clock that differs between days: stated time less true time of each day.
 
 A clock that drifts, or is set now and then, moves the sun patches of each day by another amount.
 Each day's offset is the one under which computed patches match the captured ones best.
@@ -39,7 +39,7 @@ _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; 
 
 @dataclass(frozen=True, slots=True)
 class ClockByDay:
-    """How late the stated times of the captures are on each of k days.
+    """Stated time less true time of the captures on each of k days.
 
     days: the days with at least three sunny captures [k]; late_min: stated minus true time [k] min,
     so positive if stated times are later than the true ones. An offset that is common to all days
@@ -60,7 +60,7 @@ class ClockByDay:
 
 
 def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
-    """Return how late the camera's clock was on each day; None if it does not differ between days.
+    """Return the clock error of each day; None if it does not differ between days.
 
     Each day's offset is the one under which computed sun patches match the captured ones best. With
     these offsets corrected, the held-out error must fall by a tenth and by one standard error,
