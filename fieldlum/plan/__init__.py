@@ -57,8 +57,9 @@ def make_plan(
     chosen = _chosen(request, hours, weather, task, progress)
     if not len(chosen):
         raise NotEnoughDataError(
-            f"the weather file has no daylight on the days of the plan, {days[0]} to {days[-1]}, so "
-            "the plan would be empty; choose its dates with --start or --year, or another weather file"
+            "the weather file has no daylight on the days of the plan, "
+            f"{days[0]} to {days[-1]}, so the plan would be empty; choose its dates with --start "
+            "or --year, or another weather file"
         )
     profile = load_camera_profile(setup.camera.profile)
     bracket = profile.bracket

@@ -251,7 +251,7 @@ class SceneSearch:
         return pays(fitted, kept_out, without, with_it, least)
 
     def furniture(self, guess: Guess) -> Guess:
-        """Return the guess with a proposed solid that pays; the same object if none of three does."""
+        """Return the guess with a proposed solid that pays, else the same object; try three."""
         albedo = self.albedo_with_solids(guess)
         coarse = self._solid_cost(self.fit_evidence.coarse(), guess, albedo)
         limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
