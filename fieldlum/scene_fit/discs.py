@@ -46,9 +46,9 @@ class PoseFit:
     heading_deg: correction to add to the stated heading. tilt_deg: how far the view axis points up;
     roll_deg: how far the picture's right-hand side is low. clock_min: recorded time less
     true time. lens_scale: true over stated angle from the lens's axis, minus 1. rms_deg: distance
-    of measured from computed discs without gross errors. dropped: indices from 0 of the discs that are
-    gross errors. open: names of parameters with over half of their uncertainty before the fit, and
-    "A and B" for pairs correlated by over 0.98.
+    of measured from computed discs without gross errors. dropped: indices from 0 of the discs that
+    are gross errors. open: names of parameters with over half of their uncertainty before the fit,
+    and "A and B" for pairs correlated by over 0.98.
     """
 
     values: Array

@@ -100,7 +100,8 @@ def _moved_warning(moved: MovedObject) -> str:
         f"WARNING: from {moved.day} on, for the same light outside, the room is "
         f"{moved.factor:.2f} times as bright as on the days before, in a region of "
         f"{moved.size_sr:.2f} sr at azimuth {moved.azimuth_deg:.0f}, altitude "
-        f"{moved.altitude_deg:.0f} degrees: a piece of furniture was probably moved or added. The model is a mean of both states; for a model "
+        f"{moved.altitude_deg:.0f} degrees: a piece of furniture was probably "
+        "moved or added. The model is a mean of both states; for a model "
         "of one state, set ok = 0 in pairs.csv for the days before or after, and train again"
     )
 
