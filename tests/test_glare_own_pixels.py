@@ -11,12 +11,13 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.glare.own_pixels import glare_of_pixels, region_ratios
+from fieldlum.glare.own_pixels import disc_pixels, glare_of_pixels, region_ratios
 from fieldlum.glare.picture_grid import picture_grid
 from fieldlum.glare.picture_view import PictureView, parse_view, picture_rays
 from fieldlum.glare.reference import reference_glare_of_file
 from fieldlum.glare.single import picture_glare
 from fieldlum.images import write_radiance_hdr
+from fieldlum.records import SunSource
 
 LEVEL = "-vd 0 -1 0 -vu 0 0 1"
 
@@ -62,6 +63,17 @@ def test_a_sun_near_the_rim_of_a_hemispherical_picture_is_exact() -> None:
         pixels[size // 2, column] = 1e8
         figures = glare_of_pixels(pixels, grid)[0]
         assert figures["ev_lx"] == pytest.approx(1e8 * (2.0 / size) ** 2, rel=1e-3)
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("size", [40, 400])
+def test_the_disc_of_a_sun_outside_the_picture_adds_nothing(size: int) -> None:
+    """Analytic: the disc's energy is its illuminance in the picture, and 0 outside of it."""
+    grid = picture_grid(_view(f"-vtv {LEVEL} -vh 40 -vv 40"), size, size)
+    for azimuth_deg, expected_lx in ((180.0, 5e4), (190.3, 5e4), (199.9, 5e4), (202.0, 0.0)):
+        disc = disc_pixels(grid, SunSource(2.0, azimuth_deg, 5e4))
+        total_lx = (disc * grid.solid_angle).sum(dtype=float)
+        assert total_lx == pytest.approx(expected_lx, rel=1e-4)
 
 
 @pytest.mark.analytic

@@ -110,8 +110,8 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
     """Return the luminance [H, W] that the sun's disc adds to the pixels of a picture, in cd/m2.
 
     All pixels with a centre in the disc get the same luminance, so that they have the disc's
-    energy. Without such a pixel the nearest one gets the energy. A sun behind the observer adds
-    nothing.
+    energy. Without such a pixel the nearest one gets the energy. A sun behind the observer or
+    outside the picture, over a pixel's diagonal from the nearest one, adds nothing.
     """
     from fieldlum.glare.fisheye import SUN_RADIUS_RAD
 
@@ -125,7 +125,9 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
         cosine[rows] = rays.right * towards[0] + rays.up * towards[1] + rays.forward * towards[2]
     disc = (cosine >= np.cos(SUN_RADIUS_RAD)) & (grid.solid_angle > 0)
     if not disc.any() and towards[2] > 0:
-        disc.flat[int(np.argmax(np.where(grid.solid_angle > 0, cosine, -1.0)))] = True
+        nearest = int(np.argmax(np.where(grid.solid_angle > 0, cosine, -1.0)))
+        diagonal_rad = np.sqrt(2.0 * grid.solid_angle.flat[nearest])
+        disc.flat[nearest] = cosine.flat[nearest] >= np.cos(SUN_RADIUS_RAD + diagonal_rad)
     if disc.any():
         solid_angle = float(grid.solid_angle[disc].sum())
         out[disc] = sun.normal_illuminance_lx / solid_angle
