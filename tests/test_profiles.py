@@ -40,8 +40,8 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"longitude_deg": 190.0}, "longitude_deg = 190"),
         ({"timezone": "America/Seatle"}, "unknown time zone 'America/Seatle'"),
         ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg'; did you mean 'latitude_deg'"),
-        ({"latitude_deg": "north"}, "'north'; expected a number"),
-        ({"latitude_deg": True}, "expected a number"),
+        ({"latitude_deg": "north"}, "'north'; expected a finite number"),
+        ({"latitude_deg": True}, "expected a finite number"),
         ({"altitude_m": 52000.0}, "altitude_m = 52000; expected -500 to 9000"),
         (
             {"longitude_deg": 122.3},
