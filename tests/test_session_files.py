@@ -173,3 +173,6 @@ def test_files_of_a_predicted_year_carry_their_version(tmp_path: Path) -> None:
     (tmp_path / "predict.json").write_text('{"format": 2, "hours": 2, "azimuths_deg": [180]}')
     with pytest.raises(InputError, match="newer fieldlum"):
         PredictFile.read(tmp_path)
+    (tmp_path / "predict.json").write_text('{"format": 0, "hours": 2, "azimuths_deg": [180]}')
+    with pytest.raises(InputError, match="format 0; expected format 1 to 1; restore the file"):
+        PredictFile.read(tmp_path)

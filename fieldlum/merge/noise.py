@@ -50,7 +50,7 @@ class SeenNoise:
 def seen_noise(
     samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]
 ) -> SeenNoise:
-    """Return the factors on the profile's noise variances, from neighbouring raw frames.
+    """Return factors on the variances of the profile's shot and read noise, from raw frames.
 
     samples: one for each frame, most exposed first; pairs: measured exposure ratios, of which only
     those of neighbours are used. correction: fitted over assumed exposure, [frames]. Both factors

@@ -53,7 +53,7 @@ class MirroredSun:
 
     @property
     def place_deg(self) -> tuple[Array, Array]:
-        """Altitudes and azimuths (clockwise from north) of the images, [n] deg each."""
+        """Altitudes and azimuths (clockwise from north) of the sun's images, [n] deg each."""
         return place_deg(self.towards)
 
 

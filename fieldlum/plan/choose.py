@@ -132,7 +132,7 @@ def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
 def features_under(
     sky: sun.Irradiance, hours: DaylightHours, task: Learning
 ) -> tuple[Index, Features]:
-    """Return as `features_at` the hours with daylight, and their features, under a sky [n]."""
+    """Return what `features_at` returns, for a given sky [n] at the n hours."""
     known = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
     times = hours[known].t_utc
     return known, light_features(light_at(times, task.site, sky.dni_wm2[known], sky.dhi_wm2[known]))

@@ -109,7 +109,7 @@ class SceneSearch:
         """Search edges and bars in the picture of the windows alone; return three guesses.
 
         Their walls are turned by -2, 0 and 2 degrees, because the picture and the tape measure
-        leave this open; `contents` chooses. If the picture shows no edges, nothing is searched.
+        leave this open; `contents` chooses. If the picture shows no edges, they are only turned.
         """
         turned = aimed(next(p for p in self.parameters if p.name == WALL).change)
         starts = [turned(guess, turn_deg) for turn_deg in RESTART_TURNS_DEG]

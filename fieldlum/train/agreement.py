@@ -274,7 +274,7 @@ class Typical:
 
 
 def typical(process: Process, rows: Rows) -> Typical:
-    """Return the usual deviations of the captures `rows` from what the others predict."""
+    """Return the median deviations of the captures `rows`, each predicted from the others."""
     noise = _likely_noise(process, rows)
     out = process.left_out(rows, noise)
     squares = process.squares(out)

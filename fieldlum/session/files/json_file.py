@@ -46,14 +46,17 @@ def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
     integer from 1 to `newest`.
     """
     version = table.get("format", 1)
-    if not isinstance(version, int) or not 1 <= version <= newest:
-        raise InputError(
-            path,
-            f"a file of format {version}",
-            f"format 1 to {newest}",
-            "read the file with a newer fieldlum",
-        )
-    return version
+    if isinstance(version, int) and 1 <= version <= newest:
+        return version
+    remedy = "restore the file, or write it again"
+    if isinstance(version, int) and version > newest:
+        remedy = "read the file with a newer fieldlum"
+    raise InputError(
+        path,
+        f"a file of format {version}",
+        f"format 1 to {newest}",
+        remedy,
+    )
 
 
 def build_known(cls: type[T], table: Mapping[str, Any], where: str) -> T:
