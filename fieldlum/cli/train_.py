@@ -155,7 +155,7 @@ def _show(answer: TrainAnswer) -> None:
         click.echo(
             f"over a year: expected log10 MSE {year['expected_log10_mse']:.2e}, "
             f"{100 * year['trusted_share']:.0f} % of the hours trusted ({year['hours']:.0f} hours "
-            "drawn, under the captures' skies)"
+            "drawn at random, under the captures' skies)"
         )
     for note in answer["notes"]:
         say(note)

@@ -160,7 +160,7 @@ def blocks(
             )
         if not np.isfinite(maps).all():
             raise FloatingPointError(
-                f"hours {rows.start} to {rows.stop}: predicted values that are not finite"
+                f"hours {rows.start} to {rows.stop - 1}: predicted values that are not finite"
             )
         disc = known_disc_lx
         if disc is None:
