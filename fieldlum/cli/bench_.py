@@ -10,6 +10,7 @@ import click
 from fieldlum.cli.estimates import bench_s, estimate_text
 from fieldlum.cli.options import (
     PATH,
+    budget_option,
     json_option,
     out_option,
     pairs_argument,
@@ -43,13 +44,7 @@ if TYPE_CHECKING:
     "patches), or folders of trained models.",
 )
 @seeds_option
-@click.option(
-    "--budget",
-    default=5.0,
-    show_default=True,
-    type=click.FloatRange(min=0, min_open=True),
-    help="Minutes of training for the dense network.",
-)
+@budget_option(5.0, "Minutes of training for the dense network.")
 @click.option("--stress", is_flag=True, help="Also test conditions in which methods fail.")
 @click.option(
     "--render",

@@ -10,6 +10,7 @@ import click
 from fieldlum.cli.options import (
     PATH,
     Decorator,
+    budget_option,
     force_option,
     json_option,
     out_option,
@@ -107,13 +108,7 @@ _add_stage(
     help="Models as in fieldlum bench, separated by commas.",
 )
 @seeds_option
-@click.option(
-    "--budget",
-    default=5.0,
-    show_default=True,
-    type=click.FloatRange(min=0, min_open=True),
-    help="Minutes of training for each model and seed.",
-)
+@budget_option(5.0, "Minutes of training for each model and seed.")
 @scheduler_option
 @out_option("Folder of sweep.csv and sweep.md", default="campaign/ next to CAMPAIGN.toml")
 def bench_command(

@@ -130,6 +130,17 @@ def out_option(content: str, *, default: str = "", required: bool = False) -> De
     return click.option("--out", type=PATH, required=required, help=text)
 
 
+def budget_option(default_min: float, text: str) -> Decorator:
+    """Return the click option --budget, in minutes, with the help `text`."""
+    return click.option(
+        "--budget",
+        default=default_min,
+        show_default=True,
+        type=click.FloatRange(min=0, min_open=True),
+        help=text,
+    )
+
+
 seeds_option = click.option(
     "--seeds",
     default=1,

@@ -11,6 +11,7 @@ import click
 from fieldlum.cli.estimates import estimate_text, train_s
 from fieldlum.cli.options import (
     PATH_OR_URL,
+    budget_option,
     force_option,
     json_option,
     out_option,
@@ -41,13 +42,7 @@ if TYPE_CHECKING:
     type=click.Choice(["absolute", "gain", "none"]),
     help="Use sun patches in cd/m2, up to an unknown factor, or not at all.",
 )
-@click.option(
-    "--budget",
-    default=10.0,
-    show_default=True,
-    type=click.FloatRange(min=0, min_open=True),
-    help="Time limit of the complete command, in minutes.",
-)
+@budget_option(10.0, "Time limit of the complete command, in minutes.")
 @click.option(
     "--seed", default=0, show_default=True, help="Seed of all random numbers in training."
 )
