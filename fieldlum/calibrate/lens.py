@@ -255,8 +255,8 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
     if np.median(missed) > MISS_RADIUS * found.radius_px:
         raise InputError(
             targets.source,
-            f"no lens fits the targets: half of them are over {np.median(missed):.0f} px from "
-            "their fitted places",
+            f"with the lens that fits the targets best, half of them are over "
+            f"{np.median(missed):.0f} px from where it puts them",
             wanted,
             "check the targets' signs and units, and the columns x_px and y_px",
         )

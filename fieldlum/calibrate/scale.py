@@ -104,7 +104,8 @@ def from_table(
         if (spot is None) == (plane is None):
             raise InputError(
                 path,
-                "a line has both luminance_cdm2 and illuminance_lx, or neither",
+                f"the line with azimuth {azimuth:g} and altitude {altitude:g} deg has "
+                f"{'neither' if spot is None else 'both'} of luminance_cdm2 and illuminance_lx",
                 "one of the two in each line",
                 "correct that line",
             )

@@ -220,8 +220,8 @@ def fit(samples: Samples) -> VignettingFit:
     if len(r) < LEAST or r.max() < 0.5:
         raise NotEnoughDataError(
             f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of "
-            f"the lens's half angle; expected at least {LEAST} readings, up to 50 % or more; add "
-            "readings, and check that angles are in degrees"
+            f"the lens's half angle; expected at least {LEAST} readings, the outermost at 50 % or "
+            "further; add readings, and check that angles are in degrees"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
         raise InputError(

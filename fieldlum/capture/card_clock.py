@@ -223,9 +223,10 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
         if abs(step_s) > _STEP_S:
             notes.append(
                 f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h "
-                f"between {before[-1].frames[0].path} and {after[0].frames[0].path}; if it was "
-                "not, "
-                "and brackets were taken at other hours than planned, state --utc-offset"
+                f"between {before[-1].frames[0].path} and {after[0].frames[0].path}, and the "
+                "brackets before and after were imported with different offsets; if the clock was "
+                "not changed, but brackets were taken at other hours than planned, state "
+                "--utc-offset"
             )
     return notes
 

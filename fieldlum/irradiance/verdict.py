@@ -11,7 +11,7 @@ from fieldlum import sun
 from fieldlum.irradiance.consistency import SensitivitySteps, sensitivity_steps
 from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll_period_s
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
-from fieldlum.records import Site
+from fieldlum.records import Site, counted
 
 NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
@@ -106,8 +106,8 @@ def _of_night(offset_wm2: float | None) -> list[str]:
             "logger's clock, its --utc-offset, and longitude_deg"
         ]
     return [
-        f"global irradiance of {offset_wm2:+.1f} W/m2 at night instead of 0: level, clean and "
-        "ventilate the instrument"
+        f"global irradiance of {offset_wm2:+.1f} W/m2 at night instead of 0: clean and ventilate "
+        "the instrument, and check its zero in the dark"
     ]
 
 
@@ -154,8 +154,8 @@ def _of_lines(broken: int) -> list[str]:
     if not broken:
         return []
     return [
-        f"{broken} damaged lines in the day files were skipped: check the "
-        "disk, and do not edit day files"
+        f"skipped in the day files: {counted(broken, 'damaged line')}; check the disk, and do not "
+        "edit day files"
     ]
 
 

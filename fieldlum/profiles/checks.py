@@ -54,7 +54,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     if not all(0 <= value < 1 for value in relative):
         raise _impossible(
             where,
-            f"a relative value of {next(v for v in relative if not 0 <= v < 1):g}",
+            f"u_rel or glare_floor_rel = {next(v for v in relative if not 0 <= v < 1):g}",
             "u_rel and glare_floor_rel from 0 to below 1",
         )
     _check_stray(p.stray, where)
