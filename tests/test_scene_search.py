@@ -32,7 +32,7 @@ from fieldlum.scene_fit.parameters import (
     room_parameters,
     stated_albedo,
 )
-from fieldlum.scene_fit.principal_axes import drawn_search, principal_search
+from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
@@ -353,26 +353,6 @@ def test_a_wall_without_light_where_patches_are_expected_is_not_black(
     dark = np.where(on_wall, np.log(evidence.below), evidence.log_seen)
     albedo = replace(evidence, log_seen=dark).albedos(guess, stated_albedo(ROOM))
     assert albedo[wall] > 0.5 * np.median(albedo[:4])
-
-
-@pytest.mark.slow
-@pytest.mark.property
-def test_drawn_scenes_improve_a_displaced_one(evidence: SceneEvidence) -> None:
-    parameters = room_parameters(guess_of(ROOM))
-    start = guess_of(ROOM)
-    coarse = evidence.coarse()
-    albedo = stated_albedo(ROOM)
-    objective = Objective(coarse, start, parameters, albedo, 0.0)
-    rng = np.random.default_rng(3)
-    displaced = start
-    for parameter in parameters:
-        step = 0.5 * parameter.first_step * rng.choice([-1.0, 1.0])
-        displaced = parameter.change(displaced, float(step))
-    before = np.random.get_state(legacy=False)["state"]["key"]  # noqa: NPY002
-    found, cost = drawn_search(objective, displaced, parameters, seed=1)
-    assert cost == objective(found)
-    assert cost - objective(start) < 0.1 * (objective(displaced) - objective(start))
-    np.testing.assert_array_equal(np.random.get_state(legacy=False)["state"]["key"], before)  # noqa: NPY002
 
 
 class _Hours:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from fieldlum.scene.geometry import WALLS
-from fieldlum.scene_fit.evidence import SUB, SceneEvidence
+from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Bar, Guess
 from fieldlum.scene_fit.renderer import OUTSIDE, lit_entries, surfaces
 from fieldlum.scene_fit.window_view import WindowView
@@ -95,8 +95,8 @@ def window_picture(
     pixels = len(evidence.pixels)
     flat = lit.hour * pixels + pixel
     cells = len(evidence) * pixels
-    share = np.bincount(flat, minlength=cells) / SUB**2
-    strength = np.bincount(flat, lit.strength, cells) / SUB**2
+    share = np.bincount(flat, minlength=cells) / evidence.sub**2
+    strength = np.bincount(flat, lit.strength, cells) / evidence.sub**2
     full = evidence.direct_lx.repeat(pixels) * strength / np.pi
     full *= np.tile(evidence.pixel_albedo(ends, albedo), len(evidence))
     below = evidence.below.ravel()

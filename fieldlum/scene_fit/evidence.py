@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.projection import equirect_solid_angles, signed_angle_deg
+from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
-from fieldlum.scene_fit.light_below import LEAST_CDM2, levelled, light_below
+from fieldlum.scene_fit.light_below import LEAST_CDM2, LightBelow, levelled
 from fieldlum.scene_fit.renderer import FLOOR, SHELL, Surfaces, lit_entries, surfaces, unit_patches
+from fieldlum.scene_fit.sampling import draw_pixels, rays_of
 from fieldlum.scene_fit.sunny import (
     MIN_SUNNY_HOURS,
     SUNSHINE_WM2,
@@ -43,8 +43,6 @@ WIDTH = 0.4  # log error at which a pixel counts as half wrong; chosen with the 
 _WALLS_FACTOR = 2.0  # between the albedos of walls; chosen (decision 28)
 _KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
-# pixels nearer to a window are omitted, because they may look through it; chosen
-_WINDOW_MARGIN_DEG = 4.0
 
 
 @dataclass(frozen=True)
@@ -53,10 +51,10 @@ class SceneEvidence:
 
     log_seen: ln of the captured luminance, and below: luminance estimated without direct sun, cd/m2
     [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1
-    [m]; rays: 2 x 2 in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel: index
-    below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the stated
-    time were -20, -19 ... 20 min after the true time [41, n, 2]; rows: indices of the hours in the
-    captures [n]; pixels: flat indices in the panorama of `shape` [m], which stand for
+    [m]; rays: sub x sub in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel:
+    index below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the
+    stated time were -20, -19 ... 20 min after the true time [41, n, 2]; rows: indices of the hours
+    in the captures [n]; pixels: flat indices in the panorama of `shape` [m], which stand for
     `solid_angle_sr` of it; view: the median picture of the windows.
     """
 
@@ -73,6 +71,7 @@ class SceneEvidence:
     solid_angle_sr: float
     shape: tuple[int, int]
     view: WindowView
+    sub: int = SUB
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -80,7 +79,12 @@ class SceneEvidence:
     @property
     def spread(self) -> float:
         """The angle between neighbouring rays [rad]."""
-        return np.pi / self.shape[0] / SUB
+        return np.pi / self.shape[0] / self.sub
+
+    def finer(self, data: Dataset, sub: int) -> SceneEvidence:
+        """Return the evidence with sub x sub rays in each pixel; data: all captures."""
+        rays, pixel = rays_of(data, self.pixels, sub)
+        return replace(self, rays=rays, pixel=pixel, sub=sub)
 
     def hours(self, index: NDArray) -> SceneEvidence:
         """Return the evidence of the hours with the indices `index` [k]."""
@@ -132,7 +136,7 @@ class SceneEvidence:
         """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end."""
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
-        return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
+        return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), self.sub), ends
 
     def patches(self, guess: Guess, albedo: Array) -> Array:
         """Return the luminance of the guess's sun patches, cd/m2 [n, m].
@@ -142,7 +146,7 @@ class SceneEvidence:
         ends = surfaces(guess, self.rays, self.spread)
         tone = albedo[ends.surface]
         suns, count = self.suns_room(guess), len(self.pixels)
-        shine = unit_patches(guess, ends, suns, self.pixel, count, SUB, tone)
+        shine = unit_patches(guess, ends, suns, self.pixel, count, self.sub, tone)
         return self.direct_lx[:, None] * shine / np.pi
 
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
@@ -180,7 +184,7 @@ class SceneEvidence:
         total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)
         lit = np.flatnonzero(total)
         at_hour, at_pixel = np.divmod(lit, count)
-        patch = total[lit] * self.direct_lx[at_hour] / (np.pi * SUB**2)
+        patch = total[lit] * self.direct_lx[at_hour] / (np.pi * self.sub**2)
         gain = self.dark_loss.ravel()[lit] - self.loss(lit, patch)
         return self.dark_misfit - float(gain @ self.weights[at_pixel]) / len(self)
 
@@ -218,7 +222,7 @@ class SceneEvidence:
         seen = np.maximum(flat, LEAST_CDM2)
         direct, near = np.zeros_like(seen), np.zeros_like(seen)
         direct[self.rows], near[self.rows] = patch, reflected
-        below = light_below(data, seen, direct, near)[self.rows]
+        below = LightBelow(data)(seen, direct, near)[self.rows]
         level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
         return replace(self, below=np.maximum(level, LEAST_CDM2))
 
@@ -305,8 +309,10 @@ def gather(
             f"window, but at least {min_hours} are needed: capture clear hours; until then train "
             f"uses the stated [room] or no sun patch, and states why"
         )
-    chosen, weights, solid_angle_sr = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
-    rays, pixel = _rays(data, chosen)
+    chosen, weights, solid_angle_sr = draw_pixels(
+        data, guess, rows, pixels, np.random.default_rng(seed)
+    )
+    rays, pixel = rays_of(data, chosen, SUB)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
     evidence = SceneEvidence(
         np.log(seen[rows]),
@@ -334,51 +340,6 @@ def _sunny(data: Dataset, room: Room) -> NDArray[np.intp]:
     """
     order = np.argsort(direct_on_windows_lx(data, room))[::-1][:MAX_HOURS]
     return np.sort(order[sunny_hours(data, room, near_strongest=True)[order]])
-
-
-def _draw(
-    data: Dataset, guess: Guess, rows: NDArray[np.intp], count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.intp], Array, float]:
-    """Return randomly drawn pixels, their weights, and the solid angle from which they are drawn.
-
-    The probability is by solid angle. Pixels that brighten strongly in some hour are drawn four
-    times as often, which the weights compensate. Pixels that may look through a window are not
-    drawn.
-    """
-    height, width = data.shape
-    every, _ = _all_rays(data)
-    away = surfaces(guess, every).surface < 0
-    margin = round(_WINDOW_MARGIN_DEG / 180.0 * height)
-    glass = binary_dilation(away.reshape(height, width), iterations=max(1, margin))
-    usable = data.seen & ~np.asarray(glass, bool)
-    omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
-    bright = data.luminance_cdm2[rows].reshape(len(rows), -1)
-    level = bright / np.maximum(np.median(bright, axis=0), LEAST_CDM2)
-    peaks = (level.max(axis=0) > 2.0) & usable.ravel()
-    boost = np.where(peaks, 4.0, 1.0)
-    chance = omega * boost
-    count = min(count, int((chance > 0.0).sum()))
-    drawn = rng.choice(len(omega), count, replace=False, p=chance / chance.sum())
-    chosen = np.sort(drawn)
-    return chosen, 1.0 / boost[chosen], float(omega.sum())
-
-
-def _all_rays(data: Dataset) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    from fieldlum.scene.view import pixel_rays
-
-    pixel, rays = pixel_rays(data.shape[0], data.heading_deg, 1)
-    return rays.astype(np.float32), pixel.astype(np.intp)
-
-
-def _rays(data: Dataset, chosen: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Return sub-rays of the chosen pixels [r, 3], and the index of each ray's pixel [r]."""
-    from fieldlum.scene.view import pixel_rays
-
-    pixel, rays = pixel_rays(data.shape[0], data.heading_deg, SUB)
-    place = np.full(data.shape[0] * data.shape[1], -1)
-    place[chosen] = np.arange(len(chosen))
-    of = place[pixel] >= 0
-    return rays[of].astype(np.float32), place[pixel[of]]
 
 
 def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:

@@ -20,7 +20,6 @@ from fieldlum.scene_fit.guess import Guess, room_of
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
-from fieldlum.scene_fit.principal_axes import DRAWN_SCENES
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import (
     KEPT_OUT_EVERY,
@@ -99,10 +98,10 @@ def fit_scene(
     guess = search.polish(guess, search.fit_hours)
     misfits = search.misfits(guess)
 
-    def drawn(scenes: int) -> None:
-        progress(82 + 4 * scenes // DRAWN_SCENES, 100, "drawn scenes")
+    def refined(share: float) -> None:
+        progress(82 + round(9 * share), 100, "light below with each scene")
 
-    guess = search.polish(search.refined(guess, seed, drawn), np.arange(len(evidence)))
+    guess = search.refined(guess, refined)
     progress(91, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))

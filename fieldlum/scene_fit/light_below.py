@@ -30,45 +30,55 @@ _MOST_REFLECTED = 0.8
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
-def light_below(data: Dataset, seen: Array, patch: Array, reflected: Array) -> Array:
-    """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
+class LightBelow:
+    """Smooth light of sky and sun in n captures, from which the light below patches is estimated.
 
-    seen: captured luminance; patch: luminance of known sun patches, which is subtracted, and values
-    that it dominates count less; reflected: luminance of surfaces that these patches light; each
-    cd/m2 [n, m], 0 where not known. data: the n captures, for their light and room. The result is
-    `reflected`, at most 80 % of what is left without patches, plus a ridge regression of the rest
-    on 15 smooth features of sky and sun. Its rounds reduce the weight of pixels that are brighter
-    than the fit, because a sun patch only adds light. It is at least 0.1.
+    data: the captures, for their light and room.
     """
-    features = light_features(data.light)
-    kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
-    value, vector = np.linalg.eigh(kernel)
-    rank = min(RANK, len(data) - 1)
-    basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
-    basis = np.column_stack([basis, np.ones(len(data))]) / np.sqrt(np.mean(basis**2) * rank)
-    total = data.light.total_lx[:, None]
-    trust = _trust(patch, seen)
-    rest = np.maximum(seen - patch, 0.02 * seen)
-    near = np.minimum(reflected, _MOST_REFLECTED * rest)
-    y = (rest - near) / total
-    scale = np.median(y, axis=0)
-    y = y / scale  # [n, m] of median 1
-    fit = np.maximum(np.minimum(y, 1.5), 0.05)
-    weight = trust / (y * fit)
-    least = 0.05
-    terms = basis.shape[1]
-    products = np.einsum("nk,nl->nkl", basis, basis).reshape(len(basis), -1)  # [n, k k]
-    for _ in range(ROUNDS):
-        normal = (weight.T @ products).reshape(-1, terms, terms)  # [m, k, k]
-        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / normal.shape[1]
-        normal = normal + ridge * np.eye(basis.shape[1])
-        right = (weight * y).T @ basis  # [m, k]
-        coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
-        fit = np.maximum(basis @ coefficients.T, least)
-        q = np.log(y / fit)
-        doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
-        weight = trust / (y * fit) / (1.0 + doubt)
-    return np.maximum(fit * scale * total + near, LEAST_CDM2)
+
+    def __init__(self, data: Dataset) -> None:
+        features = light_features(data.light)
+        kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
+        value, vector = np.linalg.eigh(kernel)
+        rank = min(RANK, len(data) - 1)
+        basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
+        scale = np.sqrt(np.mean(basis**2) * rank)
+        self.basis = np.column_stack([basis, np.ones(len(data))]) / scale  # [n, k]
+        products = np.einsum("nk,nl->nkl", self.basis, self.basis)
+        self.products = products.reshape(len(basis), -1)  # [n, k k]
+        self.total_lx = data.light.total_lx[:, None]
+
+    def __call__(self, seen: Array, patch: Array, reflected: Array, rounds: int = ROUNDS) -> Array:
+        """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
+
+        seen: captured luminance; patch: luminance of known sun patches, which is subtracted, and
+        values that it dominates count less; reflected: luminance of surfaces that these patches
+        light; each cd/m2 [n, m], 0 where not known. The result is `reflected`, at most 80 % of what
+        is left without patches, plus a ridge regression of the rest on 15 smooth features of sky
+        and sun. Its rounds reduce the weight of pixels that are brighter than the fit, because a
+        sun patch only adds light. It is at least 0.1.
+        """
+        trust = _trust(patch, seen)
+        rest = np.maximum(seen - patch, 0.02 * seen)
+        near = np.minimum(reflected, _MOST_REFLECTED * rest)
+        y = (rest - near) / self.total_lx
+        scale = np.median(y, axis=0)
+        y = y / scale  # [n, m] of median 1
+        fit = np.maximum(np.minimum(y, 1.5), 0.05)
+        weight = trust / (y * fit)
+        least = 0.05
+        terms = self.basis.shape[1]
+        for _ in range(rounds):
+            normal = (weight.T @ self.products).reshape(-1, terms, terms)  # [m, k, k]
+            ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / terms
+            normal = normal + ridge * np.eye(terms)
+            right = (weight * y).T @ self.basis  # [m, k]
+            coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
+            fit = np.maximum(self.basis @ coefficients.T, least)
+            q = np.log(y / fit)
+            doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
+            weight = trust / (y * fit) / (1.0 + doubt)
+        return np.maximum(fit * scale * self.total_lx + near, LEAST_CDM2)
 
 
 def _trust(patch: Array, seen: Array) -> Array:

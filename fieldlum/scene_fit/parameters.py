@@ -207,6 +207,26 @@ def bar_parameters(guess: Guess) -> list[Parameter]:
     return parameters
 
 
+def inset_parameters(guess: Guess) -> list[Parameter]:
+    """Return the depth of the inner face of each of the guess's bars, in m, as parameters.
+
+    They have no prior. The depth is outwards from the wall's inner face.
+    """
+
+    def parameter(number: int) -> Parameter:
+        def change(g: Guess, by: float) -> Guess:
+            bars = list(g.bars)
+            inner, outer = bars[number].depth_m
+            inner = float(np.clip(inner + by, 0.0, outer - 0.005))
+            bars[number] = replace(bars[number], depth_m=(inner, outer))
+            return replace(g, bars=tuple(bars))
+
+        reader = _bar_reader(lambda bar: bar.depth_m[0], number)
+        return Parameter(f"bar {number + 1} inset", reader, change, 0.02, 0.004, np.inf)
+
+    return [parameter(number) for number in range(len(guess.bars))]
+
+
 def _bar_reader(read: Callable[[Bar], float], number: int) -> Callable[[Guess], float]:
     return lambda g: read(g.bars[number])
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from fieldlum.scene_fit.evidence import SUB, SceneEvidence
+from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.furniture import TABLE_TOP_M
 from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
@@ -62,7 +62,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
     """
     order = np.argsort(evidence.pixel, kind="stable")
     first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
-    rays = evidence.rays[order[first + SUB**2 // 2]]
+    rays = evidence.rays[order[first + evidence.sub**2 // 2]]
     ends = surfaces(guess, rays)
     stated = _loss(evidence, evidence.patches(guess, albedo))  # [m]
     pixels = len(rays)

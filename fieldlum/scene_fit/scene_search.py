@@ -33,13 +33,15 @@ from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import (
     Parameter,
     bar_parameters,
+    inset_parameters,
     room_parameters,
     shape_parameters,
     stated_albedo,
 )
 from fieldlum.scene_fit.pixel_depths import clustered_solids, pixel_depths
-from fieldlum.scene_fit.principal_axes import DRAWN_SCENES, drawn_search, principal_search
+from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.profile import WALL
+from fieldlum.scene_fit.profiled import FINE_SUB, STAGES, ProfiledCost, damped_search
 from fieldlum.scene_fit.reflected import relit
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
@@ -136,8 +138,8 @@ class SceneSearch:
     def contents(self, starts: Sequence[Guess], step: Callable[[int], None]) -> Guess:
         """Search shades and bars from each guess; return the best one with furniture added.
 
-        Rooms with differently turned walls cost the same until they have bars. step: called with
-        the number of searches done. `evidence` and `albedo` become those of the result.
+        Rooms with turned walls cost the same until they have bars. step: called with the number of
+        searches done. `evidence` and `albedo` become those of the result.
         """
         given = self.evidence, self.albedo
         rooms: list[tuple[float, Guess, SceneEvidence, Array]] = []
@@ -294,7 +296,8 @@ class SceneSearch:
             more = self.furniture(guess)
             if more is guess:
                 break
-            guess = self.settled(more)
+            objective = self.objective(self.fit_evidence.coarse())
+            guess, _ = pattern_search(objective, more, self.all_parameters(more), coarse=0.25)
             self.relight(guess)
         return guess
 
@@ -327,8 +330,7 @@ class SceneSearch:
         """Return the best of several searches from other clocks and displaced rooms.
 
         A guess with bars and furniture can leave a valley in which an earlier search stopped.
-        `valley` becomes the standard deviation of each parameter over results with a cost within 3
-        % of the best.
+        `valley` becomes each parameter's standard deviation over results within 3 % of the best.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.coarse())
@@ -347,11 +349,6 @@ class SceneSearch:
         }
         return best
 
-    def settled(self, guess: Guess) -> Guess:
-        """Search all parameters in small steps at about 1 000 pixels; return the best guess."""
-        objective = self.objective(self.fit_evidence.coarse())
-        return pattern_search(objective, guess, self.all_parameters(guess), coarse=0.25)[0]
-
     def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
         """Search all parameters, then along principal axes, in the hours of indices `hours` [k]."""
         objective = self.objective(self.evidence.hours(hours))
@@ -359,31 +356,35 @@ class SceneSearch:
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
         return principal_search(objective, guess, parameters)[0]
 
-    def refined(self, guess: Guess, seed: int, tick: Callable[[int], None]) -> Guess:
-        """Search all parameters by drawn scenes, then shades and furniture; return the best.
+    def refined(self, guess: Guess, tick: Callable[[float], None]) -> Guess:
+        """Search all parameters together, then shades and furniture; return the best guess.
 
-        The windows' picture loses most of its weight: it is one picture with reveals of a rough
-        model, and its error must not exceed that of the patches of all hours; so does the prior.
-        Bars were accepted with full weights, so they stay. From here on `relight` knows what
-        patches reflect. tick: called with the number of scenes drawn so far, up to 8 000.
+        The windows' picture, of rough reveals, and the prior lose most of their weight. Bars were
+        accepted with full weights, so they stay. From here on `relight` knows what patches reflect.
+        tick: called with the share done, 0 to 1.
         """
         view = self.evidence.view
-        faint = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
-        self.evidence = replace(self.evidence, view=faint)
+        view = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
+        self.evidence = replace(self.evidence, view=view)
         self.prior_unit *= FINAL_PRIOR_WEIGHT
         self.is_late = True
         self.relight(guess)
-        guess = self._cleared(self._drawn(self._merged(guess), seed, tick))
+        guess = self._cleared(self._adjusted(self._merged(guess), lambda s: tick(0.5 * s)))
         more = self.furnished(self.shaded(guess), MAX_SOLIDS)
-        if more is guess:
-            return guess
-        return self._cleared(self._drawn(more, seed, lambda drawn: tick(DRAWN_SCENES + drawn)))
+        if more is not guess:
+            guess = self._cleared(self._adjusted(more, lambda s: tick(0.5 + 0.5 * s)))
+        return guess
 
-    def _drawn(self, guess: Guess, seed: int, tick: Callable[[int], None]) -> Guess:
-        """Search all parameters together in all hours, at few pixels, by drawn scenes."""
-        coarse = self.objective(self.evidence.coarse())
-        guess, _ = drawn_search(coarse, guess, self.all_parameters(guess), seed, tick)
-        self.relight(guess)
+    def _adjusted(self, guess: Guess, tick: Callable[[float], None]) -> Guess:
+        """Search all parameters together, with light below that follows the trial's patches."""
+        for number, stage in enumerate(STAGES):
+            tick(number / len(STAGES))
+            evidence = self.evidence.thinned(stage.every).finer(self.data, FINE_SUB)
+            cost = ProfiledCost(self.objective(evidence), self.data, guess, stage.width)
+            parameters = [*self.all_parameters(guess), *inset_parameters(guess)]
+            moved = [p for p in parameters if "slide" not in p.name]  # faces move it too
+            guess = damped_search(cost, guess, moved, stage.share)
+            self.relight(guess)
         return guess
 
     def all_parameters(self, guess: Guess) -> list[Parameter]:

@@ -67,7 +67,7 @@ class Objective:
     def __call__(self, guess: Guess) -> float:
         """Return the misfits of sun patches and of the windows' picture, plus the prior."""
         self.count += 1
-        return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.without_patches(guess)
+        return self.evidence.mean_misfit(guess, self.albedo_of(guess)) + self.without_patches(guess)
 
     def without_patches(self, guess: Guess) -> float:
         """Return the cost that all hours share: misfit of the windows' picture plus the prior."""
@@ -82,7 +82,7 @@ class Objective:
         The windows' picture is left out: it has no hours, and its reveals of one luminance are a
         rough model, which would make uncertainties too small.
         """
-        return self.evidence.misfit(self.evidence.patches(guess, self._albedo(guess)))
+        return self.evidence.misfit(self.evidence.patches(guess, self.albedo_of(guess)))
 
     def residuals(self, guess: Guess) -> Array:
         """Return numbers whose squares add up to the misfit, [n m + q].
@@ -91,13 +91,14 @@ class Objective:
         The prior is not included.
         """
         evidence = self.evidence
-        patch = evidence.patches(guess, self._albedo(guess))
+        patch = evidence.patches(guess, self.albedo_of(guess))
         error = np.log(evidence.below + patch) - evidence.log_seen  # [n, m]
         scale = np.sqrt(evidence.weights / len(evidence))
         patches = (scale * error / np.sqrt(error**2 + WIDTH**2)).ravel()
         return np.concatenate([patches, self.evidence.view.residuals(guess)])
 
-    def _albedo(self, guess: Guess) -> Array:
+    def albedo_of(self, guess: Guess) -> Array:
+        """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
         return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
 
     def prior(self, guess: Guess) -> float:
