@@ -95,11 +95,11 @@ def fit_scene(
     guess = search.contents(rooms, step)
     progress(75, 100, "all together")
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
-    guess = search.polish(guess, search.fit_hours)
+    guess = search.polish(guess)
     misfits = search.misfits(guess)
 
     def refined(share: float) -> None:
-        progress(82 + round(9 * share), 100, "light below with each scene")
+        progress(82 + round(9 * share), 100, "light below each scene")
 
     guess = search.refined(guess, refined)
     progress(91, 100, "uncertainties")

@@ -1,4 +1,4 @@
-"""Search a scene with light below its patches that is estimated anew for each trial.
+"""Search a scene with light below its patches that is estimated again for each trial.
 
 Light below that was estimated with one scene's patches favours this scene: patches that it lacks
 count as light below. A search that keeps this light stays where it starts (decision 32).
@@ -88,7 +88,7 @@ class ProfiledCost:
         self._base = patch, self._estimated(patch, every)
 
     def move_base(self, guess: Guess) -> None:
-        """Keep the light below of a guess: it is estimated anew where patches differ from it."""
+        """Keep the light below of a guess: it is estimated again where patches differ from it."""
         patch = self.objective.evidence.patches(guess, self.objective.albedo_of(guess))
         self._base = patch, self._below(patch)
 

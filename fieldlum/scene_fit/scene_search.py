@@ -60,8 +60,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Chosen, not varied: two thirds of the hours to fit and one third to check; clocks of half the
-# prior's 5 minutes from a fitted room.
+# Chosen, not varied: one third of the hours checks; clocks start half of the prior's 5 min off.
 KEPT_OUT_EVERY = 3
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
@@ -349,9 +348,9 @@ class SceneSearch:
         }
         return best
 
-    def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
-        """Search all parameters, then along principal axes, in the hours of indices `hours` [k]."""
-        objective = self.objective(self.evidence.hours(hours))
+    def polish(self, guess: Guess) -> Guess:
+        """Search all parameters, then along principal axes."""
+        objective = self.objective(self.fit_evidence)
         parameters = self.all_parameters(guess)
         guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
         return principal_search(objective, guess, parameters)[0]
