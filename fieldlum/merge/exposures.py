@@ -59,7 +59,7 @@ class Deviations:
 
     @property
     def span_percent(self) -> float:
-        """The largest deviation minus the smallest of the bracket [%], from log_ratio."""
+        """The largest log_ratio minus the smallest of the bracket, times 100 [%]."""
         return float(100 * np.ptp(self.log_ratio))
 
     @property

@@ -80,8 +80,8 @@ def trusted_hours(prediction: Prediction) -> NDArray[np.bool_]:
     """Return a mask [n], True for trusted hours.
 
     These are the hours with `prediction.trusted`, without those whose expected error (root of
-    `expected_mse`) is above a factor of 1.2. An unknown expected error (NaN) does not exclude an
-    hour.
+    `expected_mse`, in log10) is above log10(1.2). An unknown expected error (NaN) does not exclude
+    an hour.
     """
     return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
 

@@ -143,7 +143,7 @@ class SceneEvidence:
 
         albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
         """
-        ends = surfaces(guess, self.rays, self.spread)
+        ends = self._ends(guess)
         tone = albedo[ends.surface]
         suns, count = self.suns_room(guess), len(self.pixels)
         shine = unit_patches(guess, ends, suns, self.pixel, count, self.sub, tone)

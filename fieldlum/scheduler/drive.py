@@ -46,7 +46,10 @@ class _Pace:
         self.done += 1
 
     def limit_s(self) -> float:
-        """Return the time after which a unit counts as hanging [s]."""
+        """Return the time after which a unit counts as hanging [s].
+
+        It is the stated one, or a multiple of the median time of the units done so far.
+        """
         if self._limit_s is not None:
             return self._limit_s
         if len(self._took_s) < FEW:

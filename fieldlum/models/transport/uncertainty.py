@@ -153,8 +153,9 @@ class Uncertainty:
         """Return the calibration factor on the standard deviation of each hour, [m].
 
         It is continuous between overcast, intermediate and clear hours, by `beam` [m], the sun's
-        share of the light. Hours as near to captures as held-out days have the days' factor; hours
-        as far as held-out seasons have the seasons' factor.
+        share of the light. variance [m]: of the model, which grows with the distance from captures.
+        Hours as near to captures as held-out days have the days' factor; hours as far as held-out
+        seasons have the seasons' factor.
         """
         factors, variances = (
             [np.interp(beam, MIDDLES, row) for row in np.log(a)]
