@@ -61,7 +61,8 @@ class Places:
 class ResponseFit:
     """A fitted JPEG response, its residuals, and the choice among the tried responses.
 
-    residual : for R, G, B the rms relative difference of a place's light between frames.
+    residual : for R, G, B the rms relative difference of a frame's light at a place from the mean
+    of the frames there, a share.
     """
 
     response: Response

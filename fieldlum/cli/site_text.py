@@ -11,7 +11,7 @@ from fieldlum.records import Room, SiteFile, Window
 def site_text(setup: SiteFile) -> str:
     """Return the text of a SITE.toml with site, camera and, if there is one, the box room.
 
-    `load_site` reads it.
+    It has what `fieldlum new` asks for; `load_site` reads it.
     """
     site, camera, room = setup.site, setup.camera, setup.room
     lines = [

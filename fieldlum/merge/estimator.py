@@ -53,7 +53,7 @@ class Signal(Protocol):
         """Return per_cdm2 over the variance that the counts of a luminance have.
 
         predicted_cdm2: the luminance of each pixel. The weight is 0 where the frame would be close
-        to saturation.
+        to saturation, or darker than it measures.
         """
         ...
 

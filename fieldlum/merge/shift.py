@@ -54,8 +54,8 @@ class Moved:
     """How far the camera turned between two frames that are neighbours in exposure.
 
     long, short: numbers of the more and of the less exposed frame. turn_deg: angle of the turn
-    about any axis, never negative. shift_px: how far that turn moves the picture at the lens's
-    axis, in sensor pixels; u_px: its standard uncertainty.
+    about any axis, never negative. shift_px: that angle in sensor pixels, by the pixels
+    per radian at the lens's axis; u_px: its standard uncertainty.
     """
 
     long: int

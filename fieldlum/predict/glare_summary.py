@@ -59,8 +59,9 @@ def judge(
 ) -> Protection:
     """Return the EN 17037 glare protection of d view directions over the occupied hours.
 
-    u_of_maps: standard uncertainty of DGP due to the model's maps, [n, d]. doubt: possible DGP due
-    to the sun's disc and to unseen parts of views. occupied_hours: their number, with those in the
+    u_of_maps: standard uncertainty of DGP due to the model's maps, in all n daylight hours of
+    `annual`, occupied or not, [n, d]. doubt: possible DGP due to the sun's disc and to unseen parts
+    of views, in the same hours. occupied_hours: their number, with those in the
     dark, which have no glare. The intervals are None if an uncertainty is unknown. seed: for the
     random draws.
     """

@@ -53,9 +53,9 @@ def room_parameters(
     """Return a guess's parameters: pose, clock, sizes, camera, wall thickness and window edges.
 
     Pose is north, tilt and roll; sizes are width and depth; camera is its x and y. with_wall:
-    include the walls' azimuth; clock_sd_min: standard deviation of the clock's prior. Priors are
-    relative to the stated values. The camera's height is not a parameter: it sets the scale of all
-    lengths. Nor is the room's height.
+    include the walls' azimuth; clock_sd_min: standard deviation of the clock's prior, in minutes.
+    Priors are relative to the stated values. The camera's height is not a parameter: it sets the
+    scale of all lengths. Nor is the room's height.
     """
     size, camera = guess.size_m, guess.camera_m
 

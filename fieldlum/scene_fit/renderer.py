@@ -36,8 +36,8 @@ class Surfaces:
 
     position_m [r, 3]; axis (0 x, 1 y, 2 z) and sign (1.0 or -1.0) of the normal of the surface that
     is hit, towards the camera [r]; surface [r]: 0 to 5 for west, east, south and north wall, floor
-    and ceiling, 6 + k for solid k, -1 for a ray through a window; spread_m [r]: distance between
-    the ends of neighbouring rays.
+    and ceiling, 6 + k for solid k, -1 for a ray through a window; spread_m [r]: angle between
+    neighbouring rays, of which a pixel has several, times the ray's length.
     """
 
     position_m: Float32

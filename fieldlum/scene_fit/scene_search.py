@@ -103,7 +103,7 @@ class SceneSearch:
 
     @property
     def fit_evidence(self) -> SceneEvidence:
-        """The evidence of the hours that the search uses."""
+        """The evidence of `fit_hours`; the last searches use all hours."""
         return self.evidence.hours(self.fit_hours)
 
     def windows(self, guess: Guess) -> list[Guess]:

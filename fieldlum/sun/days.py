@@ -42,7 +42,7 @@ def zone_off_sun_h(site: Site) -> float:
 
 
 def standard_time(t_utc: datetime, timezone: str) -> datetime:
-    """Return a moment as local standard time, naive, for labels and dates.
+    """Return a moment as local standard time, without summer time, naive, for labels and dates.
 
     Raises ValueError for a naive time.
     """

@@ -112,7 +112,7 @@ class Process:
         return process
 
     def with_lamp(self, rows: Rows) -> Process:
-        """Return the process that expects a lamp of unknown brightness in the captures `rows`."""
+        """Return the process that expects one lamp, of unknown brightness, in captures `rows`."""
         lit = np.zeros(len(self.days))
         lit[rows] = LAMP_LX / self.total_lx[rows]
         return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))

@@ -90,7 +90,7 @@ class JournalFollower:
         self._tail, self.state = LineTail(session.journal), JournalState()
 
     def update(self) -> JournalState:
-        """Read the new lines of the journal and return the state; skip damaged lines."""
+        """Read the journal's new lines, skip damaged ones; return the state after all lines."""
         again, lines = self._tail.read()
         if again:
             self.state = JournalState()
