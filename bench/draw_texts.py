@@ -5,7 +5,7 @@
 writes OUT/texts.md: 30 public docstrings with their signatures (D), 30 error texts (E), and 10
 verdicts or warnings with the condition that prints them (V); and OUT/places.md: where each is. A
 reader paraphrases texts.md without the code; a judge writes what the code does, from places.md,
-before reading the paraphrases. docs/results/words.md has the results.
+before reading the paraphrases.
 """
 
 from __future__ import annotations
@@ -51,9 +51,11 @@ def constants(tree: ast.Module) -> dict[str, str]:
     """Return the texts that a module names."""
     found = {}
     for node in tree.body:
-        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-                found[node.targets[0].id] = node.value.value
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=str(text))):
+                found[name] = text
+            case _:
+                pass
     return found
 
 
