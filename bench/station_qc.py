@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.irradiance import check, derive, sky_geometry
 from fieldlum.irradiance.consistency import doubts, sensitivity_steps
-from fieldlum.irradiance.series import Array, Mark, Series
+from fieldlum.irradiance.series import Mark, Series
 from fieldlum.records import Site
 
 SUNNY_WM2 = 120.0
@@ -92,7 +93,7 @@ def steps_row(name: str, raw: Series, site: Site) -> str:
     return f"| {name} | {found.days} | {steps or 'none'} | {smallest} |"
 
 
-def hourly(t_unix_s: Array, value: Array) -> Array:
+def hourly(t_unix_s: Floats, value: Floats) -> Floats:
     """Means of the hours that have at least 50 minutes, [hours]."""
     hour = np.floor(t_unix_s / 3600.0).astype(np.int64)
     hour -= hour.min()

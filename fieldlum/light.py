@@ -13,16 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Array, Floats, Floats32, Indices
 from fieldlum.records import Progress, Room, Site, quiet
 from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
-
-Array = NDArray[np.float64]
 
 LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
 # Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
@@ -49,10 +46,10 @@ class Light:
     """
 
     t_utc: tuple[datetime, ...]
-    dni_wm2: Array
-    dhi_wm2: Array
-    sun_altitude_deg: Array
-    sun_azimuth_deg: Array
+    dni_wm2: Floats
+    dhi_wm2: Floats
+    sun_altitude_deg: Floats
+    sun_azimuth_deg: Floats
     perez: PerezSky | None = None
     states: tuple[str, ...] | None = None
     refraction: bool = True
@@ -60,7 +57,7 @@ class Light:
     def __len__(self) -> int:
         return len(self.t_utc)
 
-    def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Light:
+    def __getitem__(self, rows: slice | Array | Sequence[int]) -> Light:
         """Return the times that an index, a boolean array or a slice selects."""
         index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
         return Light(
@@ -82,28 +79,28 @@ class Light:
         return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
 
     @cached_property
-    def sun_direction(self) -> Array:
+    def sun_direction(self) -> Floats:
         """Unit vectors towards the true sun, [n, 3]: x east, y north, z up; for sky and kernels."""
         return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
-    def shown_altitude_deg(self) -> Array:
+    def shown_altitude_deg(self) -> Floats:
         """The altitude at which pictures show the sun, [n], in deg."""
         if not self.refraction:
             return self.sun_altitude_deg
         return sun.shown_altitude_deg(self.sun_altitude_deg)
 
     @cached_property
-    def shown_sun_direction(self) -> Array:
+    def shown_sun_direction(self) -> Floats:
         """Unit vectors towards the sun in pictures, [n, 3]; for patches, disc and glare."""
         return sun.direction(self.shown_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
-    def sky_cdm2(self) -> NDArray[np.float32]:
+    def sky_cdm2(self) -> Floats32:
         """Luminance of the Reinhart sky patches in cd/m2, without the sun, [n, 2305]."""
         return self.sky_at(reinhart_patches().directions)
 
-    def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
+    def sky_at(self, directions: Floats) -> Floats32:
         """Return the sky's luminance in directions [m, 3], without the sun, [n, m], in cd/m2.
 
         Below the horizon it is that of open ground.
@@ -111,12 +108,12 @@ class Light:
         return perez_luminance(self.sky, self.sun_direction, directions, dtype=np.float32)  # pyright: ignore
 
     @property
-    def direct_lx(self) -> Array:
+    def direct_lx(self) -> Floats:
         """The sun's illuminance on a plane normal to it, [n], in lx."""
         return self.sky.direct_lx
 
     @cached_property
-    def diffuse_lx(self) -> Array:
+    def diffuse_lx(self) -> Floats:
         """The sky's illuminance on the horizontal, summed over the patches, [n], in lx."""
         patches = reinhart_patches()
         return np.asarray(
@@ -124,7 +121,7 @@ class Light:
         )
 
     @cached_property
-    def total_lx(self) -> Array:
+    def total_lx(self) -> Floats:
         """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
         Features are divided by it; it is at least 0.001 lx, and not small for a low sun.
@@ -132,7 +129,7 @@ class Light:
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 
 
-def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
+def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2: Floats) -> Light:
     """Return the light at n times, with the sun's position computed by SPA (NREL).
 
     dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance, [n] or one value for all
@@ -157,11 +154,11 @@ class Facades:
     wall's sunlight in the kernel, 1 for the most important wall of a known room [f].
     """
 
-    azimuths_deg: Array
-    weights: Array
+    azimuths_deg: Floats
+    weights: Floats
 
     @property
-    def normals(self) -> Array:
+    def normals(self) -> Floats:
         """The outward normals as unit vectors, [f, 3]: x east, y north, z up (always 0)."""
         return sun.direction(0.0, self.azimuths_deg)
 
@@ -211,18 +208,18 @@ class Features:
     without such states.
     """
 
-    sky: NDArray[np.float32]
-    beam: Array
-    direction: Array
-    cells: NDArray[np.float32] | None = None
-    bounced: NDArray[np.float32] | None = None
-    lamps: Array | None = None
-    changed: Array | None = None
+    sky: Floats32
+    beam: Floats
+    direction: Floats
+    cells: Floats32 | None = None
+    bounced: Floats32 | None = None
+    lamps: Floats | None = None
+    changed: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
 
-    def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Features:
+    def __getitem__(self, rows: slice | Array | Sequence[int]) -> Features:
         """Return the hours that an index array, a boolean array or a slice selects."""
         return Features(
             self.sky[rows],
@@ -268,7 +265,7 @@ class Kernel:
     lamps: float = 100.0
     changed: float = 1.0
 
-    def __call__(self, a: Features, b: Features) -> Array:
+    def __call__(self, a: Features, b: Features) -> Floats:
         """Return the covariance between each hour of `a` and each hour of `b`, [len(a), len(b)].
 
         A term is omitted if `a` or `b` has None for its features.
@@ -289,7 +286,7 @@ class Kernel:
             k += self.lamps * (a.lamps @ b.lamps.T)
         return k
 
-    def diagonal(self, a: Features) -> Array:
+    def diagonal(self, a: Features) -> Floats:
         """Return the prior variance of each hour of `a`: the diagonal of kernel(a, a), [len(a)]."""
         k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
         k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
@@ -305,11 +302,11 @@ class Kernel:
         return k
 
 
-def _ground(a: Features) -> Array:
+def _ground(a: Features) -> Floats:
     return a.beam * np.maximum(a.direction[:, 2], 0.0)
 
 
-def _facade(a: Features, facades: Facades) -> Array:
+def _facade(a: Features, facades: Facades) -> Floats:
     """Return the sun's share on each facade, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
@@ -328,8 +325,8 @@ class GreedySelection:
     value is before any choice, then one after each choice.
     """
 
-    index: NDArray[np.intp]
-    variance: Array
+    index: Indices
+    variance: Floats
 
 
 def greedy_hours(
@@ -340,7 +337,7 @@ def greedy_hours(
     *,
     taken: Features | None = None,
     noise: float = 3e-3,
-    weights: Array | None = None,
+    weights: Floats | None = None,
     progress: Progress = quiet,
 ) -> GreedySelection:
     """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.

@@ -8,12 +8,10 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.records import Site
-
-Array = NDArray[np.float64]
 
 LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degrees (overcast); chosen
 # Smaller offsets are not reported: mornings and evenings whose clouds differ twentyfold shift the
@@ -33,7 +31,7 @@ _NIGHT_SUN_DEG = -3.0
 _SEEN_DARK_S = 900.0
 
 
-def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
+def clock_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> float | None:
     """Return how fast the log's clock is: logged middle of the light minus solar noon [s].
 
     It is the median over the complete days, -43 200 to 43 200 s. A positive value means that logged
@@ -45,7 +43,7 @@ def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
     return float(np.median(off)) if len(off) else None
 
 
-def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[datetime], Array]:
+def days_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[list[datetime], Floats]:
     """Return the middle of the light of each complete day, and that time minus solar noon.
 
     The middle is half way between the first and the last lit row (`complete_days`), a time in UTC.
@@ -65,7 +63,7 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
     return times, hour_angle / np.pi * 43_200.0
 
 
-def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
+def clock_set_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[datetime, float] | None:
     """Return the first day after the log's clock was set, and by how much it was set forward [s].
 
     A negative step means that the clock was set back. None if there is no step. The days are split
@@ -83,7 +81,7 @@ def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, 
     return (days[k], step) if abs(step) >= _SET_S and min(scatter) < 0.5 * _scatter(off) else None
 
 
-def _scatter(values: Array) -> float:
+def _scatter(values: Floats) -> float:
     return float(np.abs(values - np.median(values)).sum())
 
 
@@ -94,7 +92,7 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
     return lowest < -_SETS_DEG and highest > _SETS_DEG
 
 
-def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
+def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]]:
     """Return the first and last lit time [unix s] of each day between two logged nights.
 
     A row is lit above 10 W/m2. Darkness under two hours, as in a storm, does not end a day. Omitted
@@ -123,7 +121,7 @@ def complete_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
     ]
 
 
-def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
+def lit_at_night(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> list[datetime]:
     """Return the logged minutes (UTC) with over 10 W/m2 while the sun is below -3 degrees.
 
     Such minutes show that the logger's clock, the stated offset from UTC, or the sign of the

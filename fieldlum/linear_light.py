@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.photometry import (
     check_vignetting,
@@ -178,7 +179,7 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     return nearest.coefficients, nearest.u_rel
 
 
-def response_tables(profile: CameraProfile) -> NDArray[np.float64]:
+def response_tables(profile: CameraProfile) -> Floats:
     """Return the linear light z (1 at full scale) of the 256 codes of R, G, B, [256, 3].
 
     Raises InputError for an invalid response in the profile.

@@ -11,7 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.floating]
+from fieldlum.arrays import Floats
+
 Progress = Callable[[int, int, str], None]
 "Called as progress(done, total, text) by any work that takes over two seconds."
 
@@ -312,11 +313,11 @@ class Panorama:
     from the map or added to it. attributes : further texts of the picture's file.
     """
 
-    luminance_cdm2: Float
+    luminance_cdm2: Floats
     heading_deg: float
-    u_cdm2: Float | None = None
+    u_cdm2: Floats | None = None
     flags: NDArray[np.integer] | None = None
     t_utc: datetime | None = None
     sun: SunSource | None = None
-    rgb: Float | None = None  # [H, W, 3], such that 179 * (.265 .670 .065) gives the luminance
+    rgb: Floats | None = None  # [H, W, 3], such that 179 * (.265 .670 .065) gives the luminance
     attributes: dict[str, str] = field(default_factory=dict)

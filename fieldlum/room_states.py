@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fieldlum.arrays import Floats
 
 KNOWN = {"lamp": ("off", "on"), "blind": ("up", "half", "down"), "snow": ("no", "yes")}
 """Words and their values; the first value of each is the usual one and is not written."""
@@ -54,7 +55,7 @@ def merged_state(text: str, change: str) -> str:
     return state_text((*unchanged, *parse_state(change)))
 
 
-def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> NDArray[np.float64]:
+def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> Floats:
     """Return a table [len(states), len(columns)]: 1 where a state contains a part, else 0.
 
     states: texts such as ``lamp=on;blind=half``; columns: one part each, such as "lamp=on".

@@ -8,13 +8,13 @@ products, added in the order x, y, z.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from fieldlum.arrays import Array, Floats
 
 
-def cosines(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+def cosines(a: Array, b: Array) -> Array:
     """Return the scalar products [n, m] of vectors a [n, 3] and b [m, 3], in their own dtype.
 
     For unit vectors these are the cosines of the angles between them.
@@ -25,7 +25,7 @@ def cosines(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def turned(matrix: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
+def turned(matrix: ArrayLike, vectors: ArrayLike) -> Floats:
     """Return matrix [3, 3] times each of the direction vectors [..., 3]."""
     rows = np.asarray(matrix, np.float64)
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)

@@ -14,11 +14,10 @@ from datetime import datetime
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats
 from fieldlum.rowwise import cosines
-
-Array = NDArray[np.float64]
 
 SOLAR_CONSTANT_WM2 = 1367.0  # gendaylit's value
 WATER_CM = 2.0  # precipitable water, gendaylit's default
@@ -122,8 +121,8 @@ class SkyPatches:
     directions [P, 3] : of the patches' middles; solid_angles_sr [P] : with the sum 2 pi.
     """
 
-    directions: Array
-    solid_angles_sr: Array
+    directions: Floats
+    solid_angles_sr: Floats
 
     def __len__(self) -> int:
         return len(self.solid_angles_sr)
@@ -182,13 +181,13 @@ class PerezSky:
     normal to it, diffuse_lx the sky's on the horizontal.
     """
 
-    norm_cdm2: Array
-    ground_cdm2: Array
-    shape: Array
-    clearness: Array
-    brightness: Array
-    direct_lx: Array
-    diffuse_lx: Array
+    norm_cdm2: Floats
+    ground_cdm2: Floats
+    shape: Floats
+    clearness: Floats
+    brightness: Floats
+    direct_lx: Floats
+    diffuse_lx: Floats
 
     def __len__(self) -> int:
         return len(self.norm_cdm2)
@@ -197,12 +196,12 @@ class PerezSky:
         return PerezSky(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
-def day_of_year(times_utc: Sequence[datetime]) -> Array:
+def day_of_year(times_utc: Sequence[datetime]) -> Floats:
     """Return the day of the year, from 1, [n]."""
     return np.array([t.timetuple().tm_yday for t in times_utc], float)
 
 
-def _eccentricity(day: Array) -> Array:
+def _eccentricity(day: Floats) -> Floats:
     angle = 2 * np.pi * (day - 1) / 365
     return (
         1.00011
@@ -213,14 +212,14 @@ def _eccentricity(day: Array) -> Array:
     )
 
 
-def _air_mass(zenith_deg: Array) -> Array:
+def _air_mass(zenith_deg: Floats) -> Floats:
     """Return the relative air mass by Kasten 1966, [n]."""
     return 1 / (np.cos(np.radians(zenith_deg)) + 0.15 * (93.885 - zenith_deg) ** -1.253)
 
 
 def _clearness_brightness(
-    dni: Array, dhi: Array, zenith_deg: Array, day: Array
-) -> tuple[Array, Array]:
+    dni: Floats, dhi: Floats, zenith_deg: Floats, day: Floats
+) -> tuple[Floats, Floats]:
     """Return Perez's epsilon (clearness) and Delta (brightness), [n] each.
 
     Both are limited to the model's range, as in gendaylit.
@@ -235,7 +234,7 @@ def _clearness_brightness(
     return clearness, np.clip(brightness, *_BRIGHTNESS)
 
 
-def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
+def _shape(zenith: Floats, clearness: Floats, brightness: Floats) -> Floats:
     """Return a, b, c, d, e, [n, 5]; zenith in radians."""
     brightness = np.where(
         (clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness
@@ -256,14 +255,14 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
     return shape
 
 
-def _relative(shape: Array, cos_zenith: Array, gamma: Array) -> Array:
+def _relative(shape: Floats, cos_zenith: Floats, gamma: Floats) -> Floats:
     """Return Perez's relative luminance; shape [..., 5] is broadcast against directions."""
     a, b, c, d, e = (shape[..., i] for i in range(5))
     return (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
 
 
 @lru_cache(maxsize=1)
-def _tregenza() -> tuple[Array, Array]:
+def _tregenza() -> tuple[Floats, Floats]:
     """Return zenith angle and azimuth of the points of gendaylit's integral, [145] each, in rad."""
     counts, zenith = (30, 30, 24, 24, 18, 12, 6, 1), (84, 72, 60, 48, 36, 24, 12, 0)
     theta = np.concatenate([np.full(n, z, float) for n, z in zip(counts, zenith, strict=True)])
@@ -271,7 +270,7 @@ def _tregenza() -> tuple[Array, Array]:
     return np.radians(theta), np.radians(phi)
 
 
-def _relative_horizontal(shape: Array, zenith: Array) -> Array:
+def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
     """Return the integral of the relative luminance times the cosine, [n], over 145 points.
 
     The rule is gendaylit's. Far outside Perez's data the formula is negative: over all of the sky,
@@ -289,7 +288,7 @@ def _relative_horizontal(shape: Array, zenith: Array) -> Array:
     return sign * np.maximum(lit, 1e-6) * 2 * np.pi / 145
 
 
-def _ground_over_zenith(clearness: Array, altitude: Array) -> Array:
+def _ground_over_zenith(clearness: Floats, altitude: Floats) -> Floats:
     """Return ground ambient over zenith luminance, [n] (gensky's clear and intermediate fits)."""
     x = (altitude - np.pi / 4) / (np.pi / 4)
     clear = np.polynomial.polynomial.polyval(x, (2.766521, 0.547665, -0.369832, 0.009237, 0.059229))
@@ -346,7 +345,7 @@ def perez_coefficients(
     return PerezSky(*(np.asarray(p).reshape((*(shape_in or (1,)), *p.shape[1:])) for p in parts))
 
 
-def _days(when: ArrayLike | Sequence[datetime]) -> Array:
+def _days(when: ArrayLike | Sequence[datetime]) -> Floats:
     items = np.asarray(when)
     if items.dtype == object:
         return day_of_year(list(items.ravel()))
@@ -355,7 +354,7 @@ def _days(when: ArrayLike | Sequence[datetime]) -> Array:
 
 def perez_luminance(
     sky: PerezSky, sun_direction: ArrayLike, directions: ArrayLike, *, dtype: type = np.float64
-) -> NDArray[np.floating]:
+) -> Floats:
     """Return the luminance of n skies in m directions, [n, m], in cd/m2, without the sun disc.
 
     It is 179 times perezlum, including its transition to the ground. sun_direction [n, 3] and
@@ -381,7 +380,7 @@ def direct_normal_illuminance_lx(
     dhi_wm2: ArrayLike,
     sun_altitude_deg: ArrayLike,
     when: ArrayLike | Sequence[datetime],
-) -> Array:
+) -> Floats:
     """Return the sun's illuminance on a plane normal to it, [n], in lx.
 
     By Perez's direct luminous efficacy (never 179 lm/W), about 93 lm/W on average over the hours of

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from fieldlum.arrays import Array, Floats
 
 # Standard deviation of a normal distribution over its median absolute deviation: 1 / 0.6745.
 MAD_TO_SIGMA = 1.4826
@@ -25,7 +25,7 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(array - middle)))
 
 
-def nan_percentiles(values: NDArray[np.floating], percent: tuple[float, ...]) -> NDArray[Any]:
+def nan_percentiles(values: Floats, percent: tuple[float, ...]) -> Array:
     """Return percentiles [k, ...] along the first axis of values [n, ...]; NaN are ignored.
 
     percent: [k], 0 to 100. Interpolates linearly between neighbours. The result equals that of
@@ -53,7 +53,7 @@ def median_standard_error(sigma: float, count: int) -> float:
     return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))
 
 
-def standard_error(values: NDArray[np.floating], groups: NDArray[Any] | None = None) -> float:
+def standard_error(values: Floats, groups: Array | None = None) -> float:
     """Return the standard error of the mean of `values`, [n]; NaN for one value or one group.
 
     groups [n]: values of one group (such as hours of one day) share their errors, and only the
@@ -73,11 +73,7 @@ def standard_error(values: NDArray[np.floating], groups: NDArray[Any] | None = N
     return float(np.sqrt((sums**2).sum() * count / (count - 1)) / len(values))
 
 
-def is_no_worse(
-    errors: NDArray[np.floating],
-    best_errors: NDArray[np.floating],
-    groups: NDArray[Any] | None = None,
-) -> bool:
+def is_no_worse(errors: Floats, best_errors: Floats, groups: Array | None = None) -> bool:
     """Return whether a model's mean held-out error is at most one standard error above the best's.
 
     errors, best_errors [n]: of the model and of the best model, for the same data in the same

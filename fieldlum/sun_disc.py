@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.projection import (
     column_azimuths_deg,
     direction,
@@ -21,7 +21,6 @@ from fieldlum.projection import (
     row_altitudes_deg,
     row_solid_angles,
 )
-from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ class SunDisc:
     sigma_deg: float
     normal_lx: float
     surroundings_cdm2: float
-    pixels: NDArray[np.bool_]
+    pixels: Mask
     clipped: bool = False
 
 
@@ -82,19 +81,17 @@ class _Band:
     """The rows of a map in which the disc is searched; arrays [rows, W]."""
 
     first: int
-    light: NDArray[np.float64]
-    solid_sr: NDArray[np.float64]
-    rays: NDArray[np.float64]  # [rows, W, 3]
-    clipped: NDArray[np.bool_]
+    light: Floats
+    solid_sr: Floats
+    rays: Floats  # [rows, W, 3]
+    clipped: Mask
     pixel_rad: float
 
-    def angle_rad(self, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    def angle_rad(self, centre: Floats) -> Floats:
         """Return the angle of each pixel's centre from a unit vector, [rows, W]."""
         return np.arccos(np.clip(self.rays @ centre, -1.0, 1.0))
 
-    def centroid(
-        self, pixels: NDArray[np.bool_], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def centroid(self, pixels: Mask, weight: Floats) -> Floats:
         """Return the unit vector [3] to the centre of `weight` times solid angle over `pixels`."""
         energy = (weight * self.solid_sr)[pixels]
         mean = (self.rays[pixels] * energy[:, None]).sum(axis=0)
@@ -102,11 +99,11 @@ class _Band:
 
 
 def find_disc(
-    luminance_cdm2: Float,
+    luminance_cdm2: Floats,
     heading_deg: float,
     *,
     near_deg: tuple[float, float] | None = None,
-    clipped: NDArray[np.bool_] | None = None,
+    clipped: Mask | None = None,
     dni_wm2: float | None = None,
 ) -> SunDisc | None:
     """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
@@ -145,17 +142,14 @@ def brightest_surface_cdm2(dni_wm2: float) -> float:
     return max(_SURFACE_MARGIN * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
 
 
-def without_disc(luminance_cdm2: Float, disc: SunDisc) -> NDArray[np.float32]:
+def without_disc(luminance_cdm2: Floats, disc: SunDisc) -> Floats32:
     """Return the map [H, W] with the disc's pixels at the luminance of their surroundings."""
     return np.where(disc.pixels, disc.surroundings_cdm2, luminance_cdm2).astype(np.float32)
 
 
 def split_disc(
-    luminance_cdm2: NDArray[np.float32],
-    heading_deg: float,
-    near_deg: tuple[float, float],
-    dni_wm2: float,
-) -> tuple[NDArray[np.float32], float]:
+    luminance_cdm2: Floats32, heading_deg: float, near_deg: tuple[float, float], dni_wm2: float
+) -> tuple[Floats32, float]:
     """Return a map [H, W] without the disc, and the disc's normal illuminance in lx (0 if absent).
 
     near_deg : the sun's altitude and azimuth; dni_wm2 : its direct irradiance.
@@ -167,11 +161,8 @@ def split_disc(
 
 
 def add_disc(
-    luminance_cdm2: NDArray[np.float32],
-    light: Light,
-    disc_lx: NDArray[np.float64],
-    heading_deg: float,
-) -> NDArray[np.float32]:
+    luminance_cdm2: Floats32, light: Light, disc_lx: Floats, heading_deg: float
+) -> Floats32:
     """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
     disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions.
@@ -181,11 +172,11 @@ def add_disc(
 
 
 def add_source(
-    luminance_cdm2: NDArray[np.float32],
-    place_deg: tuple[NDArray[np.float64], NDArray[np.float64]],
-    normal_lx: NDArray[np.float64],
+    luminance_cdm2: Floats32,
+    place_deg: tuple[Floats, Floats],
+    normal_lx: Floats,
     heading_deg: float,
-) -> NDArray[np.float32]:
+) -> Floats32:
     """Return maps [n, H, W] with a small source in each, at altitudes and azimuths [n]."""
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(*place_deg, height, width, heading_deg)
@@ -216,11 +207,7 @@ def _ring_rad(pixel_rad: float) -> float:
 
 
 def _band(
-    light: NDArray[np.float64],
-    clipped: NDArray[np.bool_] | None,
-    heading_deg: float,
-    altitude_deg: float,
-    search_rad: float,
+    light: Floats, clipped: Mask | None, heading_deg: float, altitude_deg: float, search_rad: float
 ) -> _Band:
     height, width = light.shape
     pixel_rad = np.pi / height
@@ -239,9 +226,7 @@ def _band(
     )
 
 
-def _measured_disc(
-    band: _Band, search: NDArray[np.bool_], shape: tuple[int, ...]
-) -> SunDisc | None:
+def _measured_disc(band: _Band, search: Mask, shape: tuple[int, ...]) -> SunDisc | None:
     """Return the brightest spot of the search as a disc; None without a compact spot."""
     if not search.any():
         return None
@@ -258,7 +243,7 @@ def _measured_disc(
 
 
 def _clipped_disc(
-    band: _Band, search: NDArray[np.bool_], towards: NDArray[np.float64], shape: tuple[int, ...]
+    band: _Band, search: Mask, towards: Floats, shape: tuple[int, ...]
 ) -> SunDisc | None:
     """Return a disc that is clipped in every frame, with a lower bound of its illuminance.
 
@@ -280,7 +265,7 @@ def _clipped_disc(
 
 def _disc_at(
     band: _Band,
-    centre: NDArray[np.float64],
+    centre: Floats,
     reach_rad: float,
     shape: tuple[int, ...],
     *,

@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Indices
 from fieldlum.projection import direction, equirect_rays
-from fieldlum.records import Float
 from fieldlum.sun_disc import SunDisc, brightest_surface_cdm2, find_disc
-
-Array = NDArray[np.float64]
 
 GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
 _MOST_SPOTS = 6  # bright spots examined in one capture; a room has few lamps of this size; chosen
@@ -45,7 +43,7 @@ class SunImage:
     """A bright spot of capture `row` that may be an image of the sun, with its direction [3]."""
 
     row: int
-    towards: Array
+    towards: Floats
     spot: SunDisc
 
 
@@ -56,18 +54,18 @@ class MirrorPlane:
     images: one of each capture that shows the sun in it.
     """
 
-    normal: Array
+    normal: Floats
     u_deg: float
     images: tuple[SunImage, ...]
 
 
-def mirrored(suns: ArrayLike, normal: ArrayLike) -> Array:
+def mirrored(suns: ArrayLike, normal: ArrayLike) -> Floats:
     """Return the directions [n, 3] of the images of suns [n, 3] in a plane with normal [3]."""
     suns, normal = np.asarray(suns, float), np.asarray(normal, float)
     return suns - 2.0 * (suns @ normal)[:, None] * normal
 
 
-def ring_around(towards: Array, angle_rad: float) -> Array:
+def ring_around(towards: Floats, angle_rad: float) -> Floats:
     """Return the eight directions at an angle around each of some directions [n, 3], [8, n, 3]."""
     right = np.cross(
         towards, np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
@@ -79,7 +77,7 @@ def ring_around(towards: Array, angle_rad: float) -> Array:
     return np.cos(angle_rad) * towards + np.sin(angle_rad) * ring
 
 
-def glass_reflectance(cosine: ArrayLike) -> Array:
+def glass_reflectance(cosine: ArrayLike) -> Floats:
     """Return the reflectance of one air-glass surface for unpolarised light (Fresnel), [...].
 
     cosine: of the angle of incidence. Hecht, Optics, 4.6.2, with `GLASS_INDEX`.
@@ -102,7 +100,7 @@ def near_sun_rad(height: int) -> float:
 
 
 def bright_spots(
-    luminance_cdm2: Float, heading_deg: float, sun: Float, dni_wm2: float, row: int
+    luminance_cdm2: Floats, heading_deg: float, sun: Floats, dni_wm2: float, row: int
 ) -> list[SunImage]:
     """Return the compact spots of a map [H, W] that no surface in the sun can be as bright as.
 
@@ -132,7 +130,7 @@ def bright_spots(
 
 
 def without_lamps(
-    spots: Sequence[SunImage], suns: Array, direct_lx: Float, height: int
+    spots: Sequence[SunImage], suns: Floats, direct_lx: Floats, height: int
 ) -> list[SunImage]:
     """Return the spots that are dimmer than the sun and do not stay where they are as it moves.
 
@@ -150,7 +148,7 @@ def without_lamps(
 
 
 def find_mirrors(
-    spots: Sequence[SunImage], suns: Array, direct_lx: Float, height: int
+    spots: Sequence[SunImage], suns: Floats, direct_lx: Floats, height: int
 ) -> list[MirrorPlane]:
     """Return the plane mirrors in which spots of three or more captures are images of the sun.
 
@@ -170,7 +168,7 @@ def find_mirrors(
     return mirrors
 
 
-def _best_mirror(rest: Sequence[SunImage], suns: Array, height: int) -> MirrorPlane | None:
+def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorPlane | None:
     """Return the mirror with the most images among some spots; None if no normal is certain."""
     if len(rest) < _FEWEST_CAPTURES:
         return None
@@ -201,23 +199,23 @@ def _best_mirror(rest: Sequence[SunImage], suns: Array, height: int) -> MirrorPl
     return MirrorPlane(towards_sun, float(np.degrees(u_rad)), tuple(rest[k] for k in images))
 
 
-def _places_of(spots: Sequence[SunImage]) -> tuple[Array, NDArray[np.intp]]:
+def _places_of(spots: Sequence[SunImage]) -> tuple[Floats, Indices]:
     """Return the directions [k, 3] and the captures [k] of spots."""
     return np.stack([spot.towards for spot in spots]), np.array([spot.row for spot in spots])
 
 
-def _angles(a: Array, b: Array) -> Array:
+def _angles(a: Floats, b: Floats) -> Floats:
     return np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0))
 
 
-def _normal_of(across: Array) -> Array:
+def _normal_of(across: Floats) -> Floats:
     """Return the direction [3] with the smallest squared distances from d - s [k, 3]."""
     return np.linalg.eigh(across.T @ across)[1][:, -1]
 
 
 def _agreeing(
-    normal: Array, places: Array, rows: NDArray[np.intp], suns: Array, reach_rad: float
-) -> NDArray[np.intp]:
+    normal: Floats, places: Floats, rows: Indices, suns: Floats, reach_rad: float
+) -> Indices:
     """Return the indices of the spots at the images in a plane, one for each capture."""
     off = _angles(mirrored(suns[rows], normal), places)
     order = np.argsort(off, kind="stable")

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.contract
 
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
-    {"errors", "records", "model_registry", "room_states", "version"},
+    {"arrays", "errors", "records", "model_registry", "room_states", "version"},
     {
         "photometry",
         "plot_style",

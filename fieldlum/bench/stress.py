@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.bench.rows import Spec
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
@@ -60,7 +61,7 @@ class Case:
 # changing data
 
 
-def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
+def with_light(data: Dataset, **columns: Floats) -> Dataset:
     """Return the captures with other arrays in `data.light`; the maps do not change.
 
     columns: names and values of fields of `Light`. `Light.perez` becomes None.
@@ -180,7 +181,7 @@ def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
 # regimes
 
 
-def _sun_share(light: Light) -> NDArray[np.float64]:
+def _sun_share(light: Light) -> Floats:
     return light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
 
 
@@ -216,7 +217,7 @@ def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
         yield from _geometry(data, test)
 
 
-def _asked(name: str, data: Dataset, test: Dataset, rows: NDArray[np.bool_]) -> Iterator[Case]:
+def _asked(name: str, data: Dataset, test: Dataset, rows: Mask) -> Iterator[Case]:
     if rows.sum() >= FEWEST:
         yield Case(name, data, test.take(rows))
 

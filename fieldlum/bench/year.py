@@ -7,8 +7,8 @@ from datetime import date
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Mask
 from fieldlum.bench.rows import ERRORS, Spec
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
@@ -86,7 +86,7 @@ def _dates(data: Dataset) -> list[date]:
     return [day.astype(object) for day in data.days]
 
 
-def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDArray[np.bool_]:
+def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> Mask:
     """Return a mask of hours within `days` days of a (month, day) of any year."""
     inside = np.zeros(len(data), bool)
     for k, day in enumerate(_dates(data)):
@@ -94,16 +94,14 @@ def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDAr
     return inside
 
 
-def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
+def periods(data: Dataset) -> dict[str, Mask]:
     """Return the collection periods of Liu et al. (2020) with 20 or more hours: masks [n] by name.
 
     They are months; one and two weeks in March; 9, 12 and 4 days at equinoxes and solstices.
     """
     march, june, september, december = (3, 20), (6, 21), (9, 22), (12, 21)
     months = np.array([day.month for day in _dates(data)])
-    named: dict[str, NDArray[np.bool_]] = {
-        name: months == k for k, name in enumerate(MONTHS, start=1)
-    }
+    named: dict[str, Mask] = {name: months == k for k, name in enumerate(MONTHS, start=1)}
     named["1 week"] = _around(data, [march], 3)
     named["2 weeks"] = _around(data, [march], 6)
     named["9 days"] = _around(data, [march, june, december], 1)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array
 from fieldlum.calibrate import lens as lenses
 from fieldlum.calibrate.lens import LensFit, Targets
 from fieldlum.calibrate.lens_circle import grey_picture
@@ -23,7 +23,6 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, lens_pixels
 
-Array = NDArray[Any]
 LEAST = 4  # boards; chosen so that poses and lens can be separated, not measured
 _MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 

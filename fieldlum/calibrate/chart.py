@@ -7,16 +7,14 @@ chart, in order.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats
 from fieldlum.calibrate.chart_grid import grids
 from fieldlum.calibrate.frames import LinearFrame
 from fieldlum.errors import InputError
-
-Array = NDArray[np.floating]
 
 # Luminous reflectance Y in percent, illuminant C, row by row from dark skin: McCamy, Marcus,
 # Davidson, "A color-rendition chart", J. Appl. Photogr. Eng. 2(3), 1976.
@@ -49,7 +47,7 @@ _GRID_SIZES = (1.0, 2.0)  # sizes of the picture in which lattices are searched;
 _LONGEST = 1600  # longest side [px] of the picture at size 1; chosen, limits the time
 
 
-def misfit(rgb: Array) -> float:
+def misfit(rgb: Floats) -> float:
     """Return the rms relative difference of 24 camera colours from those of a chart.
 
     rgb : [24, 3], linear, in any unit, row by row from the dark skin patch. The 3 x 3 matrix that
@@ -65,7 +63,7 @@ def misfit(rgb: Array) -> float:
     return float(np.sqrt(np.mean(((camera @ matrix - chart) * weight) ** 2)))
 
 
-def in_order(luminance: Array) -> bool:
+def in_order(luminance: Floats) -> bool:
     """Return whether luminances [24] of patches, in any unit, rise and fall like the chart's.
 
     Row by row from the dark skin patch. True for a correlation of the logarithms above 0.9.
@@ -74,7 +72,7 @@ def in_order(luminance: Array) -> bool:
     return float(np.corrcoef(logs, np.log(CHART_Y))[0, 1]) > _IN_ORDER
 
 
-def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
+def patch_centres(corners: Floats) -> tuple[Array, float]:
     """Return the centres of a chart's patches, x and y [24, 2] px, and a radius within each [px].
 
     corners : x and y [4, 2] px of the outer corners of the field of patches, clockwise from the
@@ -90,7 +88,7 @@ def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
     return centres, 0.25 * float(min(gap))
 
 
-def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
+def find_chart(frame: LinearFrame) -> tuple[Array, float]:
     """Return the centres of a chart's patches, x and y [24, 2], and a radius within each patch.
 
     Both are in sensor pixels; patches are row by row from the dark skin patch. Raises InputError if
@@ -124,7 +122,7 @@ def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
     )
 
 
-def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
+def _candidates(picture: NDArray[np.uint8]) -> Iterator[Floats]:
     """Yield candidates for a chart's patches: corners [24, 4, 2] row by row, in picture pixels."""
     for size in _GRID_SIZES:
         searched, by = _sized(picture, size)
@@ -145,7 +143,7 @@ def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], 
     return np.asarray(sized, np.uint8), by
 
 
-def _colours(rgb: Array, patches: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _colours(rgb: Floats, patches: Floats) -> Floats | None:
     """Return mean colours [24, 3] of the middles of the patches.
 
     None if one is outside the picture.

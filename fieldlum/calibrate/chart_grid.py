@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Quads = NDArray[np.float64]  # [n, 4, 2] corners, clockwise as seen
+from fieldlum.arrays import Array, Floats, Mask
+
+Quads = Floats  # [n, 4, 2] corners, clockwise as seen
 Places = NDArray[np.int64]  # [n, 2] column and row on a lattice
 
 # All limits of this module are chosen by trial on pictures of charts, not measured.
@@ -61,7 +62,7 @@ def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads
 def _quads(picture: NDArray[np.uint8]) -> Quads:
     import cv2
 
-    found: list[NDArray[np.float64]] = []
+    found: list[Floats] = []
     smooth = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX)
     for grey in (smooth.max(axis=2), *np.moveaxis(smooth, 2, 0)):
         for window in _WINDOWS_PX:
@@ -79,7 +80,7 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
     return _apart(quads[_areas(quads) < _MOST_AREA * picture.shape[0] * picture.shape[1]])
 
 
-def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
+def _four_corners(outline: Array) -> Floats | None:
     """Return the corners [4, 2] of an outline, clockwise as seen (y downwards).
 
     Return None unless the outline is nearly a convex quadrilateral.
@@ -100,7 +101,7 @@ def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
     return None
 
 
-def _areas(quads: Quads, signed: bool = False) -> NDArray[np.float64]:
+def _areas(quads: Quads, signed: bool = False) -> Floats:
     """Return the areas [n] of quadrilaterals [n, 4, 2]; signed areas are positive if clockwise."""
     a, b = quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
@@ -161,7 +162,7 @@ def _components(quads: Quads) -> list[tuple[list[int], Places]]:
     return found
 
 
-def _edges(quads: Quads) -> NDArray[np.float64]:
+def _edges(quads: Quads) -> Floats:
     """Return the two directions of the sides of each quadrilateral, [n, 2, 2].
 
     For an upright quadrilateral these point right and down.
@@ -171,16 +172,14 @@ def _edges(quads: Quads) -> NDArray[np.float64]:
     return 0.5 * np.stack([along, down], axis=1)
 
 
-def _turned(inverse: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+def _turned(inverse: Floats, edges: Floats) -> NDArray[np.int64]:
     """Return the rotation [2, 2] by quarter turns between two quadrilaterals' own directions."""
     c, s = (edges @ inverse)[0]
     quarter = round(float(np.arctan2(s, c)) / (np.pi / 2)) % 4
     return np.linalg.matrix_power(_QUARTER, quarter)
 
 
-def _fitted(
-    quads: Quads, members: list[int], places: Places
-) -> tuple[NDArray[np.float64], Places] | None:
+def _fitted(quads: Quads, members: list[int], places: Places) -> tuple[Floats, Places] | None:
     """Return the homography [3, 3] from places to pixels, and the places [n, 2] with a patch."""
     if len(members) < _LEAST_GROWN or (np.ptp(places, axis=0) == 0).any():
         return None
@@ -199,10 +198,8 @@ def _fitted(
 
 
 def _homography(
-    places: NDArray[np.integer] | NDArray[np.float64],
-    at_px: NDArray[np.float64],
-    within_px: float = 0.0,
-) -> NDArray[np.float64]:
+    places: NDArray[np.integer] | Floats, at_px: Floats, within_px: float = 0.0
+) -> Floats:
     """Return the homography from places [n, 2] to pixels [n, 2]; NaN if there is none.
 
     within_px : limit of RANSAC; 0 uses all places.
@@ -215,9 +212,7 @@ def _homography(
     return np.full((3, 3), np.nan) if h is None else np.asarray(h, np.float64)
 
 
-def _on_places(
-    h: NDArray[np.float64], quads: Quads
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _on_places(h: Floats, quads: Quads) -> tuple[Floats, Mask]:
     """Return the nearest place [n, 2] of each quadrilateral, and whether it fits there [n].
 
     A quadrilateral fits if its centre is on the place and its size is that of a patch.
@@ -235,7 +230,7 @@ def _on_places(
     return place, near & (side > _SIDE[0]) & (side < _SIDE[1])
 
 
-def _projected(h: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _projected(h: Floats, points: Floats) -> Floats:
     """Return points [..., 2] through a homography [3, 3]; NaN on its horizon."""
     out = points @ h[:, :2].T + h[:, 2]
     depth = out[..., 2:]
@@ -246,7 +241,7 @@ def _projected(h: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[n
 # placements
 
 
-def _laid_on(h: NDArray[np.float64], places: Places, rows: int, columns: int) -> Iterator[Quads]:
+def _laid_on(h: Floats, places: Places, rows: int, columns: int) -> Iterator[Quads]:
     """Yield placements of rows x columns patches on a lattice, most detected patches first."""
     grid = np.array([(c, r) for r in range(rows) for c in range(columns)])
     half = _PATCH * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])

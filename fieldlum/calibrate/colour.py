@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
 from fieldlum.calibrate.frames import LinearFrame, linear_frame, transmission
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
@@ -21,7 +21,6 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import CameraProfile
 from fieldlum.statistics import robust_sigma
 
-Array = NDArray[np.floating]
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
@@ -45,12 +44,12 @@ class Colours:
     [3, 3] : XYZ to camera colours, as stored in the frames.
     """
 
-    rgb: Array
-    y: Array
-    u_rel: Array
+    rgb: Floats
+    y: Floats
+    u_rel: Floats
     labels: tuple[str, ...]
     frames: tuple[Path, ...]
-    matrix: Array | None = None  # None if the frames do not state it
+    matrix: Floats | None = None  # None if the frames do not state it
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +65,7 @@ class ColourFit:
     y_from_rgb: tuple[float, float, float]
     scale: float
     u_rel: float
-    residual: Array
+    residual: Floats
     choice: OrderSelection
 
 
@@ -133,14 +132,14 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 # fit
 
 
-def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
+def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Floats, str]]:
     """Return the coefficients [3] of R, G, B from which the fit may start, each with a name.
 
     These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
     inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
     """
     of_profile = np.array(profile.colour.y_from_rgb)
-    starts: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]
+    starts: list[tuple[Floats, str]] = [(of_profile, "the profile's coefficients")]
     if colours.matrix is not None:
         row = np.linalg.inv(colours.matrix)[1]
         grey = colours.rgb.mean(axis=0)
@@ -178,7 +177,7 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     n = len(colours.y)
     rows, each = np.arange(n), range(n)
 
-    def candidate(prior: Array, pull: float, name: str, size: int) -> Candidate:
+    def candidate(prior: Floats, pull: float, name: str, size: int) -> Candidate:
         errors = [
             (_predict(_solve(colours, prior, pull, rows != i), colours, i) - 1.0) ** 2 for i in each
         ]
@@ -244,7 +243,7 @@ def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, t
     return without, tuple(notes)
 
 
-def _solve(colours: Colours, prior: Array, pull: float, rows: NDArray[np.bool_]) -> Array:
+def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
     """Return the coefficients a that minimise the ridge sum.
 
     The sum is sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2, where s is
@@ -261,5 +260,5 @@ def _solve(colours: Colours, prior: Array, pull: float, rows: NDArray[np.bool_])
     return np.linalg.lstsq(*stacked, rcond=None)[0]
 
 
-def _predict(a: Array, colours: Colours, i: int) -> float:
+def _predict(a: Floats, colours: Colours, i: int) -> float:
     return float(colours.rgb[i] @ a / colours.y[i])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.linear_light import (
     black_dn,
@@ -38,7 +38,7 @@ class Patch:
     pixels that are saturated, or too dark for the response, and therefore omitted.
     """
 
-    rgb: NDArray[np.float64]
+    rgb: Floats
     u_rel: float
     clipped: float
 
@@ -54,11 +54,11 @@ class LinearFrame:
     """
 
     path: Path
-    rgb: NDArray[np.float32]
-    bad: NDArray[np.bool_]
+    rgb: Floats32
+    bad: Mask
     step: int
     exposure: Exposure
-    colour_matrix: NDArray[np.float64] | None = None
+    colour_matrix: Floats | None = None
 
     def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
         """Return the mean colour of the good pixels in a disc of the sensor around x_px, y_px.
@@ -90,7 +90,7 @@ class LinearFrame:
         return _mean(values[~bad], float(bad.mean()))
 
 
-def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
+def _mean(values: Floats32, clipped: float) -> Patch:
     """Return the trimmed mean of values [n, 3]; its uncertainty is from the spread of green."""
     from scipy.stats import trim_mean
 

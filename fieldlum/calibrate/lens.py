@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Mask
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays, signed_angle_deg
 
-Array = NDArray[Any]
 # least number of targets for the parameters of a lens with one free term, and its pose; chosen
 LEAST = 8
 # Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
@@ -116,7 +114,7 @@ def geometry_of_figures(
 
 
 def _solve(
-    targets: Targets, rows: NDArray[np.bool_], lens: Lens, mapping: str, powers: tuple[int, ...]
+    targets: Targets, rows: Mask, lens: Lens, mapping: str, powers: tuple[int, ...]
 ) -> Array:
     from scipy.optimize import least_squares
 
@@ -201,7 +199,7 @@ def with_mapping(lens: Lens, found: LensGeometry) -> Lens:
 
 
 def _doubts(
-    targets: Targets, residual: Array, near: NDArray[np.bool_], new: Lens, before: Lens
+    targets: Targets, residual: Array, near: Mask, new: Lens, before: Lens
 ) -> tuple[str, ...]:
     far = [
         f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {residual[i]:.0f} px)"
@@ -233,7 +231,7 @@ def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
 
 def _near(
     targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return a mask [n] of the targets that the best of the robust fits explains."""
     every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
     for _, mapping, powers in models:

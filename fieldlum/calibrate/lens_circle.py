@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array
 from fieldlum.errors import InputError
 from fieldlum.profiles import Lens
 from fieldlum.projection import radius_of_angle
 from fieldlum.statistics import robust_sigma
-
-Array = NDArray[Any]
 
 EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 

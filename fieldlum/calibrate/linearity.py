@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import black_dn, check_frame, full_dn, true_shutter_s
@@ -22,7 +22,6 @@ from fieldlum.photometry import linearity_factor
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_mosaic
 
-Array = NDArray[np.float64]
 BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)
 # least number of times: a fourth order, an offset and one more; chosen, not measured
@@ -48,9 +47,9 @@ class Levels:
     true shutter times by the profile, [frames].
     """
 
-    share: Array
-    weight: Array
-    seconds: Array
+    share: Floats
+    weight: Floats
+    seconds: Floats
     frames: tuple[Path, ...]
 
 
@@ -77,8 +76,8 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
     A frame has 8 x 8 blocks for each of R, G1, G2 and B. Raises InputError for a frame that cannot
     be read, is of another camera, or has another aperture or ISO than the first.
     """
-    shares: list[Array] = []
-    weights: list[Array] = []
+    shares: list[Floats] = []
+    weights: list[Floats] = []
     seconds: list[float] = []
     first = None
     for path in paths:
@@ -94,8 +93,8 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
                 "take all frames with one aperture and ISO",
             )
         black, full = black_dn(mosaic, profile), full_dn(mosaic, profile)
-        means: list[Array] = []
-        errors: list[Array] = []
+        means: list[Floats] = []
+        errors: list[Floats] = []
         for (row, column), b, top in zip(channel_positions(mosaic.cfa), black, full, strict=True):
             cell = mosaic.counts[row::2, column::2].astype(float)
             mean, error = _blocks(cell, b, b + _FULL * (top - b))
@@ -108,7 +107,7 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
     return Levels(np.array(shares), np.array(weights), np.array(seconds), tuple(paths))
 
 
-def _blocks(cell: Array, black: float, most: float) -> tuple[Array, Array]:
+def _blocks(cell: Floats, black: float, most: float) -> tuple[Floats, Floats]:
     """Return means above black of blocks [blocks], and their standard errors.
 
     The mean is NaN where a pixel is near saturation.
@@ -150,9 +149,7 @@ def fit(levels: Levels) -> LinearityFit:
     return LinearityFit(coefficients, offset, u_offset, max(round(choice.rms, 5), _REPEATS), choice)
 
 
-def _residuals(
-    solution: Array, levels: Levels, rows: NDArray[np.bool_], of: NDArray[np.bool_]
-) -> Array:
+def _residuals(solution: Floats, levels: Levels, rows: Mask, of: Mask) -> Floats:
     """Return ln(corrected light / time) of frames `of`, minus each block's mean over `rows`."""
     with np.errstate(invalid="ignore"):
         light = np.log(levels.share * linearity_factor(levels.share, tuple(solution[1:])))
@@ -160,7 +157,7 @@ def _residuals(
     return _centred(off, levels, rows)[of]
 
 
-def _centred(values: Array, levels: Levels, rows: NDArray[np.bool_]) -> Array:
+def _centred(values: Floats, levels: Levels, rows: Mask) -> Floats:
     """Return values [frames, blocks] minus each block's weighted mean over the frames `rows`."""
     weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[rows]
     total = weight.sum(axis=0)
@@ -168,7 +165,7 @@ def _centred(values: Array, levels: Levels, rows: NDArray[np.bool_]) -> Array:
     return values - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0)
 
 
-def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, Array]:
+def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
     """Return offset and coefficients by weighted least squares over `rows`, and covariance.
 
     Gauss-Newton steps start from a linear sensor without an offset.
@@ -198,7 +195,7 @@ def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, 
     return solution, covariance
 
 
-def _held_out(levels: Levels, order: int) -> Array:
+def _held_out(levels: Levels, order: int) -> Floats:
     """Return the squared relative error of predicting each frame from the other exposure times.
 
     The shortest and the longest time are not predicted, because that would be extrapolation.

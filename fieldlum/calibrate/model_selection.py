@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.statistics import is_no_worse
 
 # up to this number of groups each group is held out separately; chosen, limits the time
@@ -27,7 +28,7 @@ class Candidate:
 
     name: str
     size: int
-    errors: NDArray[np.float64]
+    errors: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def choose(
     return OrderSelection(chosen, float(np.sqrt(means[chosen])), line)
 
 
-def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:
+def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[Mask]:
     """Yield masks [n], one for each fit of a cross-validation, True for the data to hold out.
 
     groups [n] : number of each datum's group; a group is never divided. With up to 24 groups each

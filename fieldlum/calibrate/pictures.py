@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array
 from fieldlum.photometry import linearity_factor, response_table, vignetting_at
 from fieldlum.photometry.stray_light import kernel_per_sr
 from fieldlum.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
@@ -59,7 +60,7 @@ def _plain_log(axes: Any) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> None:
+def _percent(axes: Any, x: Array, residual: Array, label: str) -> None:
     axes.axhline(0, color=BLUE, linewidth=1)
     axes.plot(x, 100 * residual, "o", color=RED, markersize=3.5)
     axes.set(xlabel=label, ylabel="reading less fit [%]")

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
 from fieldlum.profiles import CameraProfile
@@ -39,7 +40,6 @@ _SAME_VIEW_CORRELATION = 0.3  # of the detail of two frames, from which they sho
 _LIKE = 2  # neighbours that may be like a defect, as in a line of defects
 _FULL = 0.9  # of the saturation; pixels in brighter surroundings are not judged
 
-Mask = NDArray[np.bool_]
 Detail = NDArray[np.int8]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Indices, Mask
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import check_frame, true_shutter_s
@@ -37,7 +38,7 @@ DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 _LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
 _LAW_SIGMA = 4.0  # least difference between two laws, in standard errors over the places; chosen
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
-TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
+TablesOf = Callable[[Mask], list[Floats]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +52,8 @@ class Places:
     """
 
     codes: NDArray[np.uint8]
-    log_exposure: NDArray[np.float64]
-    bracket: NDArray[np.intp]
+    log_exposure: Floats
+    bracket: Indices
     frames: tuple[Path, ...]
     law: ShutterLaw
 
@@ -140,7 +141,7 @@ def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
     return replace(pooled[law.law], law=law)
 
 
-def _left_by(places: Places) -> NDArray[np.float64]:
+def _left_by(places: Places) -> Floats:
     """Return squared residuals of places: ln z of their green codes about a fitted response."""
     codes = places.codes[..., 1]
     table, _ = fit_response(codes, places.log_exposure, smooth=SMOOTH[-1])
@@ -152,7 +153,7 @@ def _pool(
 ) -> Places:
     """Return the places of all brackets on one axis of exposures, under one shutter law."""
     known = replace(profile, shutter_law=law.law)
-    exposures: list[NDArray[np.float64]] = []
+    exposures: list[Floats] = []
     for part in parts:
         log_e = [np.log(true_shutter_s(e.shutter_s, known)[0] * e.iso) for e in part.exposures]
         count = len({round(e, 3) for e in log_e})
@@ -179,8 +180,8 @@ class _Blocks:
     """Codes [frames, places, 9, 3] of 3 x 3 blocks, and the blocks' middles x_px, y_px [places]."""
 
     codes: NDArray[np.uint8]
-    x_px: NDArray[np.float64]
-    y_px: NDArray[np.float64]
+    x_px: Floats
+    y_px: Floats
 
 
 def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, list[Exposure]]:
@@ -234,7 +235,7 @@ def _flat_places(
     return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
 
 
-def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+def _spread(level: Floats, count: int) -> Indices:
     """Return at most `count` indices of `level` [n], spread over levels and over places.
 
     Half is spread evenly over the levels. Otherwise there would be too few bright places, which are
@@ -251,9 +252,7 @@ def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 # fit
 
 
-def residuals(
-    table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64], low: int = LOW
-) -> NDArray[np.float64]:
+def residuals(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int = LOW) -> Floats:
     """Return for each place the variance of ln(z / exposure) over its frames, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
@@ -268,7 +267,7 @@ def residuals(
     return np.divide(square, n - 1, out=np.full(len(n), np.nan), where=n >= 2)
 
 
-def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDArray[np.float64]]:
+def _tables(places: Places, rows: Mask, smooth: float) -> list[Floats]:
     return [
         fit_response(places.codes[rows, :, c], places.log_exposure, smooth=smooth)[0]
         for c in range(3)
@@ -319,9 +318,7 @@ def fit(places: Places) -> ResponseFit:
     return ResponseFit(response, (rms[0], rms[1], rms[2]), choice)
 
 
-def _pooled(
-    places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int
-) -> NDArray[np.float64]:
+def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int) -> Floats:
     """Return held-out squared errors, averaged over colours, of places that two frames see."""
     errors = np.full(len(places.codes), np.nan)
     for held in folds(groups):

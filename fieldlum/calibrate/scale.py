@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark
@@ -72,7 +72,7 @@ class ScaleFit:
 
     factor: float
     u_rel: float
-    residual: NDArray[np.float64]
+    residual: Floats
     far: tuple[str, ...]
     line: str
 
@@ -167,16 +167,14 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
     return profile.scale.k / k
 
 
-def _inside(
-    picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_rad: float
-) -> NDArray[np.bool_]:
+def _inside(picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_rad: float) -> Mask:
     height, width = picture.luminance_cdm2.shape
     rays = equirect_rays(height, width, picture.heading_deg)
     return rays @ direction(altitude_deg, azimuth_deg) >= np.cos(radius_rad)
 
 
 def _refuse_clipped(
-    picture: Panorama, inside: NDArray[np.bool_], file: Path | str, place: str, remedy: str
+    picture: Panorama, inside: Mask, file: Path | str, place: str, remedy: str
 ) -> None:
     if picture.flags is not None and (picture.flags[inside] & Flag.CLIPPED_HIGH).any():
         raise InputError(
@@ -345,7 +343,7 @@ def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
     return f"{doubt}: {remedy}"
 
 
-def _centre(log: NDArray[np.float64], u: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
     weight = 1.0 / u**2
     centre = float(np.median(log))
     for _ in range(30):
@@ -355,7 +353,7 @@ def _centre(log: NDArray[np.float64], u: NDArray[np.float64]) -> tuple[float, ND
     return centre, weight
 
 
-def _held_out_line(log: NDArray[np.float64], u: NDArray[np.float64]) -> str:
+def _held_out_line(log: Floats, u: Floats) -> str:
     """Return how well one factor predicts the readings that are left out one by one, as text."""
     n = len(log)
     if n < 2:

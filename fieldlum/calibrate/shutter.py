@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.calibrate.model_selection import Candidate, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import SAME_TIME, true_shutter_s
@@ -219,7 +219,7 @@ def pool(
     return {pair: _pair_table(pair, np.array(values)) for pair, values in logs.items()}
 
 
-def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
+def _pair_table(pair: Pair, values: Floats) -> FramePairTable:
     """Return the summary of a pair; values [brackets, 3] : log ratio, its u, seconds."""
     n, median = len(values), float(np.median(values[:, 0]))
     apart = robust_sigma(values[:, 0])
@@ -327,9 +327,7 @@ def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:
     return max(chains, key=lambda c: len({time for t in c for time in t.pair}), default=[])
 
 
-def _held_out(
-    brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]
-) -> NDArray[np.float64]:
+def _held_out(brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]) -> Floats:
     """Return squared errors [2, n] of the ratios of held-out brackets.
 
     The first row has the errors of the assumed times, the second those of a fit to the other
@@ -345,11 +343,8 @@ def _held_out(
 
 
 def _levelled(
-    chain: Sequence[FramePairTable],
-    nominal: Sequence[float],
-    u_prior: NDArray[np.float64],
-    u_drift_per_s: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    chain: Sequence[FramePairTable], nominal: Sequence[float], u_prior: Floats, u_drift_per_s: float
+) -> tuple[Floats, Floats]:
     """Return ln of true over assumed time [n], and its u.
 
     The uncertainty is relative to the common level, which is part of k.

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -23,8 +23,6 @@ from fieldlum.profiles import CameraProfile, StrayLight
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Panorama
 from fieldlum.session.panorama_sun import read_panorama_with_sun
-
-Array = NDArray[np.float64]
 
 # Angles of the tried kernels, in degrees; octaves, because haze falls roughly with a power. Chosen;
 # held-out readings select a set.
@@ -56,8 +54,8 @@ class StrayReading:
     label: str
     picture: Path
     stray_cdm2: float
-    angle_rad: Array
-    flux: Array
+    angle_rad: Floats
+    flux: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +68,7 @@ class StrayFit:
     """
 
     kernel: StrayLight
-    predicted_cdm2: Array
+    predicted_cdm2: Floats
     total_share: float
     choice: OrderSelection
 
@@ -169,8 +167,8 @@ def reading(
 
 
 def _field_of_nearest_lens(
-    rays: Array, toward: Array, profile: CameraProfile, heading_deg: float
-) -> NDArray[np.bool_]:
+    rays: Floats, toward: Floats, profile: CameraProfile, heading_deg: float
+) -> Mask:
     """Return a mask [n] of the rays [n, 3] that one lens sees.
 
     It is the lens whose axis is nearest to the direction `toward` [3].
@@ -223,7 +221,7 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     return StrayFit(kernel, design @ values, share, choice)
 
 
-def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Array:
+def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Floats:
     """Return the stray light of each reading for each node alone, [readings, nodes].
 
     The kernel is then 1 at that node and 0 at the others.
@@ -236,7 +234,7 @@ def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Array
     return np.array(columns)
 
 
-def _falling(design: Array, stray: Array) -> Array:
+def _falling(design: Floats, stray: Floats) -> Floats:
     """Return K at the nodes by relative least squares, with K >= 0 and falling with the angle."""
     from scipy.optimize import nnls
 
@@ -245,7 +243,7 @@ def _falling(design: Array, stray: Array) -> Array:
     return steps @ drop
 
 
-def total_share(nodes_deg: Sequence[float], values_per_sr: Array) -> float:
+def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
     """Return the share (0 to 1) of a source's light that the kernel K spreads over the sphere.
 
     nodes_deg, values_per_sr : [n], angles [deg] and K there [1/sr].

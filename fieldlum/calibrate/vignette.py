@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Mask
 from fieldlum.calibrate.frames import linear_frame, nearest_lens, relative_angle
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
@@ -22,7 +22,6 @@ from fieldlum.profiles import CameraProfile, Lens, Vignetting
 from fieldlum.projection import angle_of_radius, relative_radius
 from fieldlum.statistics import robust_sigma
 
-Array = NDArray[Any]
 # of the even polynomials that are tried; chosen, held-out readings select one
 ORDERS = (0, 2, 4, 6, 8)
 BINS = 60  # number of rings of an evenly lit frame; chosen
@@ -157,7 +156,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     return Samples(table[:, 0], table[:, 1], table[:, 2], f_number, lens, tuple(paths))
 
 
-def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float, float, float]]:
+def _rings(r: Array, value: Array, good: Mask) -> list[tuple[float, float, float]]:
     ring = np.minimum((r * BINS).astype(int), BINS - 1)
     found = []
     for number in range(BINS):
@@ -261,7 +260,7 @@ def fit(samples: Samples) -> VignettingFit:
     return VignettingFit(tuple(coefficients), float(theta[0]), u_rel, residual, choice)
 
 
-def _slips(samples: Samples) -> NDArray[np.bool_]:
+def _slips(samples: Samples) -> Mask:
     """Return a mask [n] of readings that contradict their neighbours.
 
     A shadow or a blinking lamp causes such readings. A reading is compared only if its neighbours

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.images import read_panorama
 from fieldlum.light import light_at
 from fieldlum.projection import equirect_rays, equirect_solid_angles, signed_angle_deg
@@ -46,8 +46,8 @@ class DriftSeries:
     """
 
     kind: str
-    days: NDArray[np.float64]
-    values: NDArray[np.float64]
+    days: Floats
+    values: Floats
     change: float = np.nan
     low: float = np.nan
     high: float = np.nan
@@ -75,9 +75,7 @@ class DriftSeries:
         return f"{change} {UNITS[self.kind]} ({low} to {high})"
 
 
-def series(
-    kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
-) -> DriftSeries:
+def series(kind: str, t_utc: Sequence[datetime], values: Sequence[float] | Floats) -> DriftSeries:
     """Return a series, in order of time, with the change of a robust line from first to last value.
 
     kind: "k" [%], "heading" [deg] or "residual" [%]; values: at t_utc, [n], NaN is omitted. The
@@ -101,9 +99,7 @@ def series(
     return DriftSeries(kind, days, data, change, change - half, change + half, reach, start)
 
 
-def _robust_line(
-    days: NDArray[np.float64], values: NDArray[np.float64], groups: NDArray[np.intp]
-) -> tuple[float, float, float]:
+def _robust_line(days: Floats, values: Floats, groups: Indices) -> tuple[float, float, float]:
     """Return start and slope of a line by Huber's weights, and the slope's standard error.
 
     The error is the sandwich estimate over groups (Liang and Zeger 1986), with its correction for a
@@ -187,7 +183,7 @@ def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
         return []
     rows = [row for row in PairsFile.read(session.pairs).usable if row.panorama]
     ratios: list[tuple[datetime, float]] = []
-    share: NDArray[np.float32] | None = None
+    share: Floats32 | None = None
     for row in rows:
         luminance_cdm2 = read_panorama(session.root / row.panorama).luminance_cdm2
         height = luminance_cdm2.shape[0]
@@ -199,9 +195,7 @@ def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
     return [(t, 100.0 * (value / middle - 1.0)) for t, value in ratios]
 
 
-def _sky_ratio(
-    row: PairRow, luminance_cdm2: NDArray[np.floating], share: NDArray[np.float32], setup: SiteFile
-) -> float:
+def _sky_ratio(row: PairRow, luminance_cdm2: Floats, share: Floats32, setup: SiteFile) -> float:
     """Return the measured over the expected luminance of the window's sky at one capture."""
     height, width = share.shape
     window = share > WINDOW_SHARE

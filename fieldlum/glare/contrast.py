@@ -10,11 +10,10 @@ CIELAB lightness, which Rizzi describes.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.glare.geometry import view_frame
 from fieldlum.projection import FULLY_SEEN_SHARE, equirect_rays, equirect_solid_angles
-from fieldlum.records import Float
 
 RAMMG_LEVELS = 5  # as the authors' code (Liu, Colburn and Inanici 2020)
 # The white of L* relative to the map's mean, so that the mean is a grey of 20 %. Chosen, not
@@ -29,7 +28,7 @@ WINDOW_CDM2 = 2000.0  # brighter pixels are window, the limit of a glare source;
 MELANOPIC_DER_D65 = 1.0  # CIE S 026:2018, by definition
 
 
-def local_contrast(image: Float) -> NDArray[np.float64]:
+def local_contrast(image: Floats) -> Floats:
     """Return the weighted mean absolute difference of each pixel to its eight neighbours, [H, W].
 
     Diagonal neighbours have the weight 1 / sqrt(2), the others 1. Pixels on the border of the image
@@ -51,7 +50,7 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
     return out
 
 
-def contrast_levels(image: Float) -> NDArray[np.float64]:
+def contrast_levels(image: Floats) -> Floats:
     """Return the mean local contrast of each of five pyramid levels of an image [H, W], [5].
 
     The first level is the image; each further one has half the rows and columns of the level
@@ -69,7 +68,7 @@ def contrast_levels(image: Float) -> NDArray[np.float64]:
     return means
 
 
-def rammg(luminance_cdm2: Float) -> float:
+def rammg(luminance_cdm2: Floats) -> float:
     """Return RAMMG [cd/m2] of a map [H, W] in cd/m2: the mean contrast of five pyramid levels.
 
     Remove a sun disc from the map first, because it dominates the result.
@@ -77,7 +76,7 @@ def rammg(luminance_cdm2: Float) -> float:
     return float(contrast_levels(luminance_cdm2).mean())
 
 
-def rammg_lightness(luminance_cdm2: Float) -> float:
+def rammg_lightness(luminance_cdm2: Floats) -> float:
     """Return RAMMG, the mean contrast of five pyramid levels, of a map's lightness L*.
 
     luminance_cdm2 : [H, W = 2H]. White (L* = 100) is five times the map's mean luminance, weighted
@@ -89,7 +88,7 @@ def rammg_lightness(luminance_cdm2: Float) -> float:
     return float(contrast_levels(lightness(image / white)).mean())
 
 
-def lightness(relative: Float) -> NDArray[np.float64]:
+def lightness(relative: Floats) -> Floats:
     """Return CIE 1976 L*, 0 to 100, of luminance relative to white.
 
     relative : luminance over the luminance of white (Y / Yn), of any shape, which is the shape of
@@ -99,7 +98,7 @@ def lightness(relative: Float) -> NDArray[np.float64]:
     return np.where(ratio > (6 / 29) ** 3, 116.0 * np.cbrt(ratio) - 16.0, ratio * (29 / 3) ** 3)
 
 
-def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
+def melanopic_edi_lx(ev_lx: Floats) -> Floats:
     """Return the estimated melanopic equivalent daylight illuminance [lx], in the shape of `ev_lx`.
 
     It is the vertical illuminance `ev_lx` [lx] times the melanopic daylight efficacy ratio of D65,
@@ -122,8 +121,8 @@ class ViewRegions:
         height: int,
         width: int,
         heading_deg: float,
-        azimuths_deg: Float,
-        seen: NDArray[np.bool_] | None = None,
+        azimuths_deg: Floats,
+        seen: Mask | None = None,
     ) -> None:
         """Compute the weights. seen: mask [H, W] of the pixels that a lens saw; None for all."""
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
@@ -140,7 +139,7 @@ class ViewRegions:
         self.half = np.array(half, np.float32).T  # (H W, d)
         self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
 
-    def ratios(self, luminance_cdm2: Float) -> dict[str, NDArray[np.float64]]:
+    def ratios(self, luminance_cdm2: Floats) -> dict[str, Floats]:
         """Return three figures by name, [n, d] each, of n maps in d view directions.
 
         luminance_cdm2 : [n, H, W]. task_cdm2 : mean luminance of the task cone, which has 15
@@ -168,7 +167,7 @@ class ViewRegions:
         }
 
 
-def _region_seen(weights: NDArray[np.float32], seen: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _region_seen(weights: Floats32, seen: Mask | None) -> Mask:
     """Return whether lenses saw the regions with these weights [H * W, d], [d]."""
     if seen is None or seen.all():
         return np.ones(weights.shape[1], bool)

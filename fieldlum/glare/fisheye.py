@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.glare.geometry import view_frame
 from fieldlum.projection import altitude_azimuth_deg, direction, equirect_pixel
-from fieldlum.records import Float, SunSource
+from fieldlum.records import SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 # samples in each direction of a pixel, so that its share of the disc is known to 1/64; chosen
@@ -17,7 +17,7 @@ FISHEYE_VIEW = "-vta -vh 180 -vv 180"
 SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))
 
 
-def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def fisheye_rays(size: int, samples: int = 1) -> tuple[Floats, Mask]:
     """Return unit rays [N, N, 3] of an equidistant 180-degree picture, and its circle [N, N].
 
     size : pixels along the picture's edge; samples : rays along a pixel's edge, so that N = size *
@@ -33,7 +33,7 @@ def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDAr
     return rays, angle <= np.pi / 2
 
 
-def fisheye_solid_angles(size: int) -> NDArray[np.float64]:
+def fisheye_solid_angles(size: int) -> Floats:
     """Return the solid angle [sr] of each pixel of an equidistant 180-degree picture, [size, size].
 
     It is 0 for pixels whose centre is more than 90 degrees from the view direction.
@@ -44,13 +44,13 @@ def fisheye_solid_angles(size: int) -> NDArray[np.float64]:
 
 
 def panorama_to_fisheye(
-    luminance_cdm2: Float,
+    luminance_cdm2: Floats,
     heading_deg: float,
     azimuth_deg: float,
     *,
     size: int = 800,
     sun: SunSource | None = None,
-) -> NDArray[np.float32]:
+) -> Floats32:
     """Return an equidistant 180-degree picture (`FISHEYE_VIEW`) of a panorama, [size, size], cd/m2.
 
     luminance_cdm2 : the panorama [H, W = 2H]; heading_deg : azimuth of its centre column.
@@ -77,7 +77,7 @@ def panorama_to_fisheye(
     return _with_sun(picture, sun, azimuth_deg) if sun else picture
 
 
-def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float) -> NDArray[np.float32]:
+def _with_sun(picture: Floats, sun: SunSource, azimuth_deg: float) -> Floats32:
     """Return the picture with the disc's energy added; unchanged for a sun behind the observer."""
     size = len(picture)
     x, y, z = view_frame(azimuth_deg) @ direction(sun.altitude_deg, sun.azimuth_deg)
@@ -94,7 +94,7 @@ def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float) -> NDArray[np.
     return picture + added.astype(np.float32)
 
 
-def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
+def _disc_pixels(share: Floats, omega: Floats) -> Mask:
     """Return a mask of the most covered pixels, which together have the disc's solid angle, [N, N].
 
     Energy on half-covered rim pixels would double the solid angle of the source at 800 px, and
@@ -109,7 +109,7 @@ def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
     return out.reshape(share.shape) & (omega > 0)
 
 
-def _disc_shares(centre: Float, towards: Float, size: int) -> NDArray[np.float64]:
+def _disc_shares(centre: Floats, towards: Floats, size: int) -> Floats:
     """Return the share of each pixel that the sun's disc covers, [size, size]."""
     samples = _DISC_SAMPLES
     reach = int(np.ceil(2.0 * SUN_RADIUS_RAD / np.pi * size)) + 1

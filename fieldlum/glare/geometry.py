@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.records import Float
 
 PAPER_VIEWS = 10  # horizontal, 36 degrees apart (Liu, Colburn and Inanici 2020)
 LARGEST_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
 
 
-def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> NDArray[np.float64]:
+def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> Floats:
     """Return the azimuths of `views` horizontal directions at equal steps, [views].
 
     The first is `heading_deg`; the others follow clockwise. All are in degrees clockwise from
@@ -23,7 +23,7 @@ def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> NDArray[n
     return (heading_deg + np.arange(views) * 360.0 / views) % 360.0
 
 
-def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.float64]:
+def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> Floats:
     """Return the unit vectors right, up and forward of an upright head that looks there, [3, 3].
 
     Rows are the vectors, columns x east, y north, z up. azimuth_deg : of the view direction,
@@ -34,7 +34,7 @@ def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.floa
     return np.stack([right, np.cross(right, forward), forward])
 
 
-def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
+def angles_from_view(rays: Floats, frame: Floats) -> tuple[Floats, Floats, Floats]:
     """Return each ray's coordinates right and up [rad], and the cosine of its angle to the view.
 
     rays : [..., 3] unit vectors (x east, y north, z up). frame : [3, 3], by `view_frame`. The
@@ -48,7 +48,7 @@ def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
     return x * stretch, y * stretch, z
 
 
-def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float64]:
+def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
     """Return the position index P of glare: 1 on the line of sight, greater off it, at most 16.
 
     right_rad, up_rad : coordinates by `angles_from_view`; the result has their shape. Above the
@@ -81,10 +81,10 @@ class Views:
     `angles_from_view`; 0 behind. shape : (H, W) of the panorama.
     """
 
-    azimuths_deg: NDArray[np.float64]
-    frames: NDArray[np.float64]
-    illuminance: NDArray[np.float32]
-    moments: NDArray[np.float32]
+    azimuths_deg: Floats
+    frames: Floats
+    illuminance: Floats32
+    moments: Floats32
     shape: tuple[int, int]
 
 

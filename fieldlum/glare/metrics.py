@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats
 from fieldlum.glare.geometry import Views, angles_from_view, panorama_views, position_index
 from fieldlum.glare.sources import sources_of
-from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 # What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
-DiscLight = tuple[tuple[Float, Float], Float]
+DiscLight = tuple[tuple[Floats, Floats], Floats]
 
 METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
 MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
@@ -35,7 +35,7 @@ DGP_CONTRAST = 0.092
 DGP_BASE = 0.159
 
 
-def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
+def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> Floats:
     """Return daylight glare probability, [...], at most 1 (Wienold and Christoffersen 2006).
 
     ev_lx : [...] vertical illuminance at the eye; contrast : [...] the sum of L^2 omega / P^2 over
@@ -47,7 +47,7 @@ def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
     return np.minimum(DGP_EV * ev + DGP_CONTRAST * glare + DGP_BASE, 1.0)
 
 
-def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
+def dgps(ev_lx: ArrayLike) -> Floats:
     """Return simplified DGP, 6.22e-5 Ev + 0.184, at most 1, [...] (Wienold 2007).
 
     ev_lx : vertical illuminance Ev at the eye. The formula is not valid for hours with the sun in
@@ -56,7 +56,7 @@ def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
     return np.minimum(6.22e-5 * np.asarray(ev_lx, float) + 0.184, 1.0)
 
 
-def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
+def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
     """Return the unified glare rating UGR, 8 log10(0.25 / Lb sum L^2 omega / P^2), [...].
 
     contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
@@ -67,7 +67,7 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
     return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
 
 
-def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
+def dgi(source_sum: ArrayLike) -> Floats:
     """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
 
     source_sum : Hopkinson's terms summed over sources, the third row of `sums_of_sources`
@@ -77,7 +77,7 @@ def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
 
 
-def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
+def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
     """Return the unified glare probability UGP, 0.26 log10(0.25 / Lb sum L^2 omega / P^2), [...].
 
     contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
@@ -86,7 +86,7 @@ def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
 
 
-def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArray[np.float64]:
+def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> Floats:
     """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L^2 omega / P^2), [...].
 
     contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
@@ -98,7 +98,7 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArr
     return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
 
 
-def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64]:
+def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
     """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2, [...].
 
     veiling_sum : [...] sum over sources of their vertical illuminance E [lx] over the square of
@@ -109,14 +109,14 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64
 
 
 def glare_directions(
-    luminance_cdm2: Float,
+    luminance_cdm2: Floats,
     heading_deg: float,
     azimuths_deg: ArrayLike,
-    sun_direction: Float | None = None,
-    disc_lx: Float | None = None,
+    sun_direction: Floats | None = None,
+    disc_lx: Floats | None = None,
     *,
     views: Views | None = None,
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Floats]:
     """Return the glare of n panoramas in d horizontal view directions by name, [n, d] each.
 
     luminance_cdm2 : [n, H, W] without the sun's disc. heading_deg : azimuth of the centre column;
@@ -147,9 +147,7 @@ def glare_directions(
     return combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
 
 
-def sun_per_lx(
-    sun_direction: Float, views: Views
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
     """Return what a sun disc of 1 lx (normal) adds to Ev and to the contrast of DGP, [n, d] each.
 
     sun_direction : [n, 3] unit vectors (x east, y north, z up). Both are 0 for a sun behind the
@@ -163,11 +161,11 @@ def sun_per_lx(
 
 
 def dgp_with_disc(
-    parts: dict[str, NDArray[np.float64]],
-    per_lx: tuple[Float, Float],
-    disc_lx: Float,
+    parts: dict[str, Floats],
+    per_lx: tuple[Floats, Floats],
+    disc_lx: Floats,
     images: Sequence[DiscLight] = (),
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the DGP that `parts` would have with another illuminance of the sun, [..., n, d].
 
     parts : result of `glare_directions`; its sun and images of the sun are removed first. per_lx :
@@ -183,14 +181,14 @@ def dgp_with_disc(
     return dgp(ev, contrast)
 
 
-def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
+def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
     """Return right, up and cosine of suns [..., 3] in d views, [..., d] each."""
     angles = [angles_from_view(sun, frame) for frame in views.frames]
     right, up, cosine = (np.stack([part[k] for part in angles], axis=-1) for k in range(3))
     return right, up, cosine
 
 
-def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
+def _source_sums(flat: Floats, image: Floats, views: Views, ev: Floats) -> Floats:
     """Return `sums_of_sources` of a map's sources for d views, [4, d]."""
     groups = sources_of(image)
     if not groups:
@@ -213,13 +211,13 @@ def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[
 
 
 def sums_of_sources(
-    mean_cdm2: Float,
-    omega_sr: Float,
-    right_rad: Float,
-    up_rad: Float,
-    source_ev_lx: Float,
-    ev: Float,
-) -> NDArray[np.float64]:
+    mean_cdm2: Floats,
+    omega_sr: Floats,
+    right_rad: Floats,
+    up_rad: Floats,
+    source_ev_lx: Floats,
+    ev: Floats,
+) -> Floats:
     """Return four sums over the s glare sources in each of d views, [4, d], without the sun's disc.
 
     mean_cdm2, omega_sr, right_rad, up_rad, source_ev_lx : [s, d] mean luminance, solid angle,
@@ -242,20 +240,25 @@ def sums_of_sources(
     )
 
 
-def _glare_angle_deg(right_rad: Float, up_rad: Float) -> NDArray[np.float64]:
+def _glare_angle_deg(right_rad: Floats, up_rad: Floats) -> Floats:
     """Return the angle from the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
     return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _LEAST_GLARE_ANGLE_RAD))
 
 
-def _dgi_terms(mean: Float, omega: Float, index: Float, background: Float) -> Float:
+def _dgi_terms(mean: Floats, omega: Floats, index: Floats, background: Floats) -> Floats:
     """Return 0.478 L^1.6 (omega / P2)^0.8 / (Lb + 0.07 omega^0.5 L), DGI's term of a source."""
     share = np.maximum(background + 0.07 * np.sqrt(omega) * mean, 1e-12)
     return 0.478 * mean**1.6 * (omega / index**2) ** 0.8 / share
 
 
 def combine(
-    map_ev: Float, sun_ev: Float, sums: Float, sun_cdm2: Float, sun_right: Float, sun_up: Float
-) -> dict[str, NDArray[np.float64]]:
+    map_ev: Floats,
+    sun_ev: Floats,
+    sums: Floats,
+    sun_cdm2: Floats,
+    sun_right: Floats,
+    sun_up: Floats,
+) -> dict[str, Floats]:
     """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
 
     map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `sums_of_sources`,
@@ -264,7 +267,7 @@ def combine(
     behind the observer, and its coordinates right and up [rad].
     """
 
-    def total(of_suns: Float) -> NDArray[np.float64]:
+    def total(of_suns: Floats) -> Floats:
         return np.asarray(of_suns, float).reshape(-1, *map_ev.shape).sum(axis=0)
 
     all_ev = total(sun_ev)

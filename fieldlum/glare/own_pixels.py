@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.glare.contrast import BAND_DEG, TASK_RADIUS_DEG, WINDOW_CDM2
 from fieldlum.glare.geometry import angles_from_view, position_index
 from fieldlum.glare.metrics import combine, sums_of_sources
@@ -14,7 +15,7 @@ from fieldlum.glare.picture_grid import PictureGrid, centres, row_blocks
 from fieldlum.glare.picture_view import PictureView, picture_rays
 from fieldlum.glare.sources import PEAK_CDM2, SOURCE_CDM2, group_pixels
 from fieldlum.projection import direction
-from fieldlum.records import Float, SunSource
+from fieldlum.records import SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 # Rows of a panorama of directions on which bright pixels are grouped: 0.25 degrees, a twentieth of
@@ -37,12 +38,12 @@ class GlareSources:
     a pixel of no source.
     """
 
-    mean_cdm2: NDArray[np.float64]
-    solid_angle_sr: NDArray[np.float64]
-    right_rad: NDArray[np.float64]
-    up_rad: NDArray[np.float64]
-    ev_lx: NDArray[np.float64]
-    contrast: NDArray[np.float64]
+    mean_cdm2: Floats
+    solid_angle_sr: Floats
+    right_rad: Floats
+    up_rad: Floats
+    ev_lx: Floats
+    contrast: Floats
     label: NDArray[np.int32]
 
     def __len__(self) -> int:
@@ -50,7 +51,7 @@ class GlareSources:
 
 
 def glare_of_pixels(
-    luminance_cdm2: NDArray[np.float32], grid: PictureGrid, sun: SunSource | None = None
+    luminance_cdm2: Floats32, grid: PictureGrid, sun: SunSource | None = None
 ) -> tuple[dict[str, float], GlareSources]:
     """Return the figures of `glare_directions` in the picture's view direction, and its sources.
 
@@ -83,7 +84,7 @@ def glare_of_pixels(
     return {name: float(value[0, 0]) for name, value in figures.items()}, sources
 
 
-def weighted_sum(values: Float, weights: Float) -> float:
+def weighted_sum(values: Floats, weights: Floats) -> float:
     """Return the sum over all pixels of values times weights, [H, W] each, in double precision."""
     height, width = values.shape
     return float(
@@ -106,7 +107,7 @@ def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float
     return right, up, cosine, sun.normal_illuminance_lx
 
 
-def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
+def disc_pixels(grid: PictureGrid, sun: SunSource) -> Floats32:
     """Return the luminance [H, W] that the sun's disc adds to the pixels of a picture, in cd/m2.
 
     All pixels with a centre in the disc get the same luminance, so that they have the disc's
@@ -134,7 +135,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
     return out
 
 
-def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
+def glare_sources(luminance_cdm2: Floats32, grid: PictureGrid) -> GlareSources:
     """Return the glare sources of a picture [H, W] with the weights `grid`.
 
     Pixels above 2000 cd/m2 that are closer than 0.1 rad form one source; pixels from 50 000 cd/m2
@@ -155,7 +156,7 @@ def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> Gla
         np.stack([rays.right, rays.up, rays.forward], axis=-1), np.eye(3)
     )
 
-    def total(values: Float) -> NDArray[np.float64]:
+    def total(values: Floats) -> Floats:
         return np.bincount(number, values, count).astype(float)
 
     power = total(bright * omega)
@@ -179,9 +180,7 @@ def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> Gla
     )
 
 
-def _numbered(
-    right: Float, up: Float, forward: Float, peak: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def _numbered(right: Floats, up: Floats, forward: Floats, peak: Mask) -> NDArray[np.int64]:
     """Return the source index of each bright pixel, from 0, [k]; peaks are separate sources."""
     rows, columns = _DIRECTION_ROWS, 2 * _DIRECTION_ROWS
     altitude = np.arcsin(np.clip(up, -1.0, 1.0))
@@ -189,7 +188,7 @@ def _numbered(
     turn = np.arctan2(right, forward) / (2.0 * np.pi) + 0.5
     column = (turn * columns).astype(int) % columns
 
-    def groups(chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
+    def groups(chosen: Mask) -> NDArray[np.int32]:
         mask = np.zeros((rows, columns), bool)
         mask[row[chosen], column[chosen]] = True
         return group_pixels(mask)
@@ -200,7 +199,7 @@ def _numbered(
     return np.unique(number, return_inverse=True)[1].reshape(-1)
 
 
-def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
+def region_ratios(luminance_cdm2: Floats, grid: PictureGrid) -> dict[str, float]:
     """Return task_cdm2, window_to_task and uniformity of a picture, as `ViewRegions.ratios` does.
 
     luminance_cdm2 : [H, W]; grid : its weights by `picture_grid`. task_cdm2 and window_to_task are

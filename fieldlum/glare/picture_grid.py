@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.glare.contrast import BAND_DEG, TASK_ALTITUDE_DEG, TASK_RADIUS_DEG
 from fieldlum.glare.picture_view import PictureView, picture_rays
-from fieldlum.records import Float
 
 _BLOCK_PIXELS = 250_000  # pixels processed at a time: about 40 MB of temporary arrays; chosen
 # Samples along an edge of the picture, which make solid angles exact to 1e-4. Chosen.
@@ -31,10 +30,10 @@ class PictureGrid:
     """
 
     view: PictureView
-    solid_angle: NDArray[np.float32]
-    illuminance: NDArray[np.float32]
-    task: NDArray[np.bool_]
-    band: NDArray[np.bool_]
+    solid_angle: Floats32
+    illuminance: Floats32
+    task: Mask
+    band: Mask
 
     @property
     def covered_share(self) -> float:
@@ -74,9 +73,7 @@ def row_blocks(height: int, width: int) -> Iterator[slice]:
         yield slice(first, min(first + step, height))
 
 
-def centres(
-    rows: slice, height: int, width: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def centres(rows: slice, height: int, width: int) -> tuple[Floats, Floats]:
     """Return y [k, 1] and x [1, W] of the centres of pixels in the k rows of the slice `rows`.
 
     Both run from -1/2 to 1/2 over the picture of height x width pixels, x to the right, y upwards;
@@ -88,12 +85,8 @@ def centres(
 
 
 def _weights(
-    view: PictureView,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    shape: tuple[int, int],
-    samples: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    view: PictureView, x: Floats, y: Floats, shape: tuple[int, int], samples: int
+) -> tuple[Floats, Floats]:
     """Return solid angle, and solid angle times cosine, of each pixel's part in front, in sr."""
     height, width = shape
     steps = (np.arange(samples) + 0.5) / samples - 0.5
@@ -108,9 +101,7 @@ def _weights(
     return solid_angle * pixel, illuminance * pixel
 
 
-def _rim(
-    view: PictureView, x: NDArray[np.float64], y: NDArray[np.float64], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _rim(view: PictureView, x: Floats, y: Floats, shape: tuple[int, int]) -> Mask:
     """Return a mask [k, W] of pixels on the edge of the hemisphere, and of grazing -vth ones."""
     height, width = shape
     corner_y = np.append(y[:, 0] + 0.5 / height, y[-1, 0] - 0.5 / height)[:, None]  # [k + 1, 1]
@@ -125,7 +116,7 @@ def _rim(
     return (count > 0) & ((count < 4) | grazing[:-1, :-1])
 
 
-def _regions(up: Float, forward: Float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _regions(up: Floats, forward: Floats) -> tuple[Mask, Mask]:
     """Return two masks: pixels in the task cone, and pixels in the 40-degree horizontal band.
 
     The task cone is 30 degrees below the line of sight. up, forward : components of each pixel's

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.projection import direction
-from fieldlum.records import Float
 
 VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v": "perspective"}
 EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
@@ -40,8 +40,8 @@ class PictureView:
     """
 
     kind: str
-    forward: NDArray[np.float64]
-    up: NDArray[np.float64]
+    forward: Floats
+    up: Floats
     horizontal_deg: float
     vertical_deg: float
     shift: float = 0.0
@@ -58,7 +58,7 @@ class PictureView:
         return float(np.degrees(np.arcsin(np.clip(self.forward[2], -1.0, 1.0))))
 
     @property
-    def frame(self) -> NDArray[np.float64]:
+    def frame(self) -> Floats:
         """Unit vectors right, up and forward of the view as rows, [3, 3]; x east, y north, z up."""
         return np.stack([np.cross(self.forward, self.up), self.up, self.forward])
 
@@ -82,10 +82,10 @@ class PictureRays:
     no direction. All have one shape.
     """
 
-    right: Float
-    up: Float
-    forward: Float
-    density: Float
+    right: Floats
+    up: Floats
+    forward: Floats
+    density: Floats
 
 
 def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
@@ -225,7 +225,7 @@ def _number(text: str, name: str, source: Path) -> float:
     return value
 
 
-def _vector(text: str, name: str, source: Path) -> NDArray[np.float64]:
+def _vector(text: str, name: str, source: Path) -> Floats:
     values = np.array([_number(part, name, source) for part in text.split()])
     length = float(np.linalg.norm(values)) if len(values) == 3 else 0.0
     if not 0.0 < length < np.inf:

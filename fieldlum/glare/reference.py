@@ -13,10 +13,10 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import FieldlumError
 from fieldlum.glare.fisheye import FISHEYE_VIEW
 from fieldlum.images import radiance_program, write_radiance_hdr
-from fieldlum.records import Float
 
 FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light correction, detailed
 
@@ -57,7 +57,7 @@ def reference_version() -> str:
     return (shown.stdout or shown.stderr).strip()
 
 
-def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
+def reference_glare(picture_cdm2: Floats, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
     """Return evalglare's figures for a picture [H, W] in cd/m2.
 
     view : its view as Radiance's options, by default an equidistant 180-degree one. Raises

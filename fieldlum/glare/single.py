@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.glare.answers import (
     GlareAnswer,
@@ -29,7 +30,7 @@ from fieldlum.glare.reference import reference_glare
 from fieldlum.glare.single_fisheye import single_picture_glare
 from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
 from fieldlum.projection import NOT_SEEN, SEEN, direction
-from fieldlum.records import Float, Panorama, SunSource
+from fieldlum.records import Panorama, SunSource
 from fieldlum.sun_disc import find_disc, without_disc
 
 
@@ -118,7 +119,7 @@ def _panorama_answer(
 
 
 def _view_rows(
-    maps: Float,
+    maps: Floats,
     heading_deg: float,
     azimuths: np.ndarray,
     sun: SunSource | None,
@@ -160,8 +161,8 @@ def _unseen_text(seen: np.ndarray) -> str:
 
 
 def take_out_sun(
-    luminance_cdm2: Float, heading_deg: float, recorded: SunSource | None
-) -> tuple[Float, SunSource | None]:
+    luminance_cdm2: Floats, heading_deg: float, recorded: SunSource | None
+) -> tuple[Floats, SunSource | None]:
     """Return the map without a sun disc in its pixels, and the sun as a source; None without a sun.
 
     luminance_cdm2 : [H, W = 2H]; heading_deg : azimuth of its centre column, clockwise from north.

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.records import Float
+from fieldlum.arrays import Floats, Mask
 
 # evalglare's defaults: -b 2000, -Y 50000, -r 0.2 (its search angle is twice this distance).
 SOURCE_CDM2 = 2000.0
@@ -21,7 +21,7 @@ PEAK_CDM2 = 50_000.0
 REACH_RAD = 0.1
 
 
-def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
+def widen(mask: Mask, radius_rad: float) -> Mask:
     """Return a mask [H, W], True for panorama pixels within `radius_rad` of a True pixel of `mask`.
 
     mask : [H, W = 2H]. Distances are angles on the sphere, also across the panorama's seam.
@@ -52,7 +52,7 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
     return out
 
 
-def group_pixels(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+def group_pixels(mask: Mask) -> NDArray[np.int32]:
     """Return the number of the glare source of each pixel, from 1, [H, W]; 0 outside `mask`.
 
     mask : [H, W = 2H] of a panorama, True for bright pixels. Pixels closer than 0.1 rad belong to
@@ -82,7 +82,7 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
     return np.where(labels > 0, joined[labels] + 1, 0).astype(np.int32)
 
 
-def sources_of(luminance_cdm2: Float) -> list[NDArray[np.int64]]:
+def sources_of(luminance_cdm2: Floats) -> list[NDArray[np.int64]]:
     """Return an array of flat pixel indices for each glare source of a panorama [H, W = 2H], cd/m2.
 
     Pixels above 2000 cd/m2 that are closer than 0.1 rad form one source. Pixels from 50 000 cd/m2

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.glare.metrics import DGP_CONTRAST, DGP_EV
 from fieldlum.projection import NOT_SEEN, SEEN
-from fieldlum.records import Float
 
 CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # EN 17037:2018, strictest first
 # From here on glare is "disturbing" (Wienold 2009, Building Simulation, table 2).
@@ -28,7 +28,7 @@ COMMON_ERROR = 0.5
 DRAWS = 400  # years drawn for an interval, whose ends are the 10th and the 390th value; chosen
 
 
-def disturbed_share(dgp: Float) -> NDArray[np.float64]:
+def disturbed_share(dgp: Floats) -> Floats:
     """Return, for each hour, the share of its view directions with disturbing glare, 0 to 1, [n].
 
     Disturbing means a DGP above 0.40. dgp : [n, d] of n hours in d directions, NaN for directions
@@ -54,18 +54,18 @@ class Protection:
     seen has NaN in dgp_exceeded, low and high, and the class "not seen".
     """
 
-    azimuths_deg: NDArray[np.float64]
+    azimuths_deg: Floats
     occupied_hours: int
-    dgp_exceeded: NDArray[np.float64]
+    dgp_exceeded: Floats
     hours_over: NDArray[np.int64]
-    low: NDArray[np.float64] | None
-    high: NDArray[np.float64] | None
+    low: Floats | None
+    high: Floats | None
     classes: tuple[str, ...]
-    certain: NDArray[np.bool_]
+    certain: Mask
     seen: tuple[str, ...] = ()
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def judged(self) -> Mask:
         """Mask [d], True for directions that have a class ("none" is one), False for "not seen"."""
         return np.array([name != NOT_SEEN_CLASS for name in self.classes])
 
@@ -100,7 +100,7 @@ def class_of(dgp_exceeded: float) -> str:
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 
 
-def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
+def exceeded_in_share(dgp: Floats, occupied_hours: int) -> Floats:
     """Return the DGP of each direction that is exceeded in 5 % of the occupied hours, [..., d].
 
     dgp : [..., n, d] of the n lit occupied hours in d directions; the other occupied hours are dark
@@ -115,8 +115,8 @@ def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
 
 
 def dgp_uncertainty(
-    ev_lx: Float, contrast: Float, ev_relative: Float, source_relative: Float
-) -> NDArray[np.float64]:
+    ev_lx: Floats, contrast: Floats, ev_relative: Floats, source_relative: Floats
+) -> Floats:
     """Return the standard uncertainty of DGP, [n, d], by first-order propagation.
 
     ev_lx : [n, d] vertical illuminance; contrast : [n, d] sum of L^2 omega / P^2 over sources;
@@ -141,21 +141,21 @@ class GlareDoubt:
     """
 
     seen: tuple[str, ...]
-    least: Float
-    most: Float
-    drawn: Float | None = None
+    least: Floats
+    most: Floats
+    drawn: Floats | None = None
 
-    def hours(self, rows: NDArray[np.bool_]) -> GlareDoubt:
+    def hours(self, rows: Mask) -> GlareDoubt:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
         drawn = None if self.drawn is None else self.drawn[:, rows]
         return GlareDoubt(self.seen, self.least[rows], self.most[rows], drawn)
 
 
 def protection(
-    dgp: Float,
-    u_dgp: Float | None,
+    dgp: Floats,
+    u_dgp: Floats | None,
     occupied_hours: int,
-    azimuths_deg: Float,
+    azimuths_deg: Floats,
     rng: np.random.Generator,
     doubt: GlareDoubt | None = None,
 ) -> Protection:
@@ -197,8 +197,8 @@ def protection(
 
 
 def _interval(
-    dgp: Float, u_dgp: Float, occupied_hours: int, rng: np.random.Generator, doubt: GlareDoubt
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    dgp: Floats, u_dgp: Floats, occupied_hours: int, rng: np.random.Generator, doubt: GlareDoubt
+) -> tuple[Floats, Floats]:
     """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each."""
     lows, highs = [], []
     all_seen = bool(np.array_equal(doubt.least, doubt.most, equal_nan=True))
@@ -212,16 +212,14 @@ def _interval(
     return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
 
 
-def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float64]:
+def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     """Return standard normal errors [n, d] of one drawn year, partly common to its hours."""
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
     own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
     return common + own
 
 
-def hours_to_capture(
-    dgp: Float, u_dgp: Float, undecided: NDArray[np.bool_], limits: Float
-) -> NDArray[np.float64]:
+def hours_to_capture(dgp: Floats, u_dgp: Floats, undecided: Mask, limits: Floats) -> Floats:
     """Return how much each hour's uncertainty keeps classes of directions undecided, [n].
 
     dgp, u_dgp : [n, d] DGP and its standard uncertainty; undecided : mask [d], True for directions
@@ -237,7 +235,7 @@ def hours_to_capture(
     return (above * (1.0 - above)).sum(axis=1)
 
 
-def nearest_limits(protection: Protection) -> NDArray[np.float64]:
+def nearest_limits(protection: Protection) -> Floats:
     """Return for each direction the class limit that is nearest to its dgp_exceeded, [d].
 
     It is 0.35, 0.40 or 0.45; 0.35 for a direction that was not seen.

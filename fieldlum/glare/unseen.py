@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.glare.geometry import Views, position_index
 from fieldlum.glare.metrics import dgp
 from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.projection import NOT_SEEN, SEEN, equirect_solid_angles, seen_words
-from fieldlum.records import Float
 
 # Share of the seen solid angle that is brighter than the brightest likely luminance: a window pane
 # is larger, a single bright pixel of a reflection smaller. Chosen, not measured.
@@ -36,9 +35,9 @@ class ViewCoverage:
     `contrast`.
     """
 
-    seen_share: NDArray[np.float64]
-    unseen_illuminance: NDArray[np.float64]
-    unseen_sources: NDArray[np.float64]
+    seen_share: Floats
+    unseen_illuminance: Floats
+    unseen_sources: Floats
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -49,17 +48,17 @@ class ViewCoverage:
         return seen_words(self.seen_share)
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def judged(self) -> Mask:
         """Mask [d], True for directions that are seen or partly seen and therefore have figures."""
         return np.array([word != NOT_SEEN for word in self.words])
 
     @property
-    def partly(self) -> NDArray[np.bool_]:
+    def partly(self) -> Mask:
         """Mask [d], True for partly seen directions, whose DGP has bounds."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 
-def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
+def view_coverage(seen: Mask | None, views: Views) -> ViewCoverage:
     """Return how much of each view direction of `views` lenses saw.
 
     seen : mask [H, W] of the panorama, True for pixels that a lens saw; None if all were seen.
@@ -81,7 +80,7 @@ def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
     return ViewCoverage(1.0 - missing / total, missing, np.maximum(apart, together))
 
 
-def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+def brightest_cdm2(luminance_cdm2: Floats, seen: Mask) -> Floats:
     """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
 
     luminance_cdm2 : [n, H, W] of n maps; seen : mask [H, W], True for pixels that a lens saw.
@@ -100,8 +99,8 @@ def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np
 
 
 def unseen_dgp_bounds(
-    coverage: ViewCoverage, ev_lx: Float, contrast: Float, most_cdm2: Float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    coverage: ViewCoverage, ev_lx: Floats, contrast: Floats, most_cdm2: Floats
+) -> tuple[Floats, Floats]:
     """Return the least and the largest DGP over possible luminances of the unseen part, [n, d].
 
     ev_lx, contrast : [n, d] of the seen part, as of `glare_directions`; most_cdm2 : [n] the

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats32
 from fieldlum.errors import InputError
 from fieldlum.images.primaries import BT709_CHROMATICITIES, luminance_weights
 from fieldlum.images.radiance_header import MAX_PIXELS
@@ -219,7 +219,7 @@ def _check_size(header: Mapping[str, Any], path: Path) -> None:
             )
 
 
-def _channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+def _channels(path: Path) -> tuple[dict[str, Floats32], dict[str, Any]]:
     """Return channels [H, W] by their plain name, and the attributes, of the first part."""
     import OpenEXR
 
@@ -255,8 +255,8 @@ def _chosen_layer(names: list[str]) -> dict[str, str]:
 
 
 def _luminance(
-    channels: Mapping[str, NDArray[np.float32]], header: Mapping[str, Any], path: Path
-) -> tuple[NDArray[np.float32], dict[str, str]]:
+    channels: Mapping[str, Floats32], header: Mapping[str, Any], path: Path
+) -> tuple[Floats32, dict[str, str]]:
     """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit."""
     white = header.get("whiteLuminance")
     scale = float(white) if isinstance(white, int | float) and white > 0 else _WHITE_CDM2_UNSTATED
@@ -302,7 +302,7 @@ def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panoram
         slice(max(-left, 0), max(-left, 0) + max(0, min(width - max(left, 0), data[2]))),
     )
 
-    def placed(values: NDArray[Any] | None, empty: float) -> NDArray[Any] | None:
+    def placed(values: Array | None, empty: float) -> Array | None:
         if values is None:
             return None
         out = np.full((height, width, *values.shape[2:]), empty, values.dtype)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fieldlum.arrays import Floats
 
 # Radiance's primaries, red, green, blue and white, as CIE xy (Ward Larson and Shakespeare 1998;
 # src/common/color.h). Every picture of rpict 6 states them.
@@ -20,7 +21,7 @@ def same_chromaticities(a: Sequence[float], b: Sequence[float]) -> bool:
     return bool(np.max(np.abs(np.subtract(a, b))) < _SAME_XY)
 
 
-def rgb_to_xyz(chromaticities: Sequence[float]) -> NDArray[np.float64]:
+def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
     """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
 
     chromaticities : x, y of red, green, blue and white, [8]. Raises ValueError for values that are
@@ -36,7 +37,7 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> NDArray[np.float64]:
     return columns * np.linalg.solve(columns, xyz[3])
 
 
-def luminance_weights(chromaticities: Sequence[float]) -> NDArray[np.float64]:
+def luminance_weights(chromaticities: Sequence[float]) -> Floats:
     """Return the shares of R, G and B in luminance, with sum 1, [3].
 
     Raises the errors of `rgb_to_xyz`, and ValueError for a primary with a negative luminance.

@@ -19,6 +19,7 @@ from typing import IO, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.errors import InputError
 from fieldlum.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.images.programs import radiance_program
@@ -29,7 +30,6 @@ from fieldlum.images.radiance_header import (
     RadianceHeader,
     read_header,
 )
-from fieldlum.records import Float
 
 # Brighter pixels are damaged. Infinity is written as 1e30, and single precision ends at 3e38.
 # [W/sr/m2] Chosen between the two.
@@ -48,7 +48,7 @@ class RadianceImage:
     unit of R, G and B.
     """
 
-    rgb: NDArray[np.float32]
+    rgb: Floats32
     header: tuple[str, ...] = ()
     view: str = ""
     heading_deg: float | None = None
@@ -59,7 +59,7 @@ class RadianceImage:
     )
 
     @property
-    def luminance_cdm2(self) -> NDArray[np.float32]:
+    def luminance_cdm2(self) -> Floats32:
         """The luminance, [H, W], in cd/m2."""
         return self.rgb @ np.asarray(self.cdm2_per_unit, np.float32)
 
@@ -90,7 +90,7 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
     )
 
 
-def read_radiance_luminance(path: Path) -> tuple[NDArray[np.float32], RadianceHeader]:
+def read_radiance_luminance(path: Path) -> tuple[Floats32, RadianceHeader]:
     """Read the luminance [H, W] in cd/m2 and the header of a Radiance picture.
 
     This needs 4 bytes for each pixel. Raises InputError for any other file.
@@ -129,7 +129,7 @@ def _open(path: Path) -> BinaryIO:
 
 def _decoded_rows(
     file: BinaryIO, header: RadianceHeader, path: Path
-) -> Iterator[tuple[int, NDArray[np.float32]]]:
+) -> Iterator[tuple[int, Floats32]]:
     """Yield the first scanline and values [scanlines, pixels, 3], in file order, before exposure.
 
     Raises InputError if the pixels are damaged or end early.
@@ -178,7 +178,7 @@ def _feed(head: bytes, file: BinaryIO, pipe: IO[bytes]) -> None:
         pipe.close()
 
 
-def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -> None:
+def _check_brightness(rows: Floats32, brightest: float, path: Path) -> None:
     largest = float(rows.max(initial=0.0))
     if not largest <= brightest:
         raise InputError(
@@ -193,7 +193,7 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
 # writing
 
 
-def encode_rgbe(rgb: Float) -> NDArray[np.uint8]:
+def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
     """Encode RGB with a shared exponent (RGBE): floats [..., 3] become bytes [..., 4].
 
     Mantissas are truncated, because Radiance decodes (mantissa + .5) / 256.
@@ -211,7 +211,7 @@ def encode_rgbe(rgb: Float) -> NDArray[np.uint8]:
 
 def write_radiance_hdr(
     path: Path,
-    pixels: Float,
+    pixels: Floats,
     *,
     view: str = "",
     heading_deg: float | None = None,

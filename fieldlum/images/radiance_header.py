@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.errors import InputError
 from fieldlum.images.primaries import (
     RADIANCE_CHROMATICITIES,
@@ -52,7 +52,7 @@ class Resolution:
         first, second = self.counts
         return (first, second) if self.axes[0][1] == "Y" else (second, first)
 
-    def upright(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def upright(self, pixels: Floats32) -> Floats32:
         """Return pixels in file order [first, second, ...] as an upright picture [H, W, ...]."""
         axes = self.axes
         if axes[0][1] == "X":
@@ -76,7 +76,7 @@ class RadianceHeader:
     lines: tuple[str, ...]
     resolution: Resolution
     xyze: bool
-    exposure: NDArray[np.float64]
+    exposure: Floats
     chromaticities: tuple[float, ...]
     views: tuple[str, ...]
     inherited_views: tuple[str, ...]
@@ -97,7 +97,7 @@ class RadianceHeader:
         return not self.views and bool(self.view)
 
     @property
-    def cdm2_per_unit(self) -> NDArray[np.float64]:
+    def cdm2_per_unit(self) -> Floats:
         """Luminance in cd/m2 of one unit of each decoded channel, [3], with exposure undone.
 
         XYZE has Y in cd/m2, because ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
@@ -187,7 +187,7 @@ def _resolution(line: bytes, path: Path) -> Resolution:
     return Resolution((axes[0].decode(), axes[1].decode()), counts)
 
 
-def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> NDArray[np.float64]:
+def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> Floats:
     """Return the values of all lines that begin with `key`, [lines, count]; all must be above 0."""
     rows = []
     for line in lines:
@@ -208,7 +208,7 @@ def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> NDArray[
     return np.asarray(rows, float).reshape(-1, count)
 
 
-def _exposure(lines: Sequence[str], path: Path) -> NDArray[np.float64]:
+def _exposure(lines: Sequence[str], path: Path) -> Floats:
     """Return the product of all EXPOSURE and COLORCORR lines, [3]."""
     exposure = float(np.prod(_numbers(lines, "EXPOSURE=", 1, path)))
     total = np.prod(_numbers(lines, "COLORCORR=", 3, path), axis=0) * exposure  # [3]

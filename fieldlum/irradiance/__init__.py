@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance.consistency import closure_fails, doubts
-from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, local_period_s, series_of
+from fieldlum.irradiance.series import UNUSABLE, Mark, Series, local_period_s, series_of
 from fieldlum.irradiance.verdict import Health, health
-from fieldlum.records import Float, Progress, Site, quiet
+from fieldlum.records import Progress, Site, quiet
 from fieldlum.session import Session, day_files, read_day
 from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.session.files.json_file import from_json, write_object
@@ -40,7 +41,7 @@ _RECIPE = 7  # Increase it when the arithmetic changes: clean.csv is then comput
 # checks
 
 
-def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
+def sky_geometry(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
     """Return the sun's true altitude [n] deg and the extraterrestrial normal irradiance [n] W/m2.
 
     t_unix_s : [n]. Both are interpolated between full minutes.
@@ -52,7 +53,7 @@ def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
     return np.interp(t_unix_s, grid, altitude), np.interp(t_unix_s, grid, top)
 
 
-def check(series: Series, altitude: Array, top: Array) -> Series:
+def check(series: Series, altitude: Floats, top: Floats) -> Series:
     """Return the series with doubtful values marked, and the third component computed.
 
     If two of GHI, DHI and DNI are measured, the third follows by closure. Unusable values become
@@ -89,7 +90,7 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
 
 
-def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
+def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
     """Return a mask of rows in a run of equal values over ten minutes of daylight.
 
     The sun must have moved enough to change the value: in integers of W/m2, a clear noon is
@@ -111,7 +112,7 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
     return stuck & (altitude > 2.0) & np.isfinite(ghi)
 
 
-def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
+def spikes(t_unix_s: Floats, value: Floats) -> Mask:
     """Return a mask [n] of single rows that are far above or far below both neighbours.
 
     Far is over 20 W/m2, over eight times the difference of the two neighbours, and over three times
@@ -152,7 +153,7 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
 # global alone
 
 
-def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
+def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArray[np.integer]]:
     """Return means of `value` over UTC minutes: centres [m] (unix s), means [m], indices [n].
 
     The indices give each row's minute. In a gap of more than half an hour one minute without a
@@ -174,7 +175,7 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
     )
 
 
-def derive(series: Series, altitude: Array, site: Site) -> Series:
+def derive(series: Series, altitude: Floats, site: Site) -> Series:
     """Fill in DNI and DHI by DIRINT in rows with global irradiance alone; return the series.
 
     DIRINT runs on minute means; the rows of a minute share its result in proportion. altitude: of
@@ -200,7 +201,7 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
     return Series(series.t_unix_s, series.ghi_wm2, dhi, dni, marks)
 
 
-def _without_neighbours(value: Float) -> NDArray[np.bool_]:
+def _without_neighbours(value: Floats) -> Mask:
     """Return a mask [m] of values without a value directly before or after.
 
     DIRINT uses the change of the light, so it has no result there.

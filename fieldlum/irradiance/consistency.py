@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.irradiance.series import Array, Mark, Series
+from fieldlum.arrays import Floats, Mask
+from fieldlum.irradiance.series import Mark, Series
 from fieldlum.records import Site
 
-Rows = NDArray[np.bool_]
+Rows = Mask
 DAY_S = 86400.0  # by definition
 # seconds; a clear sky changes by at most 2 % in five minutes, near sunrise; chosen
 _CLEAR_GRID_S = 300.0
@@ -65,7 +66,9 @@ _STEP_DAYS = 3  # least number of days on each side; chosen, not measured
 _LEAST_SCATTER = 0.001
 
 
-def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, NDArray[np.int64]]:
+def window_mean(
+    t_unix_s: Floats, value: Floats, window_s: float
+) -> tuple[Floats, NDArray[np.int64]]:
     """Return the mean of the finite values within window_s / 2 of each row, and their number, [n].
 
     t_unix_s must ascend. The mean is NaN without a finite value.
@@ -82,13 +85,15 @@ def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, 
     return mean, rows.astype(np.int64)
 
 
-def lasting(t_unix_s: Array, marked: Rows, window_s: float) -> Rows:
+def lasting(t_unix_s: Floats, marked: Rows, window_s: float) -> Rows:
     """Return a mask [n] of the marked rows in whose window at least half of the rows are marked."""
     share, _ = window_mean(t_unix_s, marked.astype(float), window_s)
     return marked & (share >= 0.5)
 
 
-def closure_fails(t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array) -> Rows:
+def closure_fails(
+    t_unix_s: Floats, ghi: Floats, dhi: Floats, dni: Floats, altitude: Floats
+) -> Rows:
     """Return a mask [n] of the rows that contradict global = diffuse + direct, by QCRad's test.
 
     The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
@@ -109,12 +114,12 @@ def closure_fails(t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude:
 
 
 def k_index_fails(
-    t_unix_s: Array,
-    ghi: Array,
-    dhi: Array,
-    dni: Array,
-    altitude: Array,
-    top: Array,
+    t_unix_s: Floats,
+    ghi: Floats,
+    dhi: Floats,
+    dni: Floats,
+    altitude: Floats,
+    top: Floats,
     altitude_m: float = 0.0,
 ) -> Rows:
     """Return a mask [n] of rows with impossible k-indices for at least half of 15 minutes.
@@ -136,7 +141,7 @@ def k_index_fails(
 
 
 def tracker_off(
-    t_unix_s: Array, ghi: Array, dni: Array, altitude: Array, clear: sun.Irradiance
+    t_unix_s: Floats, ghi: Floats, dni: Floats, altitude: Floats, clear: sun.Irradiance
 ) -> Rows:
     """Return a mask [n] of rows with a clear sky's global but almost no direct for half an hour.
 
@@ -151,7 +156,7 @@ def tracker_off(
 
 
 def shaded_horizon(
-    t_unix_s: Array, dni: Array, altitude: Array, azimuth: Array, clear_dni: Array
+    t_unix_s: Floats, dni: Floats, altitude: Floats, azimuth: Floats, clear_dni: Floats
 ) -> Rows:
     """Return a mask [n] of rows in sectors of the low sky where the sun is always hidden.
 
@@ -197,7 +202,7 @@ class SensitivitySteps:
 
 
 def sensitivity_steps(
-    t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array
+    t_unix_s: Floats, ghi: Floats, dhi: Floats, dni: Floats, altitude: Floats
 ) -> SensitivitySteps:
     """Find days on which one of three instruments changed its sensitivity, or was exchanged.
 
@@ -230,13 +235,13 @@ def sensitivity_steps(
     return SensitivitySteps(steps, _smallest(value, spread, parts, levels), len(value))
 
 
-def _level(value: Array, spread: Array) -> tuple[float, float]:
+def _level(value: Floats, spread: Floats) -> tuple[float, float]:
     """Return the weighted mean of daily values, and its standard error in clear-day scatters."""
     weight = spread**-2
     return float(np.sum(weight * value) / np.sum(weight)), float(np.sum(weight) ** -0.5)
 
 
-def _scatter(value: Array, spread: Array) -> float:
+def _scatter(value: Floats, spread: Floats) -> float:
     """Return the scatter of a clear day's value, estimated from neighbouring differences.
 
     A step has little effect on it.
@@ -245,7 +250,7 @@ def _scatter(value: Array, spread: Array) -> float:
     return max(float(np.median(differences)) * 1.4826, _LEAST_SCATTER)
 
 
-def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
+def _cuts(value: Floats, spread: Floats, offset: int) -> list[int]:
     """Return the indices at which the level changes, largest contrast first.
 
     After each change, both parts are searched again.
@@ -264,7 +269,7 @@ def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
     return [*before, offset + k, *_cuts(value[k:], spread[k:], offset + k)]
 
 
-def _contrast(value: Array, spread: Array, k: int) -> float:
+def _contrast(value: Floats, spread: Floats, k: int) -> float:
     """Return the difference of the levels before index k and from k on, in unit standard errors."""
     before, u_before = _level(value[:k], spread[:k])
     after, u_after = _level(value[k:], spread[k:])
@@ -272,7 +277,7 @@ def _contrast(value: Array, spread: Array, k: int) -> float:
 
 
 def _smallest(
-    value: Array, spread: Array, parts: list[tuple[int, int]], levels: list[float]
+    value: Floats, spread: Floats, parts: list[tuple[int, int]], levels: list[float]
 ) -> float | None:
     """Return the smallest relative step in the middle of the record that would be detected."""
     if len(value) < 2 * _STEP_DAYS:
@@ -284,7 +289,7 @@ def _smallest(
     return float(_STEP_SIGMA * _scatter(rest, spread) * np.hypot(u_before, u_after))
 
 
-def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[np.int64]:
+def doubts(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
     """Return marks [n] of rows with impossible k-indices, a lost tracker or a shaded horizon.
 
     No value is deleted. altitude, top [n]: from `sky_geometry`.
@@ -304,7 +309,7 @@ def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[n
     return marks
 
 
-def _clear_sky(t_unix_s: Array, site: Site) -> tuple[Array, sun.Irradiance]:
+def _clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, sun.Irradiance]:
     """Return azimuth [n] deg and clear-sky irradiance [n] W/m2, from a five-minute grid."""
     step = np.floor(t_unix_s / _CLEAR_GRID_S)
     grid = _CLEAR_GRID_S * np.unique(np.r_[step, step + 1.0])

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.plot_style import AMBER, BLUE, GREEN, PALE, RED, open_axes
 from fieldlum.records import Site, parse_utc
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.clean_csv import CleanIrradiance
 
-Array = NDArray[np.floating[Any]]
 COLUMNS = 4  # charts in a row; chosen for a page in portrait
 # most days on a sheet of 16 rows; of a longer log, days with captures are preferred; chosen
 MOST_DAYS = 64
@@ -99,7 +99,7 @@ def _draw_day(
     open_axes(axes)
 
 
-def _means(bins: NDArray[np.int64], values: Array) -> tuple[Array, Array]:
+def _means(bins: NDArray[np.int64], values: Floats) -> tuple[Floats, Floats]:
     """Return hours and means of bins; a gap of more than ten minutes is not bridged."""
     good = np.isfinite(values)
     numbers, index = np.unique(bins[good], return_inverse=True)

@@ -9,9 +9,9 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.records import IrradianceSample
 
-Array = NDArray[np.float64]
 _BLOCK = 64  # rows over which the usual time between rows is computed; not measured
 
 
@@ -44,22 +44,22 @@ UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
 class Series:
     """Irradiance rows as arrays [n] in order of time, in W/m2 (NaN: unknown), with marks."""
 
-    t_unix_s: Array
-    ghi_wm2: Array
-    dhi_wm2: Array
-    dni_wm2: Array
+    t_unix_s: Floats
+    ghi_wm2: Floats
+    dhi_wm2: Floats
+    dni_wm2: Floats
     marks: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.t_unix_s)
 
 
-def poll_period_s(t_unix_s: Array) -> float:
+def poll_period_s(t_unix_s: Floats) -> float:
     """Return the median time between two rows [s]; t_unix_s : [n]."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
 
 
-def local_period_s(t_unix_s: Array) -> Array:
+def local_period_s(t_unix_s: Floats) -> Floats:
     """Return the usual time between two rows around each row [n] s.
 
     It varies because one session can have several loggers.

@@ -8,8 +8,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.irradiance.consistency import SensitivitySteps, sensitivity_steps
-from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll_period_s
+from fieldlum.irradiance.series import Mark, Series, local_period_s, poll_period_s
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 from fieldlum.records import Site, counted
 
@@ -49,7 +50,7 @@ class Health:
 
 
 def health(
-    raw: Series, clean: Series, altitude: Array, top: Array, broken: int, site: Site
+    raw: Series, clean: Series, altitude: Floats, top: Floats, broken: int, site: Site
 ) -> Health:
     """Return figures and warnings about an instrument and its logger, from its rows.
 
@@ -184,7 +185,7 @@ _FAULTS = {
 }
 
 
-def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
+def _by_day(clean: Series, altitude: Floats, top: Floats) -> list[str]:
     """Return a sentence for each fault that too many rows have while the sun is well up."""
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():

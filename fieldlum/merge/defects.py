@@ -9,14 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Indices, Mask
 from fieldlum.merge.frames import Crop
 from fieldlum.profiles import CameraProfile
 from fieldlum.records import Flag
 
 
-def good_pixels(
-    profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]
-) -> NDArray[np.bool_] | None:
+def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> Mask | None:
     """Return a mask [height, width] of the crop that is False at pixels to ignore.
 
     These are the profile's bad pixels and, for a raw camera, the pixels of `odd_pixels`. Return
@@ -34,7 +33,7 @@ def good_pixels(
     return good
 
 
-def odd_pixels(flags: NDArray[np.uint8]) -> NDArray[np.intp]:
+def odd_pixels(flags: NDArray[np.uint8]) -> Indices:
     """Return row and column [n, 2] of mosaic pixels at which alone the frames disagree.
 
     flags: [h, w] of the mosaic. At such a pixel the frames disagree (it has the flag MOTION), but

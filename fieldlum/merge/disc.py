@@ -12,8 +12,8 @@ from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
 from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
@@ -114,7 +114,7 @@ def mosaic_u_rel(diameter_px: float) -> float:
 
 
 def sun_on_sensor(
-    views: Sequence[tuple[NDArray[np.float32], NDArray[np.bool_], LensGeometry]],
+    views: Sequence[tuple[Floats32, Mask, LensGeometry]],
     disc: SunDisc,
     heading_deg: float,
     pixel_rad: float,
@@ -155,9 +155,7 @@ def sun_on_sensor(
     return altitude, azimuth, float(np.degrees(sigma_px / px_per_rad))
 
 
-def _disc_weight(
-    light: NDArray[np.float32], clipped: NDArray[np.bool_] | None
-) -> NDArray[np.float64]:
+def _disc_weight(light: Floats32, clipped: Mask | None) -> Floats:
     """Return each pixel's weight for the disc's centre: its excess, or 1 if it is clipped."""
     if clipped is not None:
         return clipped.astype(float)

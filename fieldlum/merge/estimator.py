@@ -16,13 +16,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32, Mask
 from fieldlum.records import Flag, Progress, quiet
 
 # a frame with a lower ratio does not fill pixels that other frames lost; not measured
 _READABLE_SNR = 5.0
 _STRIP = 1 << 17  # elements processed at a time, so that they fit in a core's cache; chosen
 
-Strip = NDArray[np.float32]
+Strip = Floats32
 
 
 class Signal(Protocol):
@@ -33,7 +34,7 @@ class Signal(Protocol):
     """
 
     @property
-    def per_cdm2(self) -> NDArray[np.float32]:
+    def per_cdm2(self) -> Floats32:
         """Return counts per cd/m2, in a shape that broadcasts to the frame's."""
         ...
 
@@ -42,7 +43,7 @@ class Signal(Protocol):
         """Return whether a neutral-density filter was in front of the lens."""
         ...
 
-    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+    def strip(self, first: int, last: int) -> tuple[Strip, Mask | None]:
         """Return the counts above black of rows first to last - 1, and a mask of the same shape.
 
         The mask is True at saturated pixels and next to them. It is None if nothing is saturated.
@@ -57,22 +58,22 @@ class Signal(Protocol):
         """
         ...
 
-    def usable(self, counts: Strip) -> NDArray[np.bool_]:
+    def usable(self, counts: Strip) -> Mask:
         """Return a mask, True for counts in the reliable range, which may predict a luminance."""
         ...
 
-    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+    def readable(self, counts: Strip) -> tuple[Mask, Strip]:
         """Return a mask, True for counts that are not saturated, and the variance of all counts."""
         ...
 
-    def largest_cdm2(self) -> NDArray[np.float32]:
+    def largest_cdm2(self) -> Floats32:
         """Return the largest luminance that this frame can measure before it saturates [cd/m2].
 
         One value for the frame or each of its colours, in a shape that broadcasts to the frame's.
         """
         ...
 
-    def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
+    def sampled(self, rows: int, columns: int) -> tuple["Signal", Mask]:
         """Return a smaller signal of evenly spread pixels, and a mask in its shape.
 
         rows, columns: about how long the signal's first axis and its axis of sensor columns become.
@@ -89,8 +90,8 @@ class Merged:
     variance: variance of value_cdm2 due to noise [(cd/m2)^2]; flags: `Flag` bits.
     """
 
-    value_cdm2: NDArray[np.float32]
-    variance: NDArray[np.float32]
+    value_cdm2: Floats32
+    variance: Floats32
     flags: NDArray[np.uint8]
 
 
@@ -236,7 +237,7 @@ class _Rows:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._whole, name)
 
-    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+    def strip(self, first: int, last: int) -> tuple[Strip, Mask | None]:
         counts, full = self._strip
         return counts[first:last], None if full is None else full[first:last]
 

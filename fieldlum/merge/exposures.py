@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.linear_light import true_shutter_s
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.ratios import (
@@ -54,8 +54,8 @@ class Deviations:
     of log_ratio that shutter, filter, ISO and response explain before any fit, [frames].
     """
 
-    log_ratio: NDArray[np.float64]
-    u_prior: NDArray[np.float64]
+    log_ratio: Floats
+    u_prior: Floats
 
     @property
     def span_percent(self) -> float:
@@ -129,7 +129,7 @@ def decide_shutter_law(
 
 def fit_exposures(
     sampled: SampledFrames, shots: Sequence[Shot], profile: CameraProfile, fits: bool
-) -> tuple[RatioFit, NDArray[np.float64]]:
+) -> tuple[RatioFit, Floats]:
     """Return the fitted corrections of the exposures, and their prior covariance.
 
     The prior covariance [frames, frames] is that of the log exposures before the fit. If `fits` is
@@ -141,11 +141,7 @@ def fit_exposures(
 
 
 def trust_in(
-    fit: RatioFit,
-    prior: NDArray[np.float64],
-    sampled: SampledFrames,
-    profile: CameraProfile,
-    fits: bool,
+    fit: RatioFit, prior: Floats, sampled: SampledFrames, profile: CameraProfile, fits: bool
 ) -> ExposureTrust:
     """Return the uncertainty of the exposures, estimated from the frames' disagreement.
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.jpeg_signal import JpegSignal
@@ -41,7 +41,7 @@ class FrameStore:
         """Whether every frame is in memory now, because it was read and fitted in the budget."""
         return len(self._kept) == len(self)
 
-    def correct(self, factors: NDArray[np.floating]) -> None:
+    def correct(self, factors: Floats) -> None:
         """Multiply the assumed exposures by factors [frames], and so the counts per cd/m2.
 
         This applies to stored frames and to later reads.

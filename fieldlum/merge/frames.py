@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32, Indices, Mask
 from fieldlum.errors import InputError
 from fieldlum.linear_light import (
     black_dn,
@@ -87,22 +88,22 @@ class RawSignal:
     """
 
     counts: NDArray[np.uint16]
-    black: NDArray[np.float32]
-    saturation: NDArray[np.float32]
-    per_cdm2: NDArray[np.float32]
+    black: Floats32
+    saturation: Floats32
+    per_cdm2: Floats32
     gain_e_per_dn: float
     noise_dn2: float
     through_nd: bool = False
     linearity: tuple[float, ...] = ()
     scale_dn: float = 65535.0
 
-    def _linear(self, above: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _linear(self, above: Floats32) -> Floats32:
         if self.linearity:
             above *= linearity_factor(above / np.float32(self.scale_dn), self.linearity)
         return above
 
     @cached_property
-    def limit(self) -> NDArray[np.float32]:
+    def limit(self) -> Floats32:
         """Counts above black up to which a pixel may predict a luminance, corrected for linearity.
 
         The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise.
@@ -112,18 +113,18 @@ class RawSignal:
         return self._linear(limit.astype(np.float32))
 
     @cached_property
-    def _limit_cdm2(self) -> NDArray[np.float32]:
+    def _limit_cdm2(self) -> Floats32:
         return np.asarray(self.limit / self.per_cdm2, np.float32)
 
     @cached_property
-    def _per_gain(self) -> NDArray[np.float32]:
+    def _per_gain(self) -> Floats32:
         return np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
 
     @cached_property
     def _any_full(self) -> float:
         return float(np.min(_FULL * self.saturation + self.black))
 
-    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+    def strip(self, first: int, last: int) -> tuple[Strip, Mask | None]:
         """Return counts above black of rows first to last - 1, and a mask of the same shape.
 
         The counts are corrected for linearity. The mask is True at saturated pixels and within two
@@ -140,7 +141,7 @@ class RawSignal:
                 return above, None
         return above, self._near_full(first, last)
 
-    def _near_full(self, first: int, last: int) -> NDArray[np.bool_]:
+    def _near_full(self, first: int, last: int) -> Mask:
         """Return a mask of counts that are saturated, or within two pixels of a saturated one.
 
         Charge spills to neighbouring pixels and affects the other colours too.
@@ -164,18 +165,18 @@ class RawSignal:
         w *= predicted_cdm2 < self._limit_cdm2
         return w
 
-    def usable(self, counts: Strip) -> NDArray[np.bool_]:
+    def usable(self, counts: Strip) -> Mask:
         """Return a mask, True for counts above black [rows, ...] below `limit`."""
         return counts < self.limit
 
-    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+    def readable(self, counts: Strip) -> tuple[Mask, Strip]:
         """Return a mask, True for counts [rows, ...] below `limit`, and all variances [DN^2]."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
         return counts < self.limit, variance.astype(np.float32)
 
-    def largest_cdm2(self) -> NDArray[np.float32]:
+    def largest_cdm2(self) -> Floats32:
         """Return the luminance of `limit` [cd/m2], in a shape that broadcasts to the frame's."""
         return self._limit_cdm2
 
@@ -188,7 +189,7 @@ class RawSignal:
             above, counts < self._any_full, _SMALL_SNR * float(np.sqrt(self.noise_dn2)), cell=2
         )
 
-    def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
+    def sampled(self, rows: int, columns: int) -> tuple[RawSignal, Mask]:
         """Return a signal of evenly spread pixels, about [rows, 2, columns], and a mask.
 
         The mask, in the signal's shape, is True for pixels at or next to saturation.
@@ -205,14 +206,12 @@ class RawSignal:
         return part, full
 
 
-def evenly_spread(length: int, wanted: int) -> NDArray[np.intp]:
+def evenly_spread(length: int, wanted: int) -> Indices:
     """Return at most `wanted` indices [n], spread evenly over 0 to `length` - 1."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 
-def over_mosaic(
-    mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
-) -> NDArray[np.bool_]:
+def over_mosaic(mask: Mask, change: Callable[..., Mask]) -> Mask:
     """Return `change` of a mask in the shape of raw frames, [h / 2, 2, w], in that shape.
 
     change: a function that takes and returns a mask [h, w].
@@ -220,9 +219,7 @@ def over_mosaic(
     return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
 
 
-def over_colours(
-    mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
-) -> NDArray[np.bool_]:
+def over_colours(mask: Mask, change: Callable[..., Mask]) -> Mask:
     """Return `change` of a mask in the shape of JPEG frames, [h, w, 3], in that shape.
 
     change: a function that takes and returns a mask [h, w]. It gets True where any colour is True,
@@ -231,7 +228,7 @@ def over_colours(
     return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
 
-def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[np.float32]:
+def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> Floats32:
     """Return the values of R, G1, G2 and B arranged on the mosaic, [2, width].
 
     A scalar if all are equal.

@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Mask
 from fieldlum.merge.estimator import Merged, Signal, Strip
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.projection import LensGeometry
@@ -45,7 +44,7 @@ class _Bands:
 
     light: Strip
     variance: Strip
-    good: NDArray[np.bool_]
+    good: Mask
 
 
 def footprint_px(lens: LensGeometry, target: Target) -> float:
@@ -96,7 +95,7 @@ def _bands_of(signal: Signal, merged: Merged, edge: int, stride: int) -> _Bands:
 
 def _band(
     signal: Signal, merged: Merged, first: int, edge: int, width: int
-) -> tuple[Strip, Strip, NDArray[np.bool_]]:
+) -> tuple[Strip, Strip, Mask]:
     """Return luminance and variance [edge, width, 3] of a band, and its mask of good pixels.
 
     Good pixels are good in all colours.
@@ -112,7 +111,7 @@ def _band(
     return (counts / signal.per_cdm2)[:, :width], variance[:, :width], every[:, :width]
 
 
-def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def _pulls2(long: _Bands, short: _Bands, y_from_rgb: Floats) -> Floats:
     """Return how far two frames' cell luminances differ, squared, over the variance expected.
 
     The expected variance assumes independent noise. The result is [bands, cells]; NaN where less
@@ -140,7 +139,7 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
     return pull2
 
 
-def _cell_sums(values: NDArray[Any]) -> NDArray[np.float64]:
+def _cell_sums(values: Array) -> Floats:
     """Return sums over cells: [bands, edge, columns, ...] becomes [bands, columns / edge, ...]."""
     bands, edge, columns = values.shape[:3]
     # Sum the rows first, because numpy sums two axes at once slowly.
@@ -148,7 +147,7 @@ def _cell_sums(values: NDArray[Any]) -> NDArray[np.float64]:
     return down.reshape(bands, columns // edge, edge, *values.shape[3:]).sum(axis=2)
 
 
-def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_level(level: Floats, apart: Floats) -> Floats:
     """Return the part of `apart` that depends only on the level.
 
     It is a line through the medians of steps with equal numbers of cells.
@@ -159,9 +158,7 @@ def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray
     return np.interp(level, places, medians)
 
 
-def _neighbourhood(
-    total: NDArray[np.float64], count: NDArray[np.float64], sigma_cells: tuple[float, float]
-) -> NDArray[np.float64]:
+def _neighbourhood(total: Floats, count: Floats, sigma_cells: tuple[float, float]) -> Floats:
     """Return sum of `total` over sum of `count` in the neighbourhood of each cell.
 
     The mean over the picture counts as `_PRIOR_CELLS` additional cells.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats32, Indices, Mask
 from fieldlum.linear_light import check_frame, frame_z_per_cdm2, nd_factors, response_tables
 from fieldlum.merge.estimator import Strip
 from fieldlum.merge.frames import Crop, evenly_spread
@@ -41,8 +41,8 @@ class JpegSignal:
     """
 
     codes: NDArray[np.uint8]
-    z_of_code: NDArray[np.float32]
-    per_cdm2: NDArray[np.float32]
+    z_of_code: Floats32
+    per_cdm2: Floats32
     low_code: int
     high_code: int
     dark_end: bool
@@ -53,12 +53,12 @@ class JpegSignal:
     def _top(self) -> int:
         return _TOP_CODE if self.bright_end else self.high_code
 
-    def _rows(self, colours: NDArray[Any]) -> NDArray[Any]:
+    def _rows(self, colours: Array) -> Array:
         """Return an array [3] repeated as [w, 3], because numpy processes long rows faster."""
         return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
 
     @cached_property
-    def _limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    def _limits(self) -> tuple[Floats32, Floats32, Floats32]:
         """Lowest and highest z that may predict, and highest readable z, [w, 3] each."""
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
         return (
@@ -68,11 +68,11 @@ class JpegSignal:
         )
 
     @cached_property
-    def _offsets(self) -> NDArray[np.intp]:
+    def _offsets(self) -> Indices:
         return self._rows(np.arange(3, dtype=np.intp) * _Z_STEPS)
 
     @cached_property
-    def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _tables(self) -> tuple[Floats32, Floats32]:
         """Variance of z, and weight of a predicted z, at equal steps of z, [3 steps].
 
         The tables of the three colours follow each other in one array.
@@ -89,7 +89,7 @@ class JpegSignal:
             weight[c] = np.where((code >= low) & (code <= self._top), per[c] / variance[c], 0.0)
         return variance.reshape(-1), weight.reshape(-1)
 
-    def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
+    def _looked_up(self, table: Floats32, z: Strip) -> Strip:
         """Return the values of a table at z, overwriting z.
 
         An unknown luminance is infinite and counts as above the top code.
@@ -100,7 +100,7 @@ class JpegSignal:
         index += self._offsets
         return np.take(table, index, out=z, mode="clip")
 
-    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+    def strip(self, first: int, last: int) -> tuple[Strip, Mask | None]:
         """Return linear light z of rows first to last - 1 [rows, W, 3], and a mask of that shape.
 
         The mask is True at saturated pixels and next to them; None if nothing is saturated.
@@ -124,18 +124,18 @@ class JpegSignal:
         """
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
-    def usable(self, counts: Strip) -> NDArray[np.bool_]:
+    def usable(self, counts: Strip) -> Mask:
         """Return a mask, True for values z [rows, W, 3] in the frame's range of codes."""
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high
         return ok
 
-    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+    def readable(self, counts: Strip) -> tuple[Mask, Strip]:
         """Return a mask, True for values z [rows, W, 3] up to code 250, and all variances of z."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
-    def largest_cdm2(self) -> NDArray[np.float32]:
+    def largest_cdm2(self) -> Floats32:
         """Return the luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
@@ -147,7 +147,7 @@ class JpegSignal:
         light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)
         return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
 
-    def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
+    def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, Mask]:
         """Return a signal of evenly spread pixels, about [rows, columns, 3], and a mask.
 
         The mask, in the signal's shape, is True for pixels at or next to saturation.

@@ -17,10 +17,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32, Indices, Mask
 from fieldlum.merge.estimator import Merged, Signal, Strip, merge_signals
 from fieldlum.records import Flag
 
-Mask = NDArray[np.bool_]
 Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
 
 # elements processed at a time, for all frames together; bounds the memory; chosen; any value gives
@@ -49,9 +49,9 @@ class Consensus:
     sure: number of frames that share the value and have a relative noise below 1/8.
     """
 
-    value_cdm2: NDArray[np.float32]
+    value_cdm2: Floats32
     clear: Mask
-    sure: NDArray[np.intp]
+    sure: Indices
 
 
 @dataclass(frozen=True, slots=True)

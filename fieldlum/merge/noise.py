@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.ratios import Sample
 from fieldlum.photometry import PairRatio
@@ -48,7 +48,7 @@ class SeenNoise:
 
 
 def seen_noise(
-    samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]
+    samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: Floats
 ) -> SeenNoise:
     """Return factors on the variances of the profile's shot and read noise, from raw frames.
 
@@ -73,7 +73,7 @@ def seen_noise(
     return SeenNoise(shot if sure[0] else 1.0, read if sure[1] else 1.0)
 
 
-def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
+def _factors(rows: Floats) -> tuple[float, float]:
     """Return the least-squares solution of rows @ (shot, read) = 1, without negative values."""
     alone = rows.sum(axis=0) / np.maximum((rows**2).sum(axis=0), 1e-30)
     shot, read = np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)[0]

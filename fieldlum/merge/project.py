@@ -9,6 +9,7 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.linear_light import curve_u_rel, lens_geometry, vignetting_of
 from fieldlum.merge.jpeg_noise import footprint_px
@@ -45,21 +46,19 @@ class ProjectedImage:
     subtracted [cd/m2]. lens: None for several blended lenses.
     """
 
-    luminance: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    coverage: NDArray[np.float64]
-    edge: NDArray[np.float64]
-    u_vignetting: NDArray[np.float64]
-    u_ratio: NDArray[np.float64]
+    luminance: Floats
+    variance: Floats
+    coverage: Floats
+    edge: Floats
+    u_vignetting: Floats
+    u_ratio: Floats
     flags: NDArray[np.uint8]
-    rgb: NDArray[np.float64]
-    u_stray: NDArray[np.float64]
+    rgb: Floats
+    u_stray: Floats
     lens: Lens | None = None
 
 
-def _project(
-    sensor: SensorImage, r: Resampler
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens."""
     m = sensor.merged
     colours = list("RGB") if len(r.matrices) > 1 else [""]
@@ -140,9 +139,7 @@ def view_through(
     )
 
 
-def _stray_of_lens(
-    light: NDArray[np.float64], seen: NDArray[np.bool_], profile: CameraProfile, target: Target
-) -> NDArray[np.float64]:
+def _stray_of_lens(light: Floats, seen: Mask, profile: CameraProfile, target: Target) -> Floats:
     """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
     kernel = profile.stray
     rows, columns = (np.arange(count) + 0.5 for count in target.shape)
@@ -189,7 +186,7 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
     # add linearly, because all lenses share one kernel
     u_stray = (share * np.stack([v.u_stray for v in views])).sum(0)
-    by_lens: dict[Lens | int, NDArray[np.float64]] = {}  # one curve for all headings of a lens
+    by_lens: dict[Lens | int, Floats] = {}  # one curve for all headings of a lens
     for i, (view, part) in enumerate(zip(views, share, strict=True)):
         key = i if view.lens is None else view.lens
         by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
@@ -256,9 +253,7 @@ def finish(
     )
 
 
-def u_of_edges(
-    light: NDArray[np.float64], seen: NDArray[np.bool_], target: Target, profile: CameraProfile
-) -> NDArray[np.float64]:
+def u_of_edges(light: Floats, seen: Mask, target: Target, profile: CameraProfile) -> Floats:
     """Return the uncertainty of a pixel due to light leaking from its neighbours, [H, W] cd/m2.
 
     light: luminance [H, W]; seen [H, W]: True where a lens sees the pixel. Sensor pixels are not
@@ -280,13 +275,13 @@ def u_of_edges(
     return np.hypot(share * down, narrow * around)
 
 
-def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _second_difference(light: Floats, seen: Mask) -> Floats:
     """Return the second difference of the luminance along the columns, [H, W]."""
     step = np.pad(np.diff(light, axis=0) * (seen[1:] & seen[:-1]), ((1, 1), (0, 0)))
     return np.diff(step, axis=0)
 
 
-def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
+def _radiance_rgb(colour: Floats, light: Floats) -> Floats32:
     """Return RGB, scaled for each pixel to give the luminance.
 
     Radiance computes it as 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
@@ -34,8 +34,8 @@ class Sample:
     """
 
     signal: Signal
-    counts: NDArray[np.float32]
-    full: NDArray[np.bool_]
+    counts: Floats32
+    full: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +46,10 @@ class RatioCurve:
     each of them.
     """
 
-    levels_cdm2: NDArray[np.float64]
-    u_rel: NDArray[np.float64]
+    levels_cdm2: Floats
+    u_rel: Floats
 
-    def at(self, value_cdm2: NDArray[np.floating]) -> NDArray[np.float64]:
+    def at(self, value_cdm2: Floats) -> Floats:
         """Return the relative uncertainty of luminances in cd/m2, by interpolation, in their shape.
 
         Outside the curve it is that of the nearest end.
@@ -96,7 +96,7 @@ def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
         )
 
 
-def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _brightest(seen: Mask, snr: Floats) -> Mask:
     for least in _SNR_SHORT[:-1]:
         usable = seen & (snr > least)
         if usable.sum() >= _ENOUGH:
@@ -118,7 +118,7 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
     return [pair for pair in found if pair is not None]
 
 
-def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
+def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:
     """Return the disagreement [%] that neighbouring frames still have after `correction`.
 
     pairs: measured exposure ratios; correction: factors on the assumed exposures, [frames]. A
@@ -180,9 +180,7 @@ def beyond(free: RatioFit, explained: float) -> float:
     return float(np.sqrt(max(np.var(np.log(free.correction[seen])) - noise2 - explained**2, 0.0)))
 
 
-def ratio_curve(
-    samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0
-) -> RatioCurve:
+def ratio_curve(samples: Sequence[Sample], covariance: Floats, extra: float = 0.0) -> RatioCurve:
     """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
     samples: one for each frame. The square of the uncertainty is s C s + extra^2, with C the

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.merge.project import TAPER_RAD, ProjectedImage
 from fieldlum.session.files.merge_report import DarkRim
 
@@ -39,9 +39,7 @@ def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
     return tuple(rims.values())
 
 
-def dark_rim(
-    luminance_cdm2: NDArray[np.float64], from_edge_deg: NDArray[np.float64]
-) -> tuple[float, float] | None:
+def dark_rim(luminance_cdm2: Floats, from_edge_deg: Floats) -> tuple[float, float] | None:
     """Return the width [degrees] of a dark rim, and its edge's share of the luminance further in.
 
     luminance_cdm2 [n] is of the outer 3.4 degrees of a lens's image, from_edge_deg [n] the distance

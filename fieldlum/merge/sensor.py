@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Mask
 from fieldlum.linear_light import lens_geometry
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, Signal, merge_signals
@@ -53,7 +53,7 @@ class SensorImage:
     turn_deg: float
     f_number: float
     u_curve: RatioCurve
-    good: NDArray[np.bool_] | None = None
+    good: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
 from fieldlum.statistics import MAD_TO_SIGMA
 
-Array = NDArray[np.float32]
 LONGEST = 800  # longest side of the reduced frames [px], to limit the time; chosen
 _LEVELS = 4  # number of sizes, each half of the one before; chosen
 _STEPS = 2  # Gauss-Newton steps at each size; chosen
@@ -44,8 +43,8 @@ class Small:
     are neither clipped nor dark; step: sensor pixels per reduced pixel, along each side.
     """
 
-    log_light: Array
-    seen: NDArray[np.bool_]
+    log_light: Floats32
+    seen: Mask
     step: int
 
 
@@ -70,7 +69,7 @@ class Moved:
         return max(self.shift_px - 3.0 * self.u_px, 0.0)
 
 
-def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
+def reduced(signal: Floats32, seen: Mask, least: float, cell: int = 1) -> Small:
     """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
 
     signal: [h, w], linear in light with black at 0, in any unit; seen: mask [h, w], False for
@@ -121,7 +120,7 @@ def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Move
 @lru_cache(maxsize=2)
 def _flow(
     lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Floats32, Mask]:
     """Return how reduced pixels move when the camera turns, and a mask inside the lens's rim.
 
     The motion is [6, h, w]: x and y for a turn about each of three axes [px/rad].
@@ -142,7 +141,7 @@ def _flow(
     return flow, inside
 
 
-def _pyramid(small: Small) -> list[tuple[Array, NDArray[np.bool_]]]:
+def _pyramid(small: Small) -> list[tuple[Floats32, Mask]]:
     import cv2
 
     levels = [(small.log_light, small.seen)]
@@ -161,9 +160,7 @@ def _pyramid(small: Small) -> list[tuple[Array, NDArray[np.bool_]]]:
 
 
 def _turn(
-    first: list[tuple[Array, NDArray[np.bool_]]],
-    second: list[tuple[Array, NDArray[np.bool_]]],
-    flows: list[Array],
+    first: list[tuple[Floats32, Mask]], second: list[tuple[Floats32, Mask]], flows: list[Floats32]
 ) -> tuple[float, float] | None:
     """Return the turn between two frames [rad] and its standard error.
 
@@ -186,11 +183,8 @@ def _turn(
 
 
 def _step(
-    a: tuple[Array, NDArray[np.bool_]],
-    b: tuple[Array, NDArray[np.bool_]],
-    flow: Array,
-    turn: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    a: tuple[Floats32, Mask], b: tuple[Floats32, Mask], flow: Floats32, turn: Floats
+) -> tuple[Floats, Floats] | None:
     """Return the next correction of `turn` [3] in rad, and its covariance."""
     import cv2
 
@@ -222,9 +216,7 @@ def _step(
     return _solve(design, (one - other)[at].astype(np.float64), block)
 
 
-def _solve(
-    design: NDArray[np.float64], target: NDArray[np.float64], block: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def _solve(design: Floats, target: Floats, block: Indices) -> tuple[Floats, Floats] | None:
     """Solve Huber-weighted least squares; estimate the covariance by omitting one block at a time.
 
     Return the first three unknowns (the turn) and their covariance.

@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.linear_light import true_shutter_s
 from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
@@ -174,7 +174,7 @@ def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
     return law_of_labels(nominal_s, profile.camera.model)
 
 
-def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDArray[np.float64]]:
+def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, Floats]:
     """Return the true shutter times [frames] in s under each shutter law, by the law's name.
 
     A time that the profile's table of measured shutter times contains is the same under all laws.
@@ -186,9 +186,7 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDA
     }
 
 
-def exposure_covariance(
-    exposures: Sequence[Exposure], profile: CameraProfile
-) -> NDArray[np.float64]:
+def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -> Floats:
     """Return the covariance of the frames' log exposures before any fit, [frames, frames].
 
     Frames with the same shutter time have the same error of time. Frames with the same filter share

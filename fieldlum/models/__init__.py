@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.model_registry import MODELS
 from fieldlum.session import replacing
@@ -47,10 +48,10 @@ class Prediction:
     by solid angle [n] (NaN: unknown); trusted: True for hours that are like the captured ones [n].
     """
 
-    luminance_cdm2: NDArray[np.float32]
-    log10_sd: NDArray[np.float32] | None
-    expected_mse: NDArray[np.float64]
-    trusted: NDArray[np.bool_]
+    luminance_cdm2: Floats32
+    log10_sd: Floats32 | None
+    expected_mse: Floats
+    trusted: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ class ModelState:
     """
 
     config: Mapping[str, Any]
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: Mapping[str, Array]
 
 
 # An hour is not trusted if the model expects a larger error factor. Measured on the office's nine
@@ -76,7 +77,7 @@ TRUSTED_MSE = float(np.log10(TRUSTED_FACTOR) ** 2)
 POOR_WORDS = "do not trust single maps of this model"
 
 
-def trusted_hours(prediction: Prediction) -> NDArray[np.bool_]:
+def trusted_hours(prediction: Prediction) -> Mask:
     """Return a mask [n], True for trusted hours.
 
     These are the hours with `prediction.trusted`, without those whose expected error (root of
@@ -99,9 +100,9 @@ class Fitted(Protocol):
     parameters: int  # number of fitted values, which `train` reports
     # Weighted log10 MSE [n] of each training map, predicted by a fit without its day; None if not
     # computed.
-    held_out_mse: NDArray[np.float64] | None
+    held_out_mse: Floats | None
 
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`.
 
         patch_cdm2: luminance of direct sun only [n, H, W], for models that require it. Memory grows
@@ -164,7 +165,7 @@ def read_config(folder: Path) -> ModelConfig:
     return config
 
 
-def seen_of(folder: Path) -> NDArray[np.bool_] | None:
+def seen_of(folder: Path) -> Mask | None:
     """Return a mask [H, W], True for pixels that the camera saw, from a model's folder.
 
     None if weights.npz does not contain it (models of 0.1.0) or cannot be read.

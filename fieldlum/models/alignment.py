@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.models.camera_turns import (
     LEAST_CAPTURES,
     LEAST_ROWS,
@@ -40,8 +41,8 @@ _LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chose
 def find_turns(
     pairs: Path,
     pictures: Sequence[str],
-    maps: NDArray[np.float32],
-    has_value: NDArray[np.bool_],
+    maps: Floats32,
+    has_value: Mask,
     heading_deg: float,
     progress: Progress,
 ) -> CameraTurns:
@@ -85,8 +86,8 @@ def find_turns(
 
 
 def align(
-    maps: NDArray[np.float32],
-    has_value: NDArray[np.bool_],
+    maps: Floats32,
+    has_value: Mask,
     counts: list[NDArray[np.float16] | None],
     heading_deg: float,
     turns: CameraTurns,
@@ -114,7 +115,7 @@ def align(
 
 
 def shown_place(
-    altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: NDArray[np.floating]
+    altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: Floats
 ) -> tuple[float, float]:
     """Return the altitude and azimuth [deg] at which a turned camera's panorama shows a direction.
 
@@ -157,7 +158,7 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
     return notes
 
 
-def _captures(rows: NDArray[np.bool_], days: NDArray[np.datetime64]) -> str:
+def _captures(rows: Mask, days: NDArray[np.datetime64]) -> str:
     names = [str(day) for day in np.unique(days[rows])]
     shown = ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
     count = int(rows.sum())

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.models import Fitted, ModelState, Patch, Prediction
 from fieldlum.models.training_domain import Domain, captured
 from fieldlum.records import Progress, quiet
@@ -29,13 +29,13 @@ class MeanFitted:
     """
 
     name = "mean"
-    held_out_mse: NDArray[np.float64] | None = None
+    held_out_mse: Floats | None = None
 
-    def __init__(self, log10_mean: NDArray[np.float32], domain: Domain) -> None:
+    def __init__(self, log10_mean: Floats32, domain: Domain) -> None:
         self.log10_mean, self.domain = log10_mean, domain
         self.parameters = log10_mean.size
 
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict the mean map for each of the n hours of `light`, [n, H, W].
 
         patch_cdm2 is not used. The prediction has no standard deviation, and NaN as expected error.
@@ -83,21 +83,16 @@ class NearestFitted:
     """
 
     name = "nearest"
-    held_out_mse: NDArray[np.float64] | None = None
+    held_out_mse: Floats | None = None
 
     def __init__(
-        self,
-        rest_cdm2: NDArray[np.float32],
-        features: NDArray[np.float64],
-        scale: NDArray[np.float64],
-        with_patch: bool,
-        domain: Domain,
+        self, rest_cdm2: Floats32, features: Floats, scale: Floats, with_patch: bool, domain: Domain
     ) -> None:
         self.rest_cdm2, self.features, self.scale = rest_cdm2, features, scale
         self.with_patch, self.domain = with_patch, domain
         self.parameters = rest_cdm2.size
 
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict the scaled map of the capture with the most similar light to each hour.
 
         The result is [n, H, W] for n hours. patch_cdm2: luminance by direct sun in the n hours of
@@ -123,7 +118,7 @@ class NearestFitted:
         return ModelState(config, arrays)
 
 
-def light_features(light: Light) -> NDArray[np.float64]:
+def light_features(light: Light) -> Floats:
     """Return five features of each of n hours, [n, 5]; similar hours have similar values.
 
     With the beam share b = DNI / (DNI + DHI) these are the unit vector to the sun (three values)
@@ -135,7 +130,7 @@ def light_features(light: Light) -> NDArray[np.float64]:
     )
 
 
-def outside(light: Light) -> NDArray[np.float64]:
+def outside(light: Light) -> Floats:
     """Return the global horizontal irradiance of each hour plus 1 W/m2, [n].
 
     Maps are scaled in proportion to it.

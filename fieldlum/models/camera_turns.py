@@ -12,13 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.projection import (
     altitude_azimuth_deg,
     equirect_pixel,
@@ -29,8 +28,6 @@ from fieldlum.projection import (
 )
 from fieldlum.records import Progress, quiet
 from fieldlum.statistics import MAD_TO_SIGMA
-
-Array = NDArray[Any]
 
 LEAST_CAPTURES = 5  # fewer captures have no clear majority; not measured
 LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
@@ -82,10 +79,10 @@ class CameraTurns:
 
     angles_deg: Array
     u_deg: Array
-    aligned: NDArray[np.bool_]
+    aligned: Mask
 
     @property
-    def turned(self) -> NDArray[np.bool_]:
+    def turned(self) -> Mask:
         """Mask [n], True for captures that must be turned back.
 
         These are aligned captures with a turn that is not zero.
@@ -180,7 +177,7 @@ def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
 # comparison with the room's edges
 
 
-def _edges_of(logs: Array, smooth_px: float) -> NDArray[np.float32]:
+def _edges_of(logs: Array, smooth_px: float) -> Floats32:
     """Return the derivatives of a smoothed map by row and by column, [2, H, W]."""
     margin = int(np.ceil(3.0 * smooth_px))
     wide = np.concatenate((logs[:, -margin:], logs, logs[:, :margin]), axis=1)
@@ -207,7 +204,7 @@ class _Solved:
 class _RoomEdges:
     """The room's edges at the pixels where they are strongest, and how a turn changes them."""
 
-    def __init__(self, edges: Array, seen: NDArray[np.bool_], motion_px: Array) -> None:
+    def __init__(self, edges: Array, seen: Mask, motion_px: Array) -> None:
         height, width = seen.shape
         strength = np.hypot(edges[0], edges[1])
         inside = seen & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
@@ -265,9 +262,7 @@ class _RoomEdges:
         return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
 
 
-def _smaller(
-    logs: NDArray[np.float32], seen: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _smaller(logs: Floats32, seen: Mask) -> tuple[Floats32, Mask]:
     """Return maps [n, h, w] and seen pixels [h, w] at the working size."""
     step = max(1, logs.shape[1] // _WORKING_ROWS)
     if step == 1:
@@ -280,11 +275,7 @@ def _smaller(
 
 
 def camera_turns(
-    luminance_cdm2: NDArray[np.floating],
-    seen: NDArray[np.bool_],
-    heading_deg: float,
-    *,
-    progress: Progress = quiet,
+    luminance_cdm2: Floats, seen: Mask, heading_deg: float, *, progress: Progress = quiet
 ) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
@@ -320,7 +311,7 @@ def camera_turns(
     return CameraTurns(np.round(poses, 4), np.round(u_deg, 4), aligned)
 
 
-def _poses(angles: Array, aligned: NDArray[np.bool_], pixel_deg: float) -> Array:
+def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
     """Return one turn for all captures of a pose [n, 3]; zero for an uncertain one.
 
     A camera stays as it is until it is moved. So the order of time is cut into poses by the least

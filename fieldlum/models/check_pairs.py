@@ -11,9 +11,9 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.records import Site
 
@@ -34,10 +34,10 @@ class Stated:
     lines: Sequence[int]
     t_utc: Sequence[datetime]
     panorama: Sequence[Path]
-    dni_wm2: NDArray[np.float64]
-    dhi_wm2: NDArray[np.float64]
-    altitude_deg: NDArray[np.float64]
-    azimuth_deg: NDArray[np.float64]
+    dni_wm2: Floats
+    dhi_wm2: Floats
+    altitude_deg: Floats
+    azimuth_deg: Floats
 
 
 def check_plausible(path: Path, rows: Stated, site: Site) -> None:
@@ -92,7 +92,7 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
     )
 
 
-def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64]) -> None:
+def _check_irradiance(path: Path, rows: Stated, altitude_deg: Floats) -> None:
     top = sun.extraterrestrial_wm2(rows.t_utc)
     sine = np.sin(np.radians(np.maximum(altitude_deg, 0.0)))
     up = altitude_deg > sun.CLEAR_SUN_DEG

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.models.check_pairs import Stated, check_plausible
@@ -48,15 +49,15 @@ class Dataset:
     """
 
     light: Light
-    luminance_cdm2: NDArray[np.float32]
-    patch_cdm2: NDArray[np.float32] | None
-    disc_lx: NDArray[np.float64]
+    luminance_cdm2: Floats32
+    patch_cdm2: Floats32 | None
+    disc_lx: Floats
     heading_deg: float
     days: NDArray[np.datetime64]
     slots: tuple[str, ...]
     setup: SiteFile
-    seen: NDArray[np.bool_]
-    steadiness: NDArray[np.float64]
+    seen: Mask
+    steadiness: Floats
     source: str = ""
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
@@ -71,7 +72,7 @@ class Dataset:
         return self.luminance_cdm2.shape[1], self.luminance_cdm2.shape[2]
 
     @property
-    def weights(self) -> NDArray[np.float64]:
+    def weights(self) -> Floats:
         """Solid angle of a pixel over the mean of the seen pixels, [H, W]; 0 for unseen ones."""
         weights = np.where(self.seen, equirect_solid_angles(*self.shape), 0.0)
         return weights / weights[self.seen].mean()
@@ -80,7 +81,7 @@ class Dataset:
         """Return the SHA-256 of all fields except `source`, in hex."""
         return data_digest(replace(self, source=""))
 
-    def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
+    def take(self, index: Array | Sequence[int]) -> Dataset:
         """Return some of the n hours, selected by `index`.
 
         index: indices from 0 [k], whose order is followed, or a mask [n], True for hours to take.
@@ -328,9 +329,7 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
     return rows[0].refraction
 
 
-def _sun_columns(
-    rows: list[PairRow], setup: SiteFile
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
     """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none."""
     altitude = np.array([row.sun_altitude_deg for row in rows])
     azimuth = np.array([row.sun_azimuth_deg for row in rows])

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.models import ModelState, Patch, Prediction
 from fieldlum.models.dense_network import (
     DHI_TOP_WM2,
@@ -52,13 +52,13 @@ class DenseFitted:
     """
 
     name = "dense"
-    held_out_mse: NDArray[np.float64] | None = None
+    held_out_mse: Floats | None = None
 
     def __init__(
         self,
         net: Net,
         shape: Shape,
-        average_log10: NDArray[np.float64],
+        average_log10: Floats,
         heading_deg: float,
         patch: Patch,
         domain: Domain,
@@ -72,9 +72,7 @@ class DenseFitted:
         self._canvas = canvas(average_log10, heading_deg).to(self._device)
         self.net.to(self._device)
 
-    def _encoded(
-        self, light: Light, patch_cdm2: NDArray[np.float32] | None
-    ) -> Iterator[NDArray[np.float32]]:
+    def _encoded(self, light: Light, patch_cdm2: Floats32 | None) -> Iterator[Floats32]:
         """Yield the encoded map [H W] of each hour."""
         at = hours(light, self.shape).to(self._device)
         pixels = torch.arange(self._canvas.fixed.shape[0], device=self._device)  # [H W]
@@ -89,7 +87,7 @@ class DenseFitted:
                 parts.append(self.net(scene, direct[pixel]))
             yield torch.cat(parts).float().cpu().numpy()
 
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`, [n, H, W].
 
         patch_cdm2: luminance by direct sun in these hours [n, H, W]. Raises ValueError without it

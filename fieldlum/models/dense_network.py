@@ -13,14 +13,14 @@ from __future__ import annotations
 import itertools
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from fieldlum.arrays import Array, Floats, Floats32
 from fieldlum.projection import equirect_rays, signed_angle_deg
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Shape:
 # normalisation
 
 
-def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
+def encode(luminance_cdm2: Array, curve: str = "log") -> Floats32:
     """Return luminance encoded for the network, in the same shape: 1.6e9 cd/m2 becomes 1.
 
     Luminance below 1 cd/m2 counts as 1. The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L /
@@ -67,7 +67,7 @@ def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float
     return ((np.log10(floored) / LOG_TOP) ** POWER).astype(np.float32)
 
 
-def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
+def decode(encoded: Array, curve: str = "log") -> Floats32:
     """Return the luminance [cd/m2] of values encoded by `encode` with the same curve.
 
     Values outside [0, 1] are clipped first, which bounds every prediction: the least result is 1,
@@ -141,7 +141,7 @@ class Canvas:
         return Canvas(self.fixed.to(device), self.sky_patch.to(device))
 
 
-def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
+def canvas(average_log10: Floats, heading_deg: float) -> Canvas:
     """Return the inputs of all P = H W pixels, row by row, that do not depend on the hour.
 
     average_log10: mean of log10 L [cd/m2] over training images, at least 0 [H, W]; heading_deg:

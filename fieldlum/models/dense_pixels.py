@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from fieldlum.arrays import Floats32
 from fieldlum.models.dense_network import Canvas, HourInputs, Shape, encode, hours, scene_inputs
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def pixels_of(
     """
     seen = np.flatnonzero(data.seen)
 
-    def flat(maps: NDArray[np.float32]) -> Tensor:
+    def flat(maps: Floats32) -> Tensor:
         rows = [torch.from_numpy(encode(m.reshape(-1)[seen], shape.curve)) for m in maps]
         return torch.stack(rows).to(device)
 

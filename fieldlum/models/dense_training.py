@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from fieldlum.arrays import Floats
 from fieldlum.models import distributed
 from fieldlum.models.dense_network import Net, Shape, bfloat16_pays, canvas, pick_device
 from fieldlum.models.dense_pixels import PixelSampler, pixels_of
@@ -88,7 +88,7 @@ class TrainedNet(NamedTuple):
     """
 
     net: Net
-    average_log10: NDArray[np.float64]
+    average_log10: Floats
     record: TrainingRecord
 
 

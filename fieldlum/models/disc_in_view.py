@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.projection import direction, equirect_pixel
 from fieldlum.records import Room, SiteFile
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.scene import RoomUncertainty
 
-Array = NDArray[np.float64]
 
 # Ratio of a pixel's luminance to that of the sky behind it. Between these limits the sun's pixel
 # shows open sky through glass. Not measured.
@@ -30,7 +29,7 @@ EDGE_SD_DEG = 1.5
 DRAWN_ROOMS = 64
 
 
-def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
+def stated_disc_lx(setup: SiteFile, light: Light) -> Floats | None:
     """Return the illuminance of the sun's disc at the lens by the room of `setup`, [n] lx.
 
     light: n hours. The illuminance is on a plane normal to the sun, 0 where the room hides the sun.
@@ -55,7 +54,7 @@ def drawn_discs_lx(
     rng: np.random.Generator,
     count: int = DRAWN_ROOMS,
     uncertainty: RoomUncertainty | None = None,
-) -> Array | None:
+) -> Floats | None:
     """Return the illuminance of the sun's disc in rooms drawn from the room's uncertainty.
 
     The result is [count, n] lx for the n hours of `light`, at the lens, on a plane normal to the
@@ -77,14 +76,14 @@ def drawn_discs_lx(
     return _traced_disc_lx(room, light, suns)
 
 
-def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Array:
+def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
     altitude = np.minimum(light.shown_altitude_deg + altitude_deg, 90.0)
     # near the zenith a given angle on the sky is a larger change of azimuth
     turn = azimuth_deg / np.maximum(np.cos(np.radians(altitude)), 0.2)
     return direction(altitude, light.sun_azimuth_deg + turn)
 
 
-def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
+def _traced_disc_lx(room: Room, light: Light, suns: Floats) -> Floats:
     """Return the disc's illuminance behind a room file, for suns [k, n, 3], [k, n] lx."""
     from fieldlum.scene.radiance import traced_sky_share
 
@@ -94,8 +93,8 @@ def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
 
 
 def guessed_disc_lx(
-    maps: NDArray[np.float32], light: Light, heading_deg: float, turns_deg: Array | None = None
-) -> Array:
+    maps: Floats32, light: Light, heading_deg: float, turns_deg: Floats | None = None
+) -> Floats:
     """Return the disc's illuminance guessed from predicted maps, without any geometry, [n] lx.
 
     maps: [n, H, W] cd/m2, of the n hours of `light`; heading_deg: azimuth of their centre column.
@@ -115,8 +114,8 @@ def guessed_disc_lx(
 
 
 def _guessed(
-    maps: NDArray[np.float32], light: Light, heading_deg: float, sky_cdm2: Array, turn_deg: Array
-) -> Array:
+    maps: Floats32, light: Light, heading_deg: float, sky_cdm2: Floats, turn_deg: Floats
+) -> Floats:
     height, width = maps.shape[1:]
     altitude = np.minimum(light.shown_altitude_deg + turn_deg[1], 90.0)
     turn = turn_deg[0] / np.maximum(np.cos(np.radians(altitude)), 0.2)

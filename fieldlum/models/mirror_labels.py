@@ -11,9 +11,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.models.mirrors import TO_SHOW, Array, Mirror, pixels
+from fieldlum.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.models.mirrors import TO_SHOW, Mirror, pixels
 from fieldlum.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sun_disc import brightest_surface_cdm2, without_disc
 from fieldlum.sun_images import (
@@ -95,12 +95,8 @@ def _is_measured(image: SunImage, data: Dataset) -> bool:
 
 
 def _chance(
-    data: Dataset,
-    label: NDArray[np.intp],
-    towards: Array,
-    at: NDArray[np.intp],
-    visible: NDArray[np.bool_],
-) -> tuple[NDArray[np.float32], int]:
+    data: Dataset, label: Indices, towards: Floats, at: Indices, visible: Mask
+) -> tuple[Floats32, int]:
     """Return the chance [H, W] that an image is visible, and the labels wrong by the other days.
 
     label: captures [k]; towards, at, visible: direction [k, 3], pixel [k] and label [k] of their
@@ -122,9 +118,7 @@ def _chance(
     return chance.reshape(data.shape), wrong
 
 
-def _voted(
-    cosine: Array, here: NDArray[np.float32], there: NDArray[np.float32], visible: NDArray[np.bool_]
-) -> Array:
+def _voted(cosine: Floats, here: Floats32, there: Floats32, visible: Mask) -> Floats:
     """Return the weighted share of visible labels for m pixels, [m].
 
     cosine [m, k]: between pixels and labels; here [n, m], there [n, k]: log10 luminance over n

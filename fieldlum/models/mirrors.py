@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.errors import InputError
 from fieldlum.projection import altitude_azimuth_deg, equirect_pixel
 from fieldlum.session.files.arrays_npz import read_arrays
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.session.files.model_config import ModelConfig
 
-Array = NDArray[np.float64]
 
 TO_SHOW = 0.5  # an image with a larger chance is predicted
 MOST_DOUBT = 0.05  # an hour is not trusted if the chance of a wrong decision is larger; chosen
@@ -36,23 +35,23 @@ class MirroredSun:
     it is visible, 0 to 1 [n]; shown: whether predicted maps get the image [n].
     """
 
-    towards: Array
-    normal_lx: Array
-    chance: Array
-    shown: NDArray[np.bool_]
+    towards: Floats
+    normal_lx: Floats
+    chance: Floats
+    shown: Mask
 
     @property
-    def shown_lx(self) -> Array:
+    def shown_lx(self) -> Floats:
         """Illuminance by the image on a plane normal to its direction, 0 where not `shown` [n]."""
         return np.where(self.shown, self.normal_lx, 0.0)
 
     @property
-    def doubtful(self) -> NDArray[np.bool_]:
+    def doubtful(self) -> Mask:
         """Mask [n], True where the chance that `shown` is wrong exceeds 5 %."""
         return np.where(self.shown, 1.0 - self.chance, self.chance) > MOST_DOUBT
 
     @property
-    def place_deg(self) -> tuple[Array, Array]:
+    def place_deg(self) -> tuple[Floats, Floats]:
         """Altitudes and azimuths (clockwise from north) of the sun's images, [n] deg each."""
         return place_deg(self.towards)
 
@@ -77,7 +76,7 @@ class Mirror:
     measured: bool
     judged: int
     wrong: int
-    chance: NDArray[np.float32]
+    chance: Floats32
 
     @property
     def predicted(self) -> bool:
@@ -136,7 +135,7 @@ class Mirror:
         )
 
 
-def place_deg(towards: Array) -> tuple[Array, Array]:
+def place_deg(towards: Floats) -> tuple[Floats, Floats]:
     """Return altitudes and azimuths (clockwise from north) of unit vectors, [n] deg each.
 
     towards: [n, 3], x east, y north, z up.
@@ -145,7 +144,7 @@ def place_deg(towards: Array) -> tuple[Array, Array]:
     return altitude, azimuth % 360.0
 
 
-def pixels(towards: Array, shape: tuple[int, ...], heading_deg: float) -> NDArray[np.intp]:
+def pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
     """Return the index in the flattened map of the pixel in each direction, [n].
 
     towards: unit vectors [n, 3]; shape: (H, W); heading_deg: azimuth of the middle of the map.
@@ -167,7 +166,7 @@ def table_of(mirrors: Sequence[Mirror]) -> list[dict[str, Any]]:
     ]
 
 
-def arrays_of(mirrors: Sequence[Mirror]) -> dict[str, NDArray[Any]]:
+def arrays_of(mirrors: Sequence[Mirror]) -> dict[str, Array]:
     """Return what weights.npz stores of mirrors; empty without a mirror."""
     return {"mirror_chance": np.stack([m.chance for m in mirrors])} if mirrors else {}
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.teaching import pixel_counts
@@ -33,10 +34,10 @@ class PairPictures:
     a lower bound.
     """
 
-    maps: NDArray[np.float32]
-    patches: NDArray[np.float32] | None
-    disc_lx: NDArray[np.float64]
-    has_value: NDArray[np.bool_]
+    maps: Floats32
+    patches: Floats32 | None
+    disc_lx: Floats
+    has_value: Mask
     counts: list[NDArray[np.float16] | None]
     heading_deg: float
     bounds: int
@@ -141,14 +142,12 @@ def _checked(
     return panorama
 
 
-def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
+def _has_value(panorama: Panorama) -> Mask:
     good = np.isfinite(panorama.luminance_cdm2)
     return good if panorama.flags is None else good & ((panorama.flags & Flag.OUTSIDE_LENS) == 0)
 
 
-def fill_gaps(
-    maps: NDArray[np.float32], has_value: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], int]:
+def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
     """Fill missing values in `maps`, in place; return a mask of used pixels and a count.
 
     maps: [n, H, W]; has_value: mask [n, H, W], False where a value is missing. A missing value gets

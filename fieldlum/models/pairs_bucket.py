@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array
 from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
@@ -149,7 +149,7 @@ def _read_store(url: str, about: dict[str, Any]) -> Dataset:
     with xr.open_zarr(url, consolidated=False, zarr_format=3) as opened:
         frame = opened.load()
 
-    def array(name: str) -> NDArray[Any]:
+    def array(name: str) -> Array:
         return frame[name].to_numpy()
 
     times = tuple(t.replace(tzinfo=UTC) for t in frame["time"].to_numpy().astype("M8[us]").tolist())

@@ -15,11 +15,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.glare.contrast import RAMMG_LEVELS, contrast_levels
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
@@ -61,23 +62,23 @@ class Scores:
     keep_maps, otherwise None.
     """
 
-    mse_weighted: NDArray[np.float64]
-    mse: NDArray[np.float64]
-    error2: NDArray[np.float64]
-    truth2: NDArray[np.float64]
-    error2_weighted: NDArray[np.float64]
-    truth2_weighted: NDArray[np.float64]
-    dgp_mse: NDArray[np.float64]
-    dgp_mse_own_disc: NDArray[np.float64]
-    bias_log10: NDArray[np.float64]
-    dgp_mae: NDArray[np.float64]
-    dgp_mean: NDArray[np.float64]
-    dgp_square: NDArray[np.float64]
-    rammg_error: NDArray[np.float64]
-    rammg_truth: NDArray[np.float64]
-    expected_mse: NDArray[np.float64]
-    trusted: NDArray[np.bool_]
-    in_band: NDArray[np.float64]
+    mse_weighted: Floats
+    mse: Floats
+    error2: Floats
+    truth2: Floats
+    error2_weighted: Floats
+    truth2_weighted: Floats
+    dgp_mse: Floats
+    dgp_mse_own_disc: Floats
+    bias_log10: Floats
+    dgp_mae: Floats
+    dgp_mean: Floats
+    dgp_square: Floats
+    rammg_error: Floats
+    rammg_truth: Floats
+    expected_mse: Floats
+    trusted: Mask
+    in_band: Floats
     seconds: float = 0.0
     cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
@@ -117,12 +118,12 @@ class Truth:
     """
 
     data: Dataset
-    weights: NDArray[np.float64]
+    weights: Floats
     views: Views
-    glare_maps: NDArray[np.bool_]
-    dgp: NDArray[np.float64]
-    contrast: NDArray[np.float64]
-    room_disc_lx: NDArray[np.float64] | None = None
+    glare_maps: Mask
+    dgp: Floats
+    contrast: Floats
+    room_disc_lx: Floats | None = None
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
@@ -150,13 +151,11 @@ def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
         yield rows[start : start + CHUNK]
 
 
-def _dgp(maps: NDArray[np.float32], data: Dataset, views: Views) -> NDArray[np.float64]:
+def _dgp(maps: Floats32, data: Dataset, views: Views) -> Floats:
     return _glare(maps, data, views)["dgp"]
 
 
-def _glare(
-    maps: NDArray[np.float32], data: Dataset, views: Views
-) -> dict[str, NDArray[np.float64]]:
+def _glare(maps: Floats32, data: Dataset, views: Views) -> dict[str, Floats]:
     """Return glare of maps with the true disc, [n, d] each."""
     return glare_directions(
         maps,
@@ -168,7 +167,7 @@ def _glare(
     )
 
 
-def _contrast(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
+def _contrast(maps: Floats32, data: Dataset) -> Floats:
     """Return the contrast of each pyramid level with the true disc, [n, levels]; mean: RAMMG."""
     whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.array([contrast_levels(image) for image in whole])
@@ -195,12 +194,12 @@ def evaluate(
     return join(parts)
 
 
-def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
+def _log10(maps: Floats32, data: Dataset) -> Floats32:
     whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.log10(np.maximum(whole, np.float32(FLOOR_CDM2)))
 
 
-def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
+def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
     """Return the scores of predicted maps against the captures `data`, without glare (NaN).
 
     The true sun disc is added to both; luminances below 1 cd/m2 count as 1. weights: of the pixels
@@ -239,12 +238,7 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
 
 
 def _glare_errors(
-    scores: Scores,
-    prediction: Prediction,
-    part: Dataset,
-    test: Truth,
-    rows: NDArray[Any],
-    keep_maps: bool,
+    scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array, keep_maps: bool
 ) -> None:
     asked = test.glare_maps[rows]
     if not asked.any():
@@ -291,9 +285,7 @@ def _glare_errors(
 # summing up
 
 
-def by_day(
-    values: NDArray[np.float64], days: NDArray[np.datetime64]
-) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def by_day(values: Floats, days: NDArray[np.datetime64]) -> tuple[Array, Floats]:
     """Return the different days, sorted, and the mean of each day's values, [days] each.
 
     values: [n]; days: the day of each value [n].
@@ -302,7 +294,7 @@ def by_day(
     return unique, np.bincount(which, weights=values) / np.bincount(which)
 
 
-def _mean(values: NDArray[np.float64]) -> float | None:
+def _mean(values: Floats) -> float | None:
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else None
 

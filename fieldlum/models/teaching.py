@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.records import Flag, Panorama
 
 # A clipped value is a bound; a moving object has different values in each frame; a filled value is
@@ -19,7 +20,7 @@ _MOSTLY = 0.5
 _DOUBTFUL = 0.1  # not measured
 
 
-def weight_of(relative_u: NDArray[np.floating]) -> NDArray[np.floating]:
+def weight_of(relative_u: Floats) -> Floats:
     """Return 1 / (1 + u^2 / 0.01), the weight of values with relative standard uncertainty u."""
     return 1.0 / (1.0 + relative_u**2 / _HALF)
 
@@ -43,7 +44,7 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
 
 
 def joined_counts(
-    each: Sequence[NDArray[np.float16] | None], has_value: NDArray[np.bool_]
+    each: Sequence[NDArray[np.float16] | None], has_value: Mask
 ) -> NDArray[np.float16] | None:
     """Return the weights of the pixels of all captures [n, H, W]; None if all weights are 1.
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fieldlum.arrays import Floats, Mask
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
@@ -35,11 +36,11 @@ class Domain:
     captures.
     """
 
-    sun_directions: NDArray[np.float64]
+    sun_directions: Floats
     dhi_wm2: tuple[float, float]
     dni_wm2: tuple[float, float]
 
-    def holds(self, light: Light) -> NDArray[np.bool_]:
+    def holds(self, light: Light) -> Mask:
         """Return a mask [n], True for the hours of `light` that are similar to captured light.
 
         Diffuse irradiance must be in the captured range, widened by 15 % and 10 W/m2. In addition,
@@ -56,13 +57,13 @@ class Domain:
             | (light.dni_wm2 < SUNNY_WM2) & self._has_dull(light)
         )
 
-    def _sun_known(self, light: Light) -> NDArray[np.bool_]:
+    def _sun_known(self, light: Light) -> Mask:
         if len(self.sun_directions) == 0:
             return np.zeros(len(light.dni_wm2), bool)
         nearest = (light.sun_direction @ self.sun_directions.T).max(axis=1)
         return nearest >= np.cos(np.radians(SUN_GAP_DEG))
 
-    def _has_dull(self, light: Light) -> NDArray[np.bool_]:
+    def _has_dull(self, light: Light) -> Mask:
         return np.full(len(light.dni_wm2), self.dni_wm2[0] < 2 * SUNNY_WM2)
 
     def state(self) -> DomainTable:

@@ -10,9 +10,9 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats32
 from fieldlum.light import light_at
 from fieldlum.models import trusted_hours
 from fieldlum.records import Progress, quiet
@@ -34,7 +34,7 @@ _MAX_BEAM, _MAX_DIFFUSE = 1.2, 4.0
 class Predictor(Protocol):
     """A fitted model that predicts maps."""
 
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of n hours; patch_cdm2: [n, H, W]."""
         ...
 
@@ -93,7 +93,7 @@ def expect(
     return YearExpectation(float(expected.mean()), float(trusted.mean()), n)
 
 
-def _patches(data: Dataset, light: Light) -> NDArray[np.float32] | None:
+def _patches(data: Dataset, light: Light) -> Floats32 | None:
     """Return the sun patches of the hours of `light`, [n, H, W]; None if `data` has none."""
     if data.patch_cdm2 is None:
         return None

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.session.files.clean_csv import MEASURED, CleanIrradiance
-
-Array = NDArray[np.float64]
 
 # Relative range of the global irradiance in a bracket. Not measured.
 UNSTEADY = 0.10  # a larger one gives a caution
@@ -63,7 +61,7 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
     return _statistics(log, inside)
 
 
-def _worst_distance_s(t_unix_s: Array, start: float, end: float) -> float:
+def _worst_distance_s(t_unix_s: Floats, start: float, end: float) -> float:
     """Return the largest distance of a time in [start, end] from a row [s].
 
     Infinite without rows.
@@ -92,7 +90,7 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
     )
 
 
-def _statistics(log: CleanIrradiance, rows: NDArray[np.bool_]) -> Outside:
+def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
     mean = float(ghi.mean())
     spread = float(ghi.max() - ghi.min())

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
-from fieldlum.records import Float, Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.records import Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.json_file import write_object
@@ -30,7 +31,7 @@ def seen_and_patches(
     session: Session,
     setup: SiteFile,
     items: Sequence[Item],
-    full_normal_lx: Float,
+    full_normal_lx: Floats,
     *,
     force: bool,
     scheduler: Scheduler = LOCAL,

@@ -3,10 +3,10 @@
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.projection import direction
-from fieldlum.records import Float, SunSource
+from fieldlum.records import SunSource
 
 # A map with fewer rows is subdivided to at least this many, because pixels that the plane cuts
 # count as their mean. Chosen so that a uniform hemisphere is exact to 0.05 %
@@ -17,7 +17,7 @@ _PASS = 0.10
 _WARN = 0.25
 
 
-def _ray_integrals(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:
+def _ray_integrals(height: int, width: int, heading_deg: float) -> Floats:
     """Return the integral of the unit vector over each pixel's solid angle, [H, W, 3], sr."""
     edges = np.linspace(0.0, np.pi, height + 1)
     level = np.diff(edges / 2 - np.sin(2 * edges) / 4)  # of sin^2
@@ -32,9 +32,7 @@ def _ray_integrals(height: int, width: int, heading_deg: float) -> NDArray[np.fl
     return np.stack(parts, axis=-1)
 
 
-def _cosine_weights(
-    height: int, width: int, heading_deg: float, normal: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:
     """Return the integral of cos(angle to the normal) over each pixel, [H, W], in sr.
 
     It is 0 behind the plane.
@@ -47,7 +45,7 @@ def _cosine_weights(
 
 
 def illuminance_lx(
-    luminance_cdm2: Float,
+    luminance_cdm2: Floats,
     heading_deg: float,
     normal_altitude_deg: float,
     normal_azimuth_deg: float,
@@ -71,7 +69,7 @@ def illuminance_lx(
 
 
 def vertical_illuminance_lx(
-    luminance_cdm2: Float, heading_deg: float, azimuth_deg: float, sun: SunSource | None = None
+    luminance_cdm2: Floats, heading_deg: float, azimuth_deg: float, sun: SunSource | None = None
 ) -> float:
     """Return the illuminance [lx] of a vertical plane that faces `azimuth_deg`, as at an eye.
 

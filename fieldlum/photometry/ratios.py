@@ -9,8 +9,8 @@ determine only ratios; the priors determine the common level.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.statistics import robust_sigma
 
 # Fewer usable pixels give no ratio. Chosen so that one object does not decide it; not measured.
@@ -52,23 +52,23 @@ class RatioFit:
     natural logarithms; pairs: the measured ratios that were fitted.
     """
 
-    correction: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    correction: Floats
+    covariance: Floats
     pairs: tuple[PairRatio, ...]
 
     @property
-    def u_log(self) -> NDArray[np.float64]:
+    def u_log(self) -> Floats:
         """Return the relative standard uncertainty of each correction, [frames]."""
         return np.sqrt(np.diag(self.covariance))
 
 
 def pair_ratio(
-    long_signal: NDArray[np.floating],
-    short_signal: NDArray[np.floating],
-    usable: NDArray[np.bool_],
-    long_variance: NDArray[np.floating],
-    short_variance: NDArray[np.floating],
-    assumed_ratio: float | NDArray[np.floating],
+    long_signal: Floats,
+    short_signal: Floats,
+    usable: Mask,
+    long_variance: Floats,
+    short_variance: Floats,
+    assumed_ratio: float | Floats,
     long: int = 0,
     short: int = 1,
 ) -> PairRatio | None:
@@ -101,13 +101,13 @@ def pair_ratio(
     )
 
 
-def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def _weighted_median(values: Floats, weights: Floats) -> float:
     order = np.argsort(values)
     cumulative = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
-def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
+def prior_u_log(shutter_s: Floats) -> Floats:
     """Return the relative standard uncertainty of shutter times that were not measured, [n].
 
     0.003 from 1/1000 s on, 0.03 for shorter times. shutter_s : [n], s.
@@ -115,7 +115,7 @@ def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
 
-def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -> RatioFit:
+def fit_ratios(pairs: list[PairRatio], prior_covariance: Floats) -> RatioFit:
     """Return the corrections of all frames that fit the pairs and the priors best.
 
     With delta the ln correction of a frame, the sum over pairs of (log_ratio - delta_short +
@@ -150,12 +150,7 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
     return RatioFit(np.exp(delta), covariance, tuple(pairs))
 
 
-def _surplus(
-    delta: NDArray[np.floating],
-    prior: NDArray[np.floating],
-    prior_covariance: NDArray[np.floating],
-    design: NDArray[np.floating],
-) -> float:
+def _surplus(delta: Floats, prior: Floats, prior_covariance: Floats, design: Floats) -> float:
     """Return the variance to add to each prior: the smallest prior variance times (chi2 - 1)."""
     freedom = np.linalg.matrix_rank(design) if len(design) else 0
     if not freedom:

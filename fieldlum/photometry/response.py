@@ -5,14 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 
-def srgb_table() -> NDArray[np.float64]:
+
+def srgb_table() -> Floats:
     """Return linear z in [0, 1] of the codes 0 to 255 by sRGB (IEC 61966-2-1), [256]."""
     c = np.arange(256) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
-def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
+def polynomial_table(coefficients: Sequence[float]) -> Floats:
     """Return z = sum c_k (code / 255)^k of codes 0 to 255, made non-decreasing and >= 0, [256].
 
     coefficients : c_0 first; the .rsp file of hdrgen has c_0 last.
@@ -21,7 +23,7 @@ def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
     return monotone(np.asarray(z, np.float64))
 
 
-def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64]:
+def response_table(kind: str, curve: Sequence[float] = ()) -> Floats:
     """Return the linear signal z of the JPEG codes 0 to 255, [256].
 
     kind : linear, srgb, polynomial (curve: coefficients, c_0 first) or table (curve: 256 values).
@@ -40,7 +42,7 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64
     return srgb_table() if kind == "srgb" else np.arange(256) / 255.0
 
 
-def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
+def monotone(z: Floats) -> Floats:
     """Return the non-decreasing curve [n], at least 0, that is nearest to z by least squares."""
     from scipy.optimize import isotonic_regression
 
@@ -56,7 +58,7 @@ _FLOOR_SEEN = 10  # samples that decide about one code; chosen, not measured
 _FLOOR_SEARCHED = 64  # a black level above this code is not searched; chosen, not measured
 
 
-def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> int:
+def dark_floor(codes: NDArray[np.uint8], log_exposure: Floats) -> int:
     """Return the lowest code that follows the light, 3 to 63; lower codes are black level or haze.
 
     codes : [places, frames], one scene point a row, 0 where a frame has no code; log_exposure :
@@ -85,12 +87,8 @@ def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> 
 
 
 def fit_response(
-    codes: NDArray[np.uint8],
-    log_exposure: NDArray[np.floating],
-    *,
-    smooth: float = 30.0,
-    low: int | None = None,
-) -> tuple[NDArray[np.float64], float]:
+    codes: NDArray[np.uint8], log_exposure: Floats, *, smooth: float = 30.0, low: int | None = None
+) -> tuple[Floats, float]:
     """Fit a monotone response to codes of the same places in all frames, with known exposures.
 
     codes : [places, frames]; log_exposure : [frames], natural log; smooth : weight of smoothness.

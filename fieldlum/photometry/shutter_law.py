@@ -12,8 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.photometry.exposure import snap_shutter_s
 from fieldlum.photometry.ratios import PairRatio
 
@@ -45,7 +46,7 @@ class ShutterLaw:
     misfit_percent: dict[str, float] = field(default_factory=dict)
 
 
-def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
+def times_under(law: str, nominal_s: ArrayLike) -> Floats:
     """Return the true times [n] in s of nominal times [n] in s.
 
     law : "exact" changes nothing; "third-stops" and "half-stops" round to powers of 2^(1/3) and
@@ -86,9 +87,7 @@ def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
 
 
 def law_of_frames(
-    times_s: Mapping[str, NDArray[np.float64]],
-    of_labels: ShutterLaw,
-    pairs: Sequence[PairRatio],
+    times_s: Mapping[str, Floats], of_labels: ShutterLaw, pairs: Sequence[PairRatio]
 ) -> ShutterLaw:
     """Return the law that measured ratios support; the law of `of_labels` if they cannot decide.
 
@@ -123,14 +122,12 @@ def law_of_frames(
     return ShutterLaw(best, "frames" if decided else of_labels.decided_by, misfit)
 
 
-def _differences(values: NDArray[np.float64], pairs: Sequence[PairRatio]) -> NDArray[np.float64]:
+def _differences(values: Floats, pairs: Sequence[PairRatio]) -> Floats:
     """Return the value of each pair's short frame minus that of its long one, [pairs]."""
     return np.array([values[pair.short] - values[pair.long] for pair in pairs], np.float64)
 
 
-def _stretch(
-    measured: NDArray[np.float64], step: NDArray[np.float64], tells: NDArray[np.bool_]
-) -> float:
+def _stretch(measured: Floats, step: Floats, tells: Mask) -> float:
     """Return the factor by which ln ratios are stretched, from pairs with equal laws."""
     others = ~tells & (np.abs(step) > 0.1)
     return 0.0 if not others.any() else float(np.median(measured[others] / step[others]))

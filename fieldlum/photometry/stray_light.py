@@ -10,11 +10,9 @@ measured on held-out readings, must cover them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Indices
 from fieldlum.projection import wrapped
-
-Array = NDArray[np.float64]
 
 # Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
 # not haze. Chosen.
@@ -27,7 +25,7 @@ _TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0; chosen
 _BLOCK = 512  # grid directions processed at a time; chosen, only limits memory
 
 
-def kernel_per_sr(angle_rad: Array, nodes_deg: Array, values_per_sr: Array) -> Array:
+def kernel_per_sr(angle_rad: Floats, nodes_deg: Floats, values_per_sr: Floats) -> Floats:
     """Return the stray-light kernel K [1/sr]: linear in ln(angle) between nodes, constant outside.
 
     nodes_deg, values_per_sr : [k], ascending angles above 0 and K there. The result has the shape
@@ -39,12 +37,12 @@ def kernel_per_sr(angle_rad: Array, nodes_deg: Array, values_per_sr: Array) -> A
 
 
 def stray_cdm2(
-    luminance_cdm2: Array,
-    solid_angle_sr: Array,
-    rays: Array,
-    nodes_deg: Array,
-    values_per_sr: Array,
-) -> Array:
+    luminance_cdm2: Floats,
+    solid_angle_sr: Floats,
+    rays: Floats,
+    nodes_deg: Floats,
+    values_per_sr: Floats,
+) -> Floats:
     """Return the stray light at each pixel [n], in cd/m2, from the recorded luminances.
 
     luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit;
@@ -69,7 +67,7 @@ def stray_cdm2(
     return out + _field(rays, centre[bright], light[bright], table)
 
 
-def _cells_of(rays: Array) -> tuple[NDArray[np.intp], int, int]:
+def _cells_of(rays: Floats) -> tuple[Indices, int, int]:
     """Return the latitude-longitude cell of each ray [n], and the grid's rows and columns."""
     rows, columns = round(180.0 / CELL_DEG), round(360.0 / CELL_DEG)
     row, column = _grid_position(rays, rows, columns)
@@ -77,13 +75,13 @@ def _cells_of(rays: Array) -> tuple[NDArray[np.intp], int, int]:
     return row * columns + np.minimum(column.astype(np.intp), columns - 1), rows, columns
 
 
-def _grid_position(rays: Array, rows: int, columns: int) -> tuple[Array, Array]:
+def _grid_position(rays: Floats, rows: int, columns: int) -> tuple[Floats, Floats]:
     """Return the continuous row and column of each ray [n] in a grid, [n] each."""
     row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows
     return row, (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns
 
 
-def _grid_rays(rows: int, columns: int) -> Array:
+def _grid_rays(rows: int, columns: int) -> Floats:
     """Return the directions of the cells' middles, [rows * columns, 3]."""
     down = (np.arange(rows) + 0.5) / rows * np.pi
     around = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
@@ -92,12 +90,12 @@ def _grid_rays(rows: int, columns: int) -> Array:
     return np.stack([sine * np.sin(around), sine * np.cos(around), z], axis=2).reshape(-1, 3)
 
 
-def _kernel_table(nodes_deg: Array, values_per_sr: Array) -> Array:
+def _kernel_table(nodes_deg: Floats, values_per_sr: Floats) -> Floats:
     half = np.arcsin(np.linspace(0.0, 1.0, _TABLE + 1))
     return kernel_per_sr(2 * half, nodes_deg, values_per_sr)
 
 
-def _field(at: Array, sources: Array, light: Array, table: Array) -> Array:
+def _field(at: Floats, sources: Floats, light: Floats, table: Floats) -> Floats:
     """Return the sum over sources [m, 3] of K times their light [m], at directions [n, 3]."""
     out = np.zeros(len(at))
     if not len(sources):
@@ -114,7 +112,7 @@ def _field(at: Array, sources: Array, light: Array, table: Array) -> Array:
     return out
 
 
-def _interpolated(grid: Array, rays: Array) -> Array:
+def _interpolated(grid: Floats, rays: Floats) -> Floats:
     """Return the values of a grid [rows, columns] at rays [n, 3], by bilinear interpolation, [n].
 
     Rows run from the zenith to the nadir. Columns are azimuths: the last one is next to the first.

@@ -1,10 +1,12 @@
 """Vignetting: V(r) = sum c_k r^k with r = angle / half of the full angle, and V(0) = 1."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from fieldlum.arrays import Floats
 
 
-def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray[np.float64]:
+def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
     """Return the vignetting V = sum c_k radius^k, in the shape of `radius`.
 
     coefficients : c_0 first; none give 1. radius : angle from the axis over half of the full angle,

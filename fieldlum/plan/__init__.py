@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.plan import choose
 from fieldlum.plan.coverage import coverage
@@ -153,9 +154,7 @@ def make_slots(
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
 
 
-def _at_the_window(
-    hours: DaylightHours, setup: SiteFile
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _at_the_window(hours: DaylightHours, setup: SiteFile) -> tuple[Mask, Mask]:
     """Return two masks [n]: whether the sun enters a window, and whether the camera sees it.
 
     Both are False without a box room.

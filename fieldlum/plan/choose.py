@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from datetime import date
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Indices
 from fieldlum.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
 from fieldlum.plan.days import DaylightHours, span
 from fieldlum.records import Progress, Room, Site, quiet
 from fieldlum.weather import Weather
 
-Index = NDArray[np.intp]
 # The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]
 DNI_FULL_WM2 = 1100.0
 DHI_FULL_WM2 = 700.0
@@ -30,7 +29,7 @@ NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions/00
 # even
 
 
-def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
+def space_filling(points: Floats, count: int, rng: np.random.Generator) -> Indices:
     """Return indices [count], ascending, of points [n, k] spread by farthest-point sampling.
 
     All points are returned if there are no more than `count` (1 or more). The first is drawn by
@@ -46,7 +45,7 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
     return np.sort(np.array(chosen, np.intp))
 
 
-def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
+def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
     """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
 
     points : [n, k]. Each of `count` clusters has one point; instead of one of an empty cluster, the
@@ -74,7 +73,7 @@ def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -
 
 def even(
     hours: DaylightHours, weather: Weather | None, count: int, rng: np.random.Generator
-) -> Index:
+) -> Indices:
     """Return ascending indices of at most `count` hours whose suns and skies are spread evenly.
 
     They are k-means medoids over sun direction, DNI and DHI (Liu, Colburn and Inanici 2020); hours
@@ -121,7 +120,7 @@ def learning(
     return Learning(kernel or Kernel(facades_of(room)), light_features(light), site, weather)
 
 
-def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
+def features_at(hours: DaylightHours, task: Learning) -> tuple[Indices, Features]:
     """Return the hours with daylight in the weather (DHI above 0) and their light features.
 
     The hours are indices [k] into `hours`, ascending.
@@ -131,7 +130,7 @@ def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
 
 def features_under(
     sky: sun.Irradiance, hours: DaylightHours, task: Learning
-) -> tuple[Index, Features]:
+) -> tuple[Indices, Features]:
     """Return what `features_at` returns, for a given sky [n] at the n hours."""
     known = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
     times = hours[known].t_utc
@@ -152,7 +151,7 @@ def variance_left(task: Learning, captured: Features) -> float:
     return float((prior - (towards**2).sum(axis=0)).clip(0).sum() / prior.sum())
 
 
-def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Index:
+def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Indices:
     """Return ascending indices of at most `count` hours that together reduce the variance most.
 
     The variance is summed over the year. The choice is greedy, among at most 2200 hours with

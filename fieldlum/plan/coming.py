@@ -10,9 +10,9 @@ from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, NotEnoughDataError, reason_of
 from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
 from fieldlum.plan import choose
@@ -128,7 +128,7 @@ def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]
 
 def _reductions(
     task: choose.Learning, captured: Features, hours: DaylightHours, progress: Progress
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the expected reduction of the year's variance by each hour, [n].
 
     It is a share of the remaining variance, as a mean over skies of the season.
@@ -146,7 +146,7 @@ def _reductions(
     return total / np.maximum(count, 1)
 
 
-def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> NDArray[np.float64]:
+def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> Floats:
     """Return the reduction of the year's mean variance by each single hour of the pool, [n].
 
     It is a share of the prior variance.

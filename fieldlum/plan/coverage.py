@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.plan.days import DaylightHours
 from fieldlum.plot_style import AMBER, INK, RED, SAND, open_axes
 from fieldlum.records import Site
@@ -49,7 +50,7 @@ class Coverage:
 # sun band
 
 
-def band_directions(site: Site) -> NDArray[np.float64]:
+def band_directions(site: Site) -> Floats:
     """Return directions spread evenly over the sky band of the sun, [n, 3].
 
     They are unit vectors (x east, y north, z up) with declinations from -23.44 to 23.44 deg, above
@@ -80,7 +81,7 @@ def sun_band_percent(hours: DaylightHours, site: Site) -> float:
     return 100.0 * float(_near(band, sun.direction(hours.altitude_deg, hours.azimuth_deg)).mean())
 
 
-def _near(directions: NDArray[np.float64], planned: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _near(directions: Floats, planned: Floats) -> Mask:
     return (directions @ planned.T).max(axis=1) >= np.cos(np.radians(NEAR_DEG))
 
 
@@ -192,7 +193,7 @@ def sun_figure(hours: DaylightHours, site: Site) -> Figure:
     return figure
 
 
-def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def day_arc(day: date, site: Site) -> tuple[Floats, Floats]:
     """Return azimuth and altitude [deg] of the sun every ten minutes of a day, [145] each.
 
     The day begins and ends at midnight of local standard time. NaN while the sun is down.

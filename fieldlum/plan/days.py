@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.records import Site, Slot
 
 # Days of docs/planning.md.
@@ -30,8 +30,8 @@ class DaylightHours:
     """
 
     t_utc: tuple[datetime, ...]
-    altitude_deg: NDArray[np.float64]
-    azimuth_deg: NDArray[np.float64]
+    altitude_deg: Floats
+    azimuth_deg: Floats
 
     def __len__(self) -> int:
         return len(self.t_utc)

@@ -13,9 +13,10 @@ from io import StringIO
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.plan.calendar import by_day
 from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
 from fieldlum.plan.days import SEASON_TAGS, hours_of
@@ -147,7 +148,7 @@ def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
 # sun path
 
 
-def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
+def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
     """Return pixels [n, 2] on a sky chart: north up, east right, zenith in the middle."""
     r = RADIUS_PX * (1.0 - np.asarray(altitude_deg, float) / 90.0)
     azimuth = np.radians(azimuth_deg)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.records import Room
 from fieldlum.scene.geometry import BoxScene, Opening, build
 from fieldlum.scene.patches import disc_visibility
 from fieldlum.scene.trace import blocked
 
-Points = NDArray[np.float64]
+Points = Floats
 GRID = 6  # test points across and up a window; chosen, not measured
 
 
-def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
+def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
     """Return a mask [n]: True where the sun at these angles [deg] shines through a window.
 
     It shines through if one of 6 x 6 points of the window is lit past reveals and obstructions;
@@ -34,7 +35,7 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> N
     return enters
 
 
-def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
+def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
     """Return a mask [n]: True where the camera sees at least a part of the sun disc.
 
     altitude_deg, azimuth_deg: of the sun [n], clockwise from true north. Raises InputError for an

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.records import JsonTable
 from fieldlum.session import replacing
@@ -37,9 +38,9 @@ class Annual:
     folder: Path
     summary: PredictFile
     t_utc: tuple[datetime, ...]
-    azimuths_deg: NDArray[np.float64]
-    hours: dict[str, NDArray[np.float64]]
-    views: dict[str, NDArray[np.float64]]
+    azimuths_deg: Floats
+    hours: dict[str, Floats]
+    views: dict[str, Floats]
 
     def __len__(self) -> int:
         return len(self.t_utc)
@@ -50,12 +51,12 @@ class Annual:
         return self.summary.table()
 
     @property
-    def occupied(self) -> NDArray[np.bool_]:
+    def occupied(self) -> Mask:
         """Mask [n]: True for hours in which the room is used."""
         return self.hours["occupied"] > 0
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def judged(self) -> Mask:
         """Mask [d]: True for directions with a DGP; False if lenses saw less than half of them."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
@@ -71,8 +72,8 @@ class Pictures:
 
     kinds: tuple[str, ...]
     rows: NDArray[np.int64]
-    luminance_cdm2: NDArray[np.float32]
-    disc_lx: NDArray[np.float64]
+    luminance_cdm2: Floats32
+    disc_lx: Floats
     heading_deg: float
 
 
@@ -89,7 +90,7 @@ def write_pictures(path: Path, pictures: Pictures) -> None:
         )
 
 
-def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def rounded(values: Floats32) -> Floats32:
     """Return float32 values rounded to 12 bits of mantissa (0.01 %), which compress better.
 
     values: any shape. The bits that are lost are noise.

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats
 from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx
 from fieldlum.glare.geometry import Views
 from fieldlum.glare.metrics import glare_directions
@@ -21,11 +19,8 @@ U_DISC = 0.05
 
 
 def unseen_bounds(
-    block: HourBlock,
-    room: ModelRoom,
-    coverage: ViewCoverage,
-    found: dict[str, NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    block: HourBlock, room: ModelRoom, coverage: ViewCoverage, found: dict[str, Floats]
+) -> tuple[Floats, Floats]:
     """Return the least and the largest DGP that unseen parts of the views allow, [k, d] each.
 
     An unseen part gets one luminance between 0 and the larger of the sky's mean luminance and the
@@ -38,7 +33,7 @@ def unseen_bounds(
     return unseen_dgp_bounds(coverage, found["ev_lx"], found["contrast"], most)
 
 
-def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
+def hour_figures(block: HourBlock) -> dict[str, Array]:
     """Return the figures of k hours that have no direction, by column of hourly.csv, [k] each.
 
     `disturbed_share` is missing, and `occupied` is 0, because they need more than the block.
@@ -58,7 +53,7 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
 
 def view_figures(
     block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Floats]:
     """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
     `dgp_low` and `dgp_high` are missing; `u_dgp` has only the errors of the maps and of the visible
@@ -81,8 +76,8 @@ def view_figures(
 
 
 def relative_uncertainty(
-    block: HourBlock, views: Views, found: dict[str, NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    block: HourBlock, views: Views, found: dict[str, Floats]
+) -> tuple[Floats, Floats]:
     """Return the relative standard uncertainty of Ev and of the sources' luminance, [k, d] each.
 
     They are NaN where the model does not state its error. Errors of the pixels of one picture count
@@ -103,9 +98,7 @@ def relative_uncertainty(
     )
 
 
-def _relative_of_map(
-    block: HourBlock, views: Views
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _relative_of_map(block: HourBlock, views: Views) -> tuple[Floats, Floats]:
     predicted = block.prediction
     shape = (len(predicted.trusted), len(views.azimuths_deg))
     if predicted.log10_sd is None:

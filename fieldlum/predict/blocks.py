@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.models import seen_of, trusted_hours
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
@@ -37,10 +37,10 @@ class HourBlock:
     rows: slice
     light: Light
     prediction: Prediction
-    disc_lx: NDArray[np.float64]
+    disc_lx: Floats
     images: tuple[MirroredSun, ...] = ()
 
-    def pictures_cdm2(self, heading_deg: float) -> NDArray[np.float32]:
+    def pictures_cdm2(self, heading_deg: float) -> Floats32:
         """Return the maps with the predicted mirror images of the sun, [k, H, W] cd/m2.
 
         Each image is one pixel; the sun's disc is not in the maps. heading_deg: azimuth of the
@@ -52,7 +52,7 @@ class HourBlock:
         return maps
 
     @property
-    def trusted(self) -> NDArray[np.bool_]:
+    def trusted(self) -> Mask:
         """Mask [k]: True for hours whose maps are trusted.
 
         These are hours for which the model vouches, with an expected error factor of at most 1.2
@@ -78,7 +78,7 @@ class ModelRoom:
     heading_deg: float
     needs_patch: bool
     # [H, W]; None if all pixels were seen, or for a model of 0.1.0
-    seen: NDArray[np.bool_] | None = None
+    seen: Mask | None = None
     mirrors: tuple[Mirror, ...] = ()
 
     @property
@@ -172,7 +172,7 @@ def blocks(
 
 def _patches(
     room: ModelRoom, light: Light
-) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float64] | None, slice]]:
+) -> Iterator[tuple[Floats32 | None, Floats | None, slice]]:
     """Yield the sun patches, the visible disc [lx], and the rows of each block.
 
     Patches are None if the model needs none, discs are None without a known room.

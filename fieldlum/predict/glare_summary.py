@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.glare.standards import (
     EXCEEDED_SHARE,
     GlareDoubt,
@@ -51,11 +51,7 @@ _SUNNY_WM2 = 100.0  # direct normal irradiance that casts a clear shadow; WMO's 
 
 
 def judge(
-    annual: Annual,
-    doubt: GlareDoubt,
-    u_of_maps: NDArray[np.float64],
-    occupied_hours: int,
-    seed: int,
+    annual: Annual, doubt: GlareDoubt, u_of_maps: Floats, occupied_hours: int, seed: int
 ) -> Protection:
     """Return the EN 17037 glare protection of d view directions over the occupied hours.
 

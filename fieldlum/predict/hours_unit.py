@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32
 from fieldlum.glare.contrast import ViewRegions
 from fieldlum.glare.geometry import Views, panorama_views
 from fieldlum.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
@@ -40,8 +40,8 @@ class _HoursJob:
     start: int
     light: Light  # of the block
     azimuths_deg: tuple[float, ...]
-    discs_lx: NDArray[np.float64] | None  # [k, n]
-    turns_deg: NDArray[np.float64]  # [k, 2]
+    discs_lx: Floats | None  # [k, n]
+    turns_deg: Floats  # [k, 2]
     maps: str
 
 
@@ -56,11 +56,11 @@ class HourFigures:
     """
 
     rows: tuple[int, int]
-    hours: dict[str, NDArray[Any]]
-    views: dict[str, NDArray[np.float64]]
-    least: NDArray[np.float64]
-    most: NDArray[np.float64]
-    drawn: NDArray[np.float32]
+    hours: dict[str, Array]
+    views: dict[str, Floats]
+    least: Floats
+    most: Floats
+    drawn: Floats32
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +75,9 @@ class _Prepared:
 def hour_units(
     model_folder: Path,
     light: Light,
-    azimuths_deg: Sequence[float] | NDArray[np.float64],
-    discs_lx: NDArray[np.float64] | None,
-    turns_deg: NDArray[np.float64],
+    azimuths_deg: Sequence[float] | Floats,
+    discs_lx: Floats | None,
+    turns_deg: Floats,
     maps: str,
 ) -> list[WorkUnit]:
     """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.

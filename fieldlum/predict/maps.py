@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import BLOCK, ModelRoom
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
@@ -39,7 +39,7 @@ class MapStore(Protocol):
         """
         ...
 
-    def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
+    def finish(self, disc_lx: Floats, trusted: Floats) -> None:
         """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, which completes the store."""
         ...
 
@@ -64,7 +64,7 @@ class FolderMapStore:
         shutil.rmtree(self._work, ignore_errors=True)
         describe(self._work, t_utc, room, {"site": site_name})
 
-    def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
+    def finish(self, disc_lx: Floats, trusted: Floats) -> None:
         """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, and rename the store.
 
         An earlier store of the final name is deleted.
@@ -110,7 +110,7 @@ def describe(
     )
 
 
-def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
+def add_hours(folder: Path, disc_lx: Floats, trusted: Floats) -> None:
     """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours into a store."""
     import xarray as xr
     import zarr
@@ -130,7 +130,7 @@ def add_hours(folder: Path, disc_lx: NDArray[np.float64], trusted: NDArray[np.fl
     hours.to_zarr(folder, mode="a", zarr_format=3, consolidated=False)
 
 
-def write_maps(target: str, start: int, maps: NDArray[np.float32]) -> None:
+def write_maps(target: str, start: int, maps: Floats32) -> None:
     """Write maps [n, H, W] cd/m2 into the store at a path or URL, rounded to 0.01 %.
 
     start: index of the first of these hours in the year, from 0; a multiple of 64, because each

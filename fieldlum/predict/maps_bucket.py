@@ -7,9 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fieldlum.arrays import Floats
 from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.maps import add_hours, describe
 from fieldlum.session.bucket import BucketStore
@@ -43,7 +41,7 @@ class BucketMapStore:
         describe(self._draft, t_utc, room, {"site": site_name})
         self._store.begin(self._draft)
 
-    def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
+    def finish(self, disc_lx: Floats, trusted: Floats) -> None:
         """Upload `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, then the root's zarr.json.
 
         This completes the store; the local draft is deleted.

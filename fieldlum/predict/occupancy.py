@@ -10,8 +10,8 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import Site
 from fieldlum.sun import position, standard_date, standard_offset
@@ -35,9 +35,9 @@ class Occupancy:
 
     text: str
     periods: tuple[tuple[int, time, time], ...] = ()
-    hourly: NDArray[np.bool_] | None = None
+    hourly: Mask | None = None
 
-    def at(self, times_utc: Sequence[datetime], timezone: str) -> NDArray[np.bool_]:
+    def at(self, times_utc: Sequence[datetime], timezone: str) -> Mask:
         """Return a mask [n]: True for the times at which the room is used.
 
         times_utc: aware times; timezone: IANA name of the room's time zone.

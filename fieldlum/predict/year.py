@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.glare.standards import GlareDoubt, disturbed_share
@@ -170,7 +170,7 @@ def measure(
     model_folder: Path,
     room: ModelRoom,
     light: Light,
-    azimuths_deg: NDArray[np.float64],
+    azimuths_deg: Floats,
     folder: Path,
     *,
     uncertainty: RoomUncertainty | None = None,
@@ -180,7 +180,7 @@ def measure(
     seed: int = 0,
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
-) -> tuple[Annual, GlareDoubt, NDArray[np.float64]]:
+) -> tuple[Annual, GlareDoubt, Floats]:
     """Predict every hour, and return the figures, the doubt about unseen parts, and u of the maps.
 
     The first result has an empty `summary`, `occupied` 0, and NaN in directions of which lenses saw

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.projection.lens import LensGeometry
 from fieldlum.projection.panorama import (
     compass_name,
@@ -26,9 +27,7 @@ PARTLY_SEEN = "partly seen"
 NOT_SEEN = "not seen"
 
 
-def seen_shares(
-    seen: NDArray[np.bool_], heading_deg: float, azimuths_deg: ArrayLike
-) -> NDArray[np.float64]:
+def seen_shares(seen: Mask, heading_deg: float, azimuths_deg: ArrayLike) -> Floats:
     """Return the share, 0 to 1, of a uniform field's vertical illuminance that was seen, [d].
 
     seen : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the panorama's
@@ -42,7 +41,7 @@ def seen_shares(
     return np.clip(seen.ravel() @ cosine / cosine.sum(axis=0), 0.0, 1.0)
 
 
-def seen_words(shares: NDArray[np.floating]) -> tuple[str, ...]:
+def seen_words(shares: Floats) -> tuple[str, ...]:
     """Return "seen" (from 0.98), "partly seen" (from 0.5) or "not seen" for each share, [d]."""
     return tuple(
         SEEN if s >= FULLY_SEEN_SHARE else PARTLY_SEEN if s >= LEAST_SEEN_SHARE else NOT_SEEN
@@ -52,7 +51,7 @@ def seen_words(shares: NDArray[np.floating]) -> tuple[str, ...]:
 
 def seen_by_lenses(
     lenses: Sequence[LensGeometry], turns_deg: Sequence[float], height: int = 90
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return True for panorama pixels whose centre at least one lens sees, [height, 2 height].
 
     The middle of the panorama is at its heading. turns_deg : headings of the turned camera minus
@@ -68,7 +67,7 @@ def seen_by_lenses(
     return out
 
 
-def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
+def judged_text(seen: Mask, heading_deg: float) -> str:
     """Return one sentence on which views can be judged from these pixels; empty if all can.
 
     Directions are rounded to degrees, clockwise from north, with points of the compass.

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.projection.lens import LensGeometry, lens_rays
 from fieldlum.projection.panorama import direction, equirect_solid_angles
 
@@ -28,9 +28,7 @@ class Equirect:
         """Angle across one pixel at the horizon, in rad."""
         return float(np.pi / self.height)
 
-    def rays(
-        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def rays(self, rows: Floats, columns: Floats) -> Floats:
         """Return unit vectors at each continuous row and column, [rows, columns, 3].
 
         rows : 0 at the zenith to `height`; columns : 0 to 2 `height`. x right, y ahead, z up.
@@ -39,15 +37,13 @@ class Equirect:
         azimuth = (columns / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
 
-    def weight(
-        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def weight(self, rows: Floats, columns: Floats) -> Floats:
         """Return the sine of the zenith angle at continuous rows and columns, [rows, columns]."""
         return np.broadcast_to(
             np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
         )
 
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Return the solid angle of each pixel, in sr, [H, W]."""
         return equirect_solid_angles(*self.shape)
 
@@ -100,32 +96,26 @@ class Fisheye:
         angle = f"{self.full_angle_deg:g}"
         return f"-vta -vd {vd} -vu {vu} -vv {angle} -vh {angle}"
 
-    def rays(
-        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def rays(self, rows: Floats, columns: Floats) -> Floats:
         """Return unit vectors at each continuous row and column, [rows, columns, 3].
 
         (0, 0) is the top left corner. x right, y ahead (the panorama's heading), z up.
         """
         return lens_rays(self.geometry, columns[None, :], rows[:, None])
 
-    def angles(
-        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def angles(self, rows: Floats, columns: Floats) -> Floats:
         """Return the angles from the axis at continuous rows and columns, rad, [rows, columns]."""
         half = self.size / 2
         return np.hypot(columns[None, :] - half, rows[:, None] - half) * self.pixel_rad
 
-    def weight(
-        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def weight(self, rows: Floats, columns: Floats) -> Floats:
         """Return sin(a) / a, a the angle from the axis, [rows, columns]; 0 outside the circle."""
         angle = self.angles(rows, columns)
         return np.where(
             angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0
         )
 
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Return the solid angle of each pixel, in sr, [size, size]; 0 outside the circle."""
         centre = np.arange(self.size) + 0.5
         return self.weight(centre, centre) * self.pixel_rad**2

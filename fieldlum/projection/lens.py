@@ -9,8 +9,9 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats
 from fieldlum.projection.panorama import direction
 
 Mapping = Literal["equidistant", "equisolid", "polynomial"]
@@ -39,7 +40,7 @@ class LensGeometry:
         """Half of the full angle, in radians."""
         return float(np.radians(self.full_angle_deg / 2))
 
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Floats:
         """Return the camera's axes right, up and forward as rows, [3, 3].
 
         They are unit vectors, x right of the panorama's heading, y along it, z up.
@@ -57,13 +58,13 @@ class LensGeometry:
         )
 
 
-def relative_radius(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> NDArray[np.float64]:
+def relative_radius(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
     """Return the distance of sensor points [...] from the image centre over radius_px, [...]."""
     dx, dy = np.subtract(x_px, lens.centre_px[0]), np.subtract(y_px, lens.centre_px[1])
     return np.hypot(dx, dy) / lens.radius_px
 
 
-def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.float64]:
+def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> Floats:
     """Return the distance from the image centre over radius_px, in the shape of the angles.
 
     angle_rad : from the optical axis. The result is 1 at half of the full angle.
@@ -80,7 +81,7 @@ def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.floa
 
 
 @lru_cache(maxsize=16)
-def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _inverse_table(lens: LensGeometry) -> tuple[Floats, Floats]:
     """Return radius and angle [rad] up to where the polynomial stops rising, [n] each.
 
     Raises ValueError if it stops rising inside the image circle.
@@ -94,7 +95,7 @@ def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.
     return radii[:end], angles[:end]
 
 
-def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64]:
+def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> Floats:
     """Return the angle of radii, in rad: the inverse of `radius_of_angle`, in the same shape.
 
     radius : distance from the image centre over radius_px. Beyond the reach of a polynomial or
@@ -109,9 +110,7 @@ def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64
     return np.interp(r, *_inverse_table(lens))
 
 
-def lens_pixels(
-    lens: LensGeometry, rays: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def lens_pixels(lens: LensGeometry, rays: Floats) -> tuple[Floats, Floats, Floats]:
     """Return sensor x, y [px] and angle from the axis [rad] of unit vectors, [...] each.
 
     rays : [..., 3], y along the panorama's heading, z up. (0, 0) is the sensor's top left corner.
@@ -123,7 +122,7 @@ def lens_pixels(
     return lens.centre_px[0] + scale * right, lens.centre_px[1] - scale * up, angle
 
 
-def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> NDArray[np.float64]:
+def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
     """Return the unit vectors [..., 3] of sensor coordinates [...]; the inverse of `lens_pixels`.
 
     The vectors have y along the panorama's heading and z up. Raises ValueError as

@@ -5,24 +5,24 @@ the zenith, W = 2H; the azimuth of column centre j is heading + ((j + .5)/W - .5
 right is clockwise.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from fieldlum.arrays import Array, Floats
 
 
-def row_solid_angles(height: int, width: int) -> NDArray[np.float64]:
+def row_solid_angles(height: int, width: int) -> Floats:
     """Return the solid angle of one pixel of each row, in sr, [H]; all pixels sum to 4 pi."""
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     return (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
 
 
-def equirect_solid_angles(height: int, width: int) -> NDArray[np.float64]:
+def equirect_solid_angles(height: int, width: int) -> Floats:
     """Return the solid angle of each pixel of a panorama, in sr, [H, W]."""
     return np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
 
-def column_azimuths_deg(width: int, heading_deg: float) -> NDArray[np.float64]:
+def column_azimuths_deg(width: int, heading_deg: float) -> Floats:
     """Return the azimuth of each column's centre, clockwise from north, in [0, 360) deg, [W].
 
     heading_deg : azimuth of the panorama's middle.
@@ -30,12 +30,12 @@ def column_azimuths_deg(width: int, heading_deg: float) -> NDArray[np.float64]:
     return (heading_deg + ((np.arange(width) + 0.5) / width - 0.5) * 360.0) % 360.0
 
 
-def row_altitudes_deg(height: int) -> NDArray[np.float64]:
+def row_altitudes_deg(height: int) -> Floats:
     """Return the altitude of each row's centre, from the zenith down, in deg, [H]."""
     return 90.0 - (np.arange(height) + 0.5) / height * 180.0
 
 
-def wrapped(maps: NDArray[Any]) -> NDArray[Any]:
+def wrapped(maps: Array) -> Array:
     """Return a panorama with its last column before the first and its first after the last.
 
     [H, W, ...] becomes [H, W + 2, ...], so that interpolation is continuous across the seam.
@@ -43,12 +43,12 @@ def wrapped(maps: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
 
 
-def signed_angle_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
+def signed_angle_deg(angle_deg: ArrayLike) -> Floats:
     """Return angles plus or minus full turns, in [-180, 180) deg, in the same shape."""
     return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
 
 
-def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
+def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
     """Return unit vectors (x east, y north, z up), [..., 3]; azimuth clockwise from north.
 
     altitude_deg, azimuth_deg : shapes that broadcast to [...].
@@ -60,7 +60,7 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.flo
     )
 
 
-def altitude_azimuth_deg(rays: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def altitude_azimuth_deg(rays: Array) -> tuple[Floats, Floats]:
     """Return altitude and azimuth of unit vectors [..., 3], the inverse of `direction`, [...] each.
 
     The azimuth is in [-180, 180] deg.
@@ -69,7 +69,7 @@ def altitude_azimuth_deg(rays: NDArray[Any]) -> tuple[NDArray[np.float64], NDArr
     return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
 
 
-def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:
+def equirect_rays(height: int, width: int, heading_deg: float) -> Floats:
     """Return the unit vector (x east, y north, z up) of each panorama pixel's centre, [H, W, 3].
 
     Row 0 is at the zenith; heading_deg : azimuth of the middle, clockwise from north.
@@ -81,7 +81,7 @@ def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.flo
 
 def equirect_pixel(
     altitude_deg: ArrayLike, azimuth_deg: ArrayLike, height: int, width: int, heading_deg: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return the continuous (row, column) of directions in deg, [...] each.
 
     Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column W / 2 the heading.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from fieldlum.arrays import Floats
 
 
-def turned(direction: ArrayLike, clockwise_deg: float) -> Array:
+def turned(direction: ArrayLike, clockwise_deg: float) -> Floats:
     """Return vectors [..., 3] (x east, y north, z up) turned clockwise, seen from above."""
     d = np.asarray(direction, float)
     angle = np.radians(clockwise_deg)
@@ -17,7 +17,7 @@ def turned(direction: ArrayLike, clockwise_deg: float) -> Array:
     return np.stack((x, y, d[..., 2]), axis=-1)
 
 
-def rotation(heading_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Array:
+def rotation(heading_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
     """Return the matrix from a camera's stated axes to the true ones, [3, 3].
 
     Roll is applied first, then tilt, then heading. heading_deg: clockwise turn about the vertical;
@@ -30,7 +30,7 @@ def rotation(heading_deg: float, tilt_deg: float, roll_deg: float, axis_deg: flo
     return turned(np.eye(3), heading_deg).T @ _about(right, tilt) @ _about(ahead, roll)
 
 
-def _about(axis: Array, angle_rad: float) -> Array:
+def _about(axis: Floats, angle_rad: float) -> Floats:
     """Rodrigues' rotation matrix, right-handed about a unit axis."""
     x, y, z = axis
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.projection.grids import Equirect, Target
 from fieldlum.projection.lens import LensGeometry, angle_of_radius, lens_pixels
 
@@ -37,7 +38,7 @@ _STEP = 1.1
 _NODE_RAD = 0.009
 
 
-Float32 = NDArray[np.float32]
+Float32 = Floats32
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +51,8 @@ class Resampler:
     """
 
     matrices: dict[str, Any]
-    coverage: NDArray[np.float32]
-    angle_rad: NDArray[np.float32]
+    coverage: Floats32
+    angle_rad: Floats32
     shape: tuple[int, int]
 
 
@@ -114,9 +115,9 @@ class _Nodes:
     fine: int  # nodes for one edge of a target pixel
     x: Float32
     y: Float32
-    near: NDArray[np.bool_]  # cells between nodes that the lens may see
-    row: NDArray[np.intp]  # of the target pixels with such a cell, from `first`
-    column: NDArray[np.intp]
+    near: Mask  # cells between nodes that the lens may see
+    row: Indices  # of the target pixels with such a cell, from `first`
+    column: Indices
 
 
 def _nodes(target: Target, lens: LensGeometry, first: int, last: int) -> _Nodes:
@@ -163,17 +164,12 @@ def _samples(
     return xs, ys, np.broadcast_to(weight.astype(np.float32), xs.shape)
 
 
-def _middles(count: int) -> NDArray[np.float64]:
+def _middles(count: int) -> Floats:
     return (np.arange(count) + 0.5) / count
 
 
 def _between(
-    nodes: Float32,
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    down: NDArray[np.float64],
-    across: NDArray[np.float64],
-    hidden: NDArray[np.bool_] | None,
+    nodes: Float32, i: Indices, j: Indices, down: Floats, across: Floats, hidden: Mask | None
 ) -> Float32:
     """Return bilinear values at places `down` and `across` of cells (i, j) [fine, fine, n].
 
@@ -268,8 +264,8 @@ class _Seen:
     x: Float32
     y: Float32
     share: Float32
-    total: NDArray[np.float64]  # of the weights seen, [n]
-    angle_rad: NDArray[np.float64]  # mean from the axis, [n]
+    total: Floats  # of the weights seen, [n]
+    angle_rad: Floats  # mean from the axis, [n]
 
 
 def _seen(
@@ -304,12 +300,10 @@ def _seen(
 
 
 # Values, columns and the count of entries of each row.
-_Rows = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.intp]]
+_Rows = tuple[Floats32, NDArray[np.int32], Indices]
 
 
-def _rows(
-    seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.intp], pixels: int
-) -> _Rows:
+def _rows(seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: Indices, pixels: int) -> _Rows:
     """Return the rows of the matrix of one colour: samples distributed bilinearly over four pixels.
 
     The shares are summed in a small dense window of the lattice around each target pixel, which
@@ -350,7 +344,7 @@ def _rows(
 
 def _window_sums(
     i: Float32, j: Float32, p: Float32, q: Float32, share: Float32, across: int, down: int
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the sums of the shares of samples at i + p, j + q, [n, down * across].
 
     i, j, p, q, share : [down, across, n]; the window of each pixel has `across` x `down` cells.
@@ -383,7 +377,7 @@ def _csr(rows: list[_Rows], sensor_shape: tuple[int, int]) -> Any:
     )
 
 
-def _full_weight(target: Target, first: int, last: int) -> NDArray[np.float64]:
+def _full_weight(target: Target, first: int, last: int) -> Floats:
     """Return the mean sample weight of fully seen target pixels, [rows * W].
 
     Coverage is then 1 where the lens sees all of a pixel.

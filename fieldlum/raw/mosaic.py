@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Indices
 from fieldlum.errors import InputError
 from fieldlum.raw.dng import channel_positions
 from fieldlum.raw.exif import ExifTag, FrameInfo, info_of, numbers, tags_of
@@ -53,7 +54,7 @@ class Mosaic:
     t_camera: datetime | None = None
     make: str = ""
     model: str = ""
-    colour_matrix: NDArray[np.float64] | None = None
+    colour_matrix: Floats | None = None
 
 
 def _damaged(path: Path, found: str, expected: str) -> InputError:
@@ -217,7 +218,7 @@ def libraw_exposure(raw: Any) -> tuple[float, float, float]:
     )
 
 
-def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
+def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
     """Return the colours and LibRaw's colour indices of the top left 2 x 2 visible pixels.
 
     Raises InputError without a Bayer mosaic.
@@ -254,7 +255,7 @@ def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
     return cfa, index
 
 
-def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64] | None:
+def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> Floats | None:
     """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
     known = np.asarray(raw.rgb_xyz_matrix, float)[:3]
     if np.any(known):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.records import Site, counted
 from fieldlum.report.figures import sky_domain_svg, sun_path_svg
 from fieldlum.report.page import Row, Section, Table, svg_figure
@@ -17,7 +18,7 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.quality_csv import read_quality
 
 
-def column(rows: Sequence[PairRow], name: str) -> NDArray[np.float64]:
+def column(rows: Sequence[PairRow], name: str) -> Floats:
     """Return the numeric field `name` of each row, in their order, [n]."""
     return np.array([getattr(row, name) for row in rows], float)
 

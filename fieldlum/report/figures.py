@@ -13,9 +13,9 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.plot_style import BLUE, GREEN, INK, PALE, RED, styled
 from fieldlum.projection import compass_name
-from fieldlum.records import Float
 
 LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)  # range of the colour scale; not measured
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
@@ -42,7 +42,7 @@ def _png(figure: Figure, dpi: int = 110) -> bytes:
 # luminance pictures
 
 
-def false_colour(luminance_cdm2: Float) -> NDArray[np.uint8]:
+def false_colour(luminance_cdm2: Floats) -> NDArray[np.uint8]:
     """Return RGB colours [..., H, W, 3] of luminance [..., H, W] cd/m2.
 
     The scale is logarithmic from 1 to 10 000 cd/m2; values beyond it get the colours of its ends.
@@ -80,7 +80,7 @@ def luminance_scale_svg() -> str:
         return _svg(figure)
 
 
-def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
+def comparison_png(measured: Floats, predicted: Floats, labels: Sequence[str]) -> bytes:
     """Return a PNG with a row for each of n maps: measured, predicted, and their ratio.
 
     measured, predicted: [n, H, W] cd/m2; labels: [n]. The ratio is predicted over measured, red
@@ -125,7 +125,7 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
         return _png(figure)
 
 
-def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
+def fisheyes_png(views: Floats, azimuths_deg: Floats, dgp: Floats) -> bytes:
     """Return a PNG of labelled fisheye views in several directions at one hour.
 
     views: [d, N, N] cd/m2, NaN outside the circle; azimuths_deg, dgp: for the labels, [d].
@@ -148,7 +148,7 @@ def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
         return _png(figure)
 
 
-def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
+def strip_png(maps: Floats, labels: Sequence[str]) -> bytes:
     """Return the panoramas of a day as PNG, up to four in a row. maps: [n, H, W] cd/m2."""
     n = len(maps)
     columns = min(4, n)
@@ -168,10 +168,10 @@ def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
 
 
 def sun_path_svg(
-    year_azimuth_deg: Float,
-    year_altitude_deg: Float,
-    captured_azimuth_deg: Float,
-    captured_altitude_deg: Float,
+    year_azimuth_deg: Floats,
+    year_altitude_deg: Floats,
+    captured_azimuth_deg: Floats,
+    captured_altitude_deg: Floats,
 ) -> str:
     """Plot altitude over azimuth [deg] of the sun: hours of a year [n], and captures [k].
 
@@ -188,7 +188,7 @@ def sun_path_svg(
 
 
 def sky_domain_svg(
-    year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float
+    year_dni: Floats, year_dhi: Floats, captured_dni: Floats, captured_dhi: Floats
 ) -> str:
     """Plot diffuse against direct irradiance [W/m2]: the weather file's hours and the captures.
 
@@ -204,7 +204,7 @@ def sky_domain_svg(
 
 
 def _captured_svg(
-    year: tuple[Float, Float], captured: tuple[Float, Float], label: str, **axes_settings: Any
+    year: tuple[Floats, Floats], captured: tuple[Floats, Floats], label: str, **axes_settings: Any
 ) -> str:
     """Plot the captures over the hours of a year, x and y [n] of each."""
     with styled():
@@ -223,7 +223,7 @@ def _captured_svg(
 
 
 def polar_svg(
-    azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high: Float | None
+    azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats | None, high: Floats | None
 ) -> str:
     """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
 
@@ -274,10 +274,7 @@ def polar_svg(
 
 
 def exceedance_svg(
-    dgp: Float,
-    occupied_hours: int,
-    azimuths_deg: Float,
-    ends: Sequence[tuple[str, float]],
+    dgp: Floats, occupied_hours: int, azimuths_deg: Floats, ends: Sequence[tuple[str, float]]
 ) -> str:
     """Plot the share of occupied hours in which each DGP is exceeded, one line for each direction.
 
@@ -310,7 +307,7 @@ def exceedance_svg(
         return _svg(figure)
 
 
-def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
+def agreement_svg(measured: Floats, predicted: Floats, quantity: str) -> str:
     """Plot predicted against measured values of the same shape, with the 1:1 line and r2.
 
     quantity: its name and unit, for the axes. r2: squared correlation, NaN for under three values
@@ -333,7 +330,9 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
         return _svg(figure)
 
 
-def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
+def error_by_sun_svg(
+    error: Floats, altitude_deg: Floats, azimuth_deg: Floats, quantity: str
+) -> str:
     """Plot each hour's error [n] against the sun's altitude and azimuth [n], as SVG text.
 
     error: predicted minus measured; quantity: its name, for the axis.
@@ -350,7 +349,7 @@ def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quan
         return _svg(figure)
 
 
-def contrast_levels_svg(measured: Float, predicted: Float) -> str:
+def contrast_levels_svg(measured: Floats, predicted: Floats) -> str:
     """Plot the mean over n maps of local contrast [n, levels] in cd/m2 by pyramid level, as SVG."""
     levels = np.arange(measured.shape[1])
     with styled():

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.projection import compass_name
-from fieldlum.records import Float
 
 NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
@@ -124,7 +124,7 @@ class Quantity:
 
     name: str
     unit: str
-    values: Float
+    values: Floats
     step: float  # resolution of the stored integers
     edges: tuple[float, ...]
     colours: tuple[str, ...]  # one more than edges
@@ -138,7 +138,7 @@ EV_EDGES = (100.0, 300.0, 500.0, 1000.0, 2000.0, 4000.0)
 EV_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", "#fbe3b0")
 
 
-def _cells(values: Float, step: float) -> str:
+def _cells(values: Floats, step: float) -> str:
     """Return [days, 24] as little-endian 16-bit integers in base64."""
     steps = np.clip(np.nan_to_num(values, nan=0.0) / step, 0, NOTHING - 1).round().astype("<u2")
     steps[~np.isfinite(values)] = NOTHING
@@ -174,8 +174,8 @@ def heat_map(
 
 
 def day_hour_grid(
-    day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Float, days: int
-) -> Float:
+    day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Floats, days: int
+) -> Floats:
     """Return the values [n, d] of n hours as a grid [days, 24, d].
 
     day_of_year: of each value, from 1; hour: 0 to 23. Hours without a value are NaN.

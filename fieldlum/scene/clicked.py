@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.projection import direction
 from fieldlum.records import Room, Window
 from fieldlum.scene.clicks import KINDS, Click, ClickGrid
 
-Array = NDArray[np.float64]
 # standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
 CLICK_PX = 0.5
 _WALLS = ("south", "west", "north", "east")
@@ -118,7 +117,7 @@ class _Start:
     along1, low, high of each window in the frame of the camera [m].
     """
 
-    values: Array
+    values: Floats
     walls: dict[int, str]  # of each window
     sides: list[tuple[int, int, int]]  # of each click: sign of x, y (or along, up), window's place
 
@@ -163,13 +162,13 @@ def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _S
     return _Start(np.array(values, float), walls, sides)
 
 
-def _turn(theta_deg: float) -> Array:
+def _turn(theta_deg: float) -> Floats:
     """Return the room's axes as rows in world axes, as in `BoxScene.turn`."""
     a = np.radians(theta_deg)
     return np.array([(-np.cos(a), np.sin(a), 0.0), (-np.sin(a), -np.cos(a), 0.0), (0.0, 0.0, 1.0)])
 
 
-def _spread(ground: Array, theta_deg: float) -> float:
+def _spread(ground: Floats, theta_deg: float) -> float:
     """Return how far corners on one side are from a common line."""
     xy = ground @ _turn(theta_deg)[:2, :2].T
     total = 0.0
@@ -180,7 +179,7 @@ def _spread(ground: Array, theta_deg: float) -> float:
     return total
 
 
-def _main_wall(ground: Array, theta_deg: float, facing: Array) -> float:
+def _main_wall(ground: Floats, theta_deg: float, facing: Floats) -> float:
     """Return the turn, of four possible ones, whose "south" wall is in a given direction."""
     for quarter in range(4):
         theta = (theta_deg + 90.0 * quarter) % 360.0
@@ -191,7 +190,7 @@ def _main_wall(ground: Array, theta_deg: float, facing: Array) -> float:
     return theta_deg
 
 
-def _distances(xy: Array, where: str) -> list[float]:
+def _distances(xy: Floats, where: str) -> list[float]:
     """Return distances [m] from the camera to south, west, north and east."""
     parts = [-xy[xy[:, 1] < 0, 1], -xy[xy[:, 0] < 0, 0], xy[xy[:, 1] >= 0, 1], xy[xy[:, 0] >= 0, 0]]
     if any(len(part) == 0 for part in parts):
@@ -204,7 +203,7 @@ def _distances(xy: Array, where: str) -> list[float]:
     return [float(part.mean()) for part in parts]
 
 
-def _reach(xy: Array, distances: Sequence[float], *, corner: bool = False) -> float:
+def _reach(xy: Floats, distances: Sequence[float], *, corner: bool = False) -> float:
     """Return the factor that extends a direction [2] to the wall or corner to which it points."""
     south, west, north, east = distances
     steps = [
@@ -214,7 +213,7 @@ def _reach(xy: Array, distances: Sequence[float], *, corner: bool = False) -> fl
     return float(np.mean(steps)) if corner else min(steps)
 
 
-def _wall_of(xy: Array, distances: Sequence[float]) -> str:
+def _wall_of(xy: Floats, distances: Sequence[float]) -> str:
     point = xy * _reach(xy, distances)
     south, west, north, east = distances
     gaps = {"south": point[1] + south, "west": point[0] + west}
@@ -222,7 +221,7 @@ def _wall_of(xy: Array, distances: Sequence[float]) -> str:
     return min(gaps, key=lambda wall: abs(gaps[wall]))
 
 
-def _on_wall(ray: Array, wall: str, distances: Sequence[float]) -> tuple[float, float]:
+def _on_wall(ray: Floats, wall: str, distances: Sequence[float]) -> tuple[float, float]:
     """Return where a ray meets a wall's plane [m]: along the wall, and above the camera."""
     axis, sign = _PLANES[wall]
     factor = sign * distances[_WALLS.index(wall)] / ray[axis]
@@ -231,7 +230,7 @@ def _on_wall(ray: Array, wall: str, distances: Sequence[float]) -> tuple[float, 
 
 def _side(
     click: Click,
-    ray: Array,
+    ray: Floats,
     distances: Sequence[float],
     walls: dict[int, str],
     numbers: Sequence[int],
@@ -252,7 +251,7 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
     used = [k for k, click in enumerate(clicks) if click.kind in ("floor", "ceiling", "window")]
     wanted = np.array([(clicks[k].x_px, clicks[k].y_px) for k in used])
 
-    def residual(values: Array) -> Array:
+    def residual(values: Floats) -> Floats:
         points = np.array([_point(values, start, clicks[k], start.sides[k], h) for k in used])
         off = grid.pixels(points @ _turn(values[0])) - wanted
         off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
@@ -274,8 +273,8 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
 
 
 def _point(
-    values: Array, start: _Start, click: Click, side: tuple[int, int, int], h: float
-) -> Array:
+    values: Floats, start: _Start, click: Click, side: tuple[int, int, int], h: float
+) -> Floats:
     """Return a click's point in room axes [m], relative to the camera."""
     south, west, north, east, height = values[1:6]
     if click.window == 0:
@@ -292,8 +291,8 @@ def _point(
 
 
 def _room(
-    values: Array,
-    covariance: Array,
+    values: Floats,
+    covariance: Floats,
     start: _Start,
     clicks: Sequence[Click],
     grid: ClickGrid,
@@ -301,9 +300,9 @@ def _room(
 ) -> tuple[Room, dict[str, float]]:
     """Return the room as a `Room`, and the uncertainty of each length."""
     count = len(values)
-    rows: dict[str, Array] = {}  # each figure as a linear form of the values
+    rows: dict[str, Floats] = {}  # each figure as a linear form of the values
 
-    def form(**parts: float) -> Array:
+    def form(**parts: float) -> Floats:
         row = np.zeros(count)
         for name, factor in parts.items():
             row[int(name[1:])] = factor
@@ -351,7 +350,7 @@ def _window(
     figure: dict[str, float],
     start: _Start,
     clicks: Sequence[Click],
-    values: Array,
+    values: Floats,
     grid: ClickGrid,
     h: float,
 ) -> Window:

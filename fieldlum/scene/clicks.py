@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.projection import equirect_pixel
 
-Array = NDArray[np.float64]
 Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
 KINDS: tuple[Kind, ...] = ("floor", "ceiling", "window", "bar", "transom")
 COLUMNS = ("kind", "window", "x_px", "y_px")
@@ -48,7 +47,7 @@ class ClickGrid:
         azimuth = self.heading_deg + (x_px / self.width_px - 0.5) * 360.0
         return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
 
-    def pixels(self, points: Array) -> Array:
+    def pixels(self, points: Floats) -> Floats:
         """Return pixel positions (x, y) of directions [n, 3] in world axes, [n, 2]."""
         horizontal = np.hypot(points[:, 0], points[:, 1])
         altitude = np.degrees(np.arctan2(points[:, 2], horizontal))

@@ -9,14 +9,13 @@ from html import escape
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.projection import compass_name
 from fieldlum.records import Room, SiteFile
 from fieldlum.scene.clicks import ClickGrid
 from fieldlum.scene.geometry import build
 
-Array = NDArray[np.float64]
 # Of the plan; the margin has room for the lengths written around it. Not measured.
 _SIZE_PX, _MARGIN_PX = 460.0, 78.0
 _EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
@@ -154,7 +153,7 @@ def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
     ends = [(low[k], high[k]) for k in range(3)]
     lines: dict[str, list[list[float]]] = {"box": [], "window": []}
 
-    def add(name: str, a: Array, b: Array) -> None:
+    def add(name: str, a: Floats, b: Floats) -> None:
         share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
         points = (a * (1 - share) + b * share - camera) @ build(room).turn
         xy = grid.pixels(points)

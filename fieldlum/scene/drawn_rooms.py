@@ -10,15 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import BoxScene, Opening, build, glass_optics
 from fieldlum.scene.sun_disc import SUN_RADIUS_DEG
-
-Array = NDArray[np.float64]
 
 # Standard uncertainties if none are stated: a tape measure over furniture, a phone's compass.
 # Chosen, not measured.
@@ -46,7 +45,7 @@ class RoomUncertainty:
     """
 
     names: tuple[str, ...]
-    covariance: Array
+    covariance: Floats
 
 
 def room_parameters(room: Room) -> dict[str, float]:
@@ -143,7 +142,7 @@ def draw_rooms(
 
 
 def _drawn(
-    room: Room, centre: Array, uncertainty: RoomUncertainty, rng: np.random.Generator
+    room: Room, centre: Floats, uncertainty: RoomUncertainty, rng: np.random.Generator
 ) -> Room:
     for _ in range(_TRIES):
         values = rng.multivariate_normal(centre, uncertainty.covariance, method="cholesky")
@@ -191,7 +190,7 @@ def _within_walls(room: Room) -> Room:
 # the disc in many rooms
 
 
-def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArray[np.float32]:
+def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> Floats32:
     """Return the disc's illuminance at the camera over the sun's normal illuminance, [k, n].
 
     It is the visible share of the disc times the glass's transmittance, 0 to 1. sun_direction : [n,
@@ -207,7 +206,7 @@ def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArra
     return out
 
 
-def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
+def _share_through(scene: BoxScene, o: Opening, toward: Floats) -> Floats:
     """Return the visible share of the disc through one opening, times its glass, [n]."""
     share = np.zeros(len(toward))
     rows = np.flatnonzero((toward[:, o.axis] * o.outward > 1e-6) & (toward[:, 2] > 0))
@@ -225,7 +224,7 @@ def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
     return share
 
 
-def _passes(o: Opening, eye: Array, rays: Array, margin_rad: float) -> NDArray[np.bool_]:
+def _passes(o: Opening, eye: Floats, rays: Floats, margin_rad: float) -> Mask:
     """Return a mask of rays [m, 3] from the eye that pass both ends of the opening.
 
     The opening is widened by an angle.
@@ -240,7 +239,7 @@ def _passes(o: Opening, eye: Array, rays: Array, margin_rad: float) -> NDArray[n
     return inside
 
 
-def _disc_rays(toward: Array) -> Array:
+def _disc_rays(toward: Floats) -> Floats:
     """Return rays to the centre of the disc and to points at 0.75 of its radius, [m, 7, 3]."""
     side = np.cross(toward, (0.0, 0.0, 1.0))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
@@ -253,7 +252,7 @@ def _disc_rays(toward: Array) -> Array:
     return np.concatenate([toward[:, None, :], toward[:, None, :] + offsets], axis=1)
 
 
-def _meets(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
+def _meets(low: Floats, high: Floats, eye: Floats, rays: Floats) -> Mask:
     """Return a mask of rays [m, 3] from the eye that meet a box (slab test).
 
     The box has the corners `low` and `high`.

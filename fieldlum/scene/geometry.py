@@ -11,13 +11,12 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import InputError
 from fieldlum.records import Room, Window
 from fieldlum.rowwise import turned
-
-Array = NDArray[np.float64]
 
 SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, not measured.
 ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
@@ -41,7 +40,7 @@ def transmissivity(transmittance: float) -> float:
     return float((root - 0.9166530661) / 0.0036261119 / transmittance)
 
 
-def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Array, Array]:
+def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Floats, Floats]:
     """Return transmittance and reflectance of a pane, 0 to 1, in the shape of `cosine`.
 
     cosine : of the angle of incidence. Source: Radiance's m_glass.c.
@@ -99,7 +98,7 @@ class Opening:
         """Index of the horizontal axis along the wall."""
         return 1 - self.axis
 
-    def contains(self, u_m: Array, z_m: Array) -> NDArray[np.bool_]:
+    def contains(self, u_m: Floats, z_m: Floats) -> Mask:
         """Return whether points [n] of a plane along the wall are inside the opening, [n]."""
         (left, right), (bottom, top) = self.u_m, self.z_m
         return (u_m > left) & (u_m < right) & (z_m > bottom) & (z_m < top)
@@ -120,29 +119,29 @@ class BoxScene:
     wall_azimuth_deg: float
 
     @cached_property
-    def low(self) -> Array:
+    def low(self) -> Floats:
         """Lower corners of the boxes [b, 3], m."""
         return np.array([box.low for box in self.boxes], float)
 
     @cached_property
-    def high(self) -> Array:
+    def high(self) -> Floats:
         """Upper corners of the boxes [b, 3], m."""
         return np.array([box.high for box in self.boxes], float)
 
     @cached_property
-    def reflectance(self) -> Array:
+    def reflectance(self) -> Floats:
         """Reflectances of the boxes, 0 to 1, [b]."""
         return np.array([box.reflectance for box in self.boxes])
 
     @cached_property
-    def turn(self) -> Array:
+    def turn(self) -> Floats:
         """The room's axes as rows in world coordinates, [3, 3]: room = turn @ world."""
         azimuth = np.radians(self.wall_azimuth_deg)
         x = (-np.cos(azimuth), np.sin(azimuth), 0.0)  # azimuth - 90 degrees
         y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)  # azimuth - 180 degrees
         return np.array([x, y, (0.0, 0.0, 1.0)])
 
-    def to_room(self, world: ArrayLike) -> Array:
+    def to_room(self, world: ArrayLike) -> Floats:
         """Return directions [..., 3] (x east, y north) in room axes."""
         return turned(self.turn, world)
 

@@ -11,16 +11,15 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.records import Progress, Room, SiteFile, quiet
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.points import SunPoints
 from fieldlum.scene.sun_disc import SunPatches, disc_rays
 from fieldlum.scene.trace import blocked
 from fieldlum.scene.view import WINDOW_RAYS, look
-
-Array = NDArray[np.float64]
 
 
 def iter_sun_patches(
@@ -61,7 +60,7 @@ def iter_sun_patches(
             rows = range(start, min(start + chunk, len(suns)))
             maps = np.zeros((len(rows), height, 2 * height), np.float32)
 
-            def fill(k: int, maps: NDArray[np.float32] = maps, start: int = start) -> None:
+            def fill(k: int, maps: Floats32 = maps, start: int = start) -> None:
                 if normal[k] > 0:
                     unit = points.direct(toward[k]).reshape(height, 2 * height)
                     np.multiply(unit, np.float32(normal[k]), out=maps[k - start])
@@ -118,11 +117,8 @@ def sun_patches(
 
 
 def window_fraction(
-    room: Room,
-    setup: SiteFile | None,
-    height: int,
-    heading_deg: float | None = None,
-) -> NDArray[np.float32]:
+    room: Room, setup: SiteFile | None, height: int, heading_deg: float | None = None
+) -> Floats32:
     """Return the share of each pixel that sees the sky, times the transmittance there, [H, W].
 
     Multiplied by the sky's luminance in the pixel's direction, this is the luminance that the pixel
@@ -148,7 +144,7 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
 # the disc
 
 
-def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
+def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
     """Return the share of the disc that the camera sees, and the glass's transmittance, [n] each.
 
     Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
@@ -167,14 +163,14 @@ def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
     return visible, through
 
 
-def _may_see(o: Opening, eye: Array, sun: Array) -> bool:
+def _may_see(o: Opening, eye: Floats, sun: Floats) -> bool:
     at = (o.outer_m - eye[o.axis]) / sun[o.axis]
     u, z = eye[o.along] + at * sun[o.along], eye[2] + at * sun[2]
     margin = 0.01 * at
     return o.u_m[0] - margin < u < o.u_m[1] + margin and o.z_m[0] - margin < z < o.z_m[1] + margin
 
 
-def _free(scene: BoxScene, o: Opening, eye: Array, rays: Array) -> NDArray[np.bool_]:
+def _free(scene: BoxScene, o: Opening, eye: Floats, rays: Floats) -> Mask:
     """Return a mask of rays [r, 3] from the eye that leave through `o` without hitting a box."""
     free = np.ones(len(rays), bool)
     for plane in (o.inner_m, o.outer_m):

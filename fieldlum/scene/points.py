@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.trace import EPSILON_M, blocked, may_block
 
-Array = NDArray[np.float64]
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
 # Sums of weights below about one leave 1e-16 when all points are subtracted; a lit point has more.
 _ROUNDING = 1e-12
@@ -33,17 +33,17 @@ class SunPoints:
     """
 
     scene: BoxScene
-    position: NDArray[np.float32]
+    position: Floats32
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
-    weight: NDArray[np.float32]
+    weight: Floats32
     target: NDArray[np.int32]
-    inside: NDArray[np.bool_]
-    tile_low: NDArray[np.float32]
-    tile_high: NDArray[np.float32]
+    inside: Mask
+    tile_low: Floats32
+    tile_high: Floats32
     targets: int
 
-    def direct(self, toward: Array) -> NDArray[np.float32]:
+    def direct(self, toward: Floats) -> Floats32:
         """Return each target's sum for a sun in direction `toward` [3] in room axes, [targets]."""
         total = np.zeros(self.targets)
         if toward[2] <= 0.0:
@@ -59,13 +59,13 @@ class SunPoints:
         total[total < _ROUNDING] = 0.0
         return total.astype(np.float32)
 
-    def _sum(self, rows: NDArray[np.intp], cosines: Array) -> Array:
+    def _sum(self, rows: Indices, cosines: Floats) -> Floats:
         """Return the sums of weight x cosine over some of the points, [targets]."""
         terms = self._weight[rows] * cosines[self._face[rows]]
         return np.bincount(self.target[rows], terms, self.targets).astype(float)
 
     @cached_property
-    def _weight(self) -> Array:
+    def _weight(self) -> Floats:
         return self.weight.astype(float)
 
     @cached_property
@@ -74,17 +74,17 @@ class SunPoints:
         return np.where(self.sign > 0, self.axis, self.axis + 3).astype(np.int8)
 
     @cached_property
-    def _sums_outside(self) -> Array:
+    def _sums_outside(self) -> Floats:
         """Sums of the weights of points outside, by face and target, [6, targets]."""
         rows = self._outside_rows
         flat = self._face[rows].astype(np.intp) * self.targets + self.target[rows]
         sums = np.bincount(flat, self._weight[rows], 6 * self.targets).astype(float)
         return sums.reshape(6, self.targets)
 
-    def _facing(self, rows: NDArray[np.intp], toward: Array) -> NDArray[np.intp]:
+    def _facing(self, rows: Indices, toward: Floats) -> Indices:
         return rows[self.sign[rows] * toward[self.axis[rows]] > _GRAZING]
 
-    def _through(self, o: Opening, toward: Array) -> NDArray[np.intp]:
+    def _through(self, o: Opening, toward: Floats) -> Indices:
         """Return the inside points that see the sun through this opening.
 
         Their ray to the sun meets no frame and no furniture.
@@ -94,7 +94,7 @@ class SunPoints:
         p = self.position[rows]
         slope_u, slope_z = toward[o.along] / toward[o.axis], toward[2] / toward[o.axis]
 
-        def passes(plane_m: float) -> NDArray[np.bool_]:
+        def passes(plane_m: float) -> Mask:
             across = np.float32(plane_m) - p[:, o.axis]
             u = p[:, o.along] + across * np.float32(slope_u)
             z = p[:, 2] + across * np.float32(slope_z)
@@ -107,7 +107,7 @@ class SunPoints:
         rows = rows[good]
         return rows[~self._shaded(rows, toward, "frame", "obstruction")]
 
-    def _near(self, o: Opening, toward: Array) -> NDArray[np.intp]:
+    def _near(self, o: Opening, toward: Floats) -> Indices:
         """Return the points of tiles whose bounding box may see the opening's outer end."""
         axis, reach = o.axis, np.float32(o.outward)
         near = (np.float32(o.outer_m) - self.tile_high[:, axis]) * reach
@@ -124,24 +124,24 @@ class SunPoints:
         return _rows_of(keep, len(self.position))
 
     @cached_property
-    def _outside_rows(self) -> NDArray[np.intp]:
+    def _outside_rows(self) -> Indices:
         return np.flatnonzero(~self.inside)
 
     @cached_property
-    def _in_shell(self) -> NDArray[np.bool_]:
+    def _in_shell(self) -> Mask:
         """Mask of the points within the building's shell, [m]."""
         low, high = np.array(self.scene.shell)
         return ((self.position > low) & (self.position < high)).all(axis=1)
 
     @cached_property
-    def _boxes_outside(self) -> tuple[Array, Array]:
+    def _boxes_outside(self) -> tuple[Floats, Floats]:
         """Low and high corners of the shell and of the boxes that are not within it, [b, 3]."""
         (low, high), which = self.scene.shell, self.scene.of_kind("obstruction")
         lows, highs = self.scene.low[which], self.scene.high[which]
         beyond = ((lows < low) | (highs > high)).any(axis=1)
         return np.vstack((low, lows[beyond])), np.vstack((high, highs[beyond]))
 
-    def _dark_outside(self, toward: Array) -> NDArray[np.intp]:
+    def _dark_outside(self, toward: Floats) -> Indices:
         """Return the points beyond the panes that face the sun, but that a box hides from it."""
         rows = self._facing(self._outside_rows, toward)
         if not len(rows):
@@ -154,14 +154,12 @@ class SunPoints:
         dark[own] = self._shaded(rows[own], toward, *kinds)
         return rows[dark]
 
-    def _shaded(self, rows: NDArray[np.intp], toward: Array, *kinds: str) -> NDArray[np.bool_]:
+    def _shaded(self, rows: Indices, toward: Floats, *kinds: str) -> Mask:
         """Return which points are hidden from the sun by a box of these kinds."""
         which = self.scene.of_kind(*kinds)
         return self._hidden(rows, self.scene.low[which], self.scene.high[which], toward)
 
-    def _hidden(
-        self, rows: NDArray[np.intp], low: Array, high: Array, toward: Array
-    ) -> NDArray[np.bool_]:
+    def _hidden(self, rows: Indices, low: Floats, high: Floats, toward: Floats) -> Mask:
         """Return which points, in ascending order, are hidden from the sun by boxes [b, 3].
 
         Tiles that no box can hide are skipped.
@@ -179,7 +177,7 @@ class SunPoints:
         return out
 
 
-def _rows_of(tiles: NDArray[np.bool_], count: int) -> NDArray[np.intp]:
+def _rows_of(tiles: Mask, count: int) -> Indices:
     which = np.flatnonzero(tiles)
     rows = (which[:, None] * _TILE + np.arange(_TILE)).ravel()
     return rows[rows < count]
@@ -187,10 +185,10 @@ def _rows_of(tiles: NDArray[np.bool_], count: int) -> NDArray[np.intp]:
 
 def sun_points(
     scene: BoxScene,
-    position: Array,
+    position: Floats,
     axis: NDArray[np.integer],
     sign: NDArray[np.integer],
-    weight: Array,
+    weight: Floats,
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
@@ -227,12 +225,12 @@ def sun_points(
     )
 
 
-def _extent(scene: BoxScene) -> Array:
+def _extent(scene: BoxScene) -> Floats:
     low, high = np.array(scene.shell)
     return high - low
 
 
-def _inside(scene: BoxScene, p: Array) -> NDArray[np.bool_]:
+def _inside(scene: BoxScene, p: Floats) -> Mask:
     """Return which points are within the building and on the room's side of every pane, [n]."""
     low, high = np.array(scene.shell)
     inside = ((p > low - EPSILON_M) & (p < high + EPSILON_M)).all(axis=1)

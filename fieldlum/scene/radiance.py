@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.records import Progress, Room, quiet
@@ -18,7 +19,6 @@ from fieldlum.scene.geometry import BoxScene, transmissivity
 from fieldlum.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
 from fieldlum.scene.view import WINDOW_RAYS, pixel_rays
 
-Array = NDArray[np.float64]
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
 # Direct light only, with all sources tested, and at most four reflections or transmissions.
 PATCH_RAYS = 2  # in each direction of a pixel: a process for each hour is slow; not measured
@@ -50,7 +50,7 @@ class Face:
         a, b = (k for k in range(3) if k != self.axis)
         return a, b
 
-    def corners(self) -> Array:
+    def corners(self) -> Floats:
         """Return the corners [4, 3] in m, counter-clockwise as seen from the side of the normal."""
         a, b = self.others
         out = np.empty((4, 3))
@@ -108,7 +108,7 @@ def _matt(name: str, reflectance: float) -> str:
     )
 
 
-def _polygon(name: str, material: str, corners: Array) -> str:
+def _polygon(name: str, material: str, corners: Floats) -> str:
     numbers = " ".join(f"{x:.7g}" for x in corners.ravel())
     return f"{material} polygon {name}\n0\n0\n{corners.size} {numbers}\n"
 
@@ -137,7 +137,7 @@ SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 
 PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0\n4 0 0 -1 180\n"
 
 
-def sun_text(direction: Array, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
+def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
     """Return a sun in direction [3] as Radiance text; 179 lx give an irradiance of 1 W/m2."""
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
@@ -157,7 +157,9 @@ def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
         yield oct_
 
 
-def trace(octree_path: Path, origins: Array, directions: Array, extra: Sequence[str] = ()) -> Array:
+def trace(
+    octree_path: Path, origins: Floats, directions: Floats, extra: Sequence[str] = ()
+) -> Floats:
     """Return the radiance that rtrace finds along n rays, direct light only, in W/sr/m2, [n].
 
     origins : [n, 3] or [3]; directions : [n, 3]; extra : more options of rtrace. Colours are
@@ -208,7 +210,7 @@ def _room_octree(room: Room) -> Iterator[Path]:
         yield out
 
 
-def _viewpoint(room: Room) -> Array:
+def _viewpoint(room: Room) -> Floats:
     if len(room.viewpoint_m) != 3:
         raise InputError(
             "[room]",
@@ -221,8 +223,8 @@ def _viewpoint(room: Room) -> Array:
 
 def iter_traced(
     room: Room,
-    suns: Array,
-    normal_lx: Array,
+    suns: Floats,
+    normal_lx: Floats,
     *,
     height: int,
     heading_deg: float,
@@ -258,7 +260,7 @@ def iter_traced(
     progress(len(suns), len(suns), "")
 
 
-def traced_sky_share(room: Room, rays: Array) -> Array:
+def traced_sky_share(room: Room, rays: Floats) -> Floats:
     """Return the share of the open sky's light that rays [m, 3] from the viewpoint receive, [m].
 
     Rays are in world axes. The share is 0 behind an opaque surface and below the horizon, else the
@@ -268,13 +270,13 @@ def traced_sky_share(room: Room, rays: Array) -> Array:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)
 
 
-def _pixel_mean(pixel: NDArray[np.int32], values: Array, height: int) -> NDArray[np.float32]:
+def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats32:
     count = 2 * height**2
     total = np.bincount(pixel, values, count) / np.bincount(pixel, minlength=count)
     return total.reshape(height, 2 * height).astype(np.float32)
 
 
-def traced_window_fraction(room: Room, height: int, heading_deg: float) -> NDArray[np.float32]:
+def traced_window_fraction(room: Room, height: int, heading_deg: float) -> Floats32:
     """Return the share of each pixel that sees the sky, times the glass, [H, W].
 
     The room is traced under a sky of radiance one; everything else is dark.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fieldlum.arrays import Floats, Floats32
+
 SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc seconds (IAU)
 
 
@@ -21,16 +21,16 @@ class SunPatches:
     sun.
     """
 
-    luminance_cdm2: NDArray[np.float32]
-    visible_fraction: Array
-    disc_transmittance: Array
-    disc_lx: Array
+    luminance_cdm2: Floats32
+    visible_fraction: Floats
+    disc_transmittance: Floats
+    disc_lx: Floats
 
     def __len__(self) -> int:
         return len(self.luminance_cdm2)
 
 
-def disc_rays(toward: Array, rings: int = 4) -> Array:
+def disc_rays(toward: Floats, rings: int = 4) -> Floats:
     """Return unit vectors to equal areas of the sun disc around `toward` [3]; 61 for 4 rings."""
     radius, angle = [0.0], [0.0]
     for ring in range(1, rings + 1):

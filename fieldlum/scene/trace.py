@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Mask
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 
-Array = NDArray[np.float64]
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
 # rays in work at a time; limits memory only; chosen; any value gives the same result
 _CHUNK = 150_000
@@ -24,13 +23,13 @@ class Hits:
     axis 0..2 and sign of the face's normal.
     """
 
-    distance_m: Array
+    distance_m: Floats
     box: NDArray[np.int32]
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
 
 
-def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
+def first_hits(scene: BoxScene, origins: Floats, directions: Floats) -> Hits:
     """Return the nearest box that each of n rays hits, and the distance.
 
     origins, directions: [n, 3]. A box that contains the ray's origin is ignored. A ray without a
@@ -47,7 +46,7 @@ def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
     return Hits(distance, box, axis, sign)
 
 
-def _first(scene: BoxScene, origins: Array, directions: Array) -> tuple[NDArray[Any], ...]:
+def _first(scene: BoxScene, origins: Floats, directions: Floats) -> tuple[Array, ...]:
     d = np.where(np.abs(directions) < 1e-12, 1e-12, directions).T  # [3, n]
     inverse = np.ascontiguousarray(1.0 / d)
     start = np.ascontiguousarray(origins.T)  # [3, n]; a reduction over a last axis of 3 is slow
@@ -75,12 +74,12 @@ class Panes:
     """
 
     opening: NDArray[np.int32]
-    distance_m: Array
-    through: Array
-    back: Array
+    distance_m: Floats
+    through: Floats
+    back: Floats
 
 
-def pane_crossings(scene: BoxScene, origins: Array, directions: Array, limit_m: Array) -> Panes:
+def pane_crossings(scene: BoxScene, origins: Floats, directions: Floats, limit_m: Floats) -> Panes:
     """Return the first pane that each ray crosses within `limit_m` [n]."""
     n = len(directions)
     index, best = np.full(n, -1, np.int32), np.array(limit_m, float)
@@ -93,9 +92,7 @@ def pane_crossings(scene: BoxScene, origins: Array, directions: Array, limit_m: 
     return Panes(index, np.where(index >= 0, best, np.inf), through, back)
 
 
-def _cross(
-    o: Opening, origins: Array, directions: Array, plane_m: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _cross(o: Opening, origins: Floats, directions: Floats, plane_m: float) -> tuple[Floats, Mask]:
     """Return the distance to a plane across the opening, and whether a ray passes inside it."""
     d = directions[:, o.axis]
     at = (plane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
@@ -104,9 +101,7 @@ def _cross(
     return at, o.contains(u, z)
 
 
-def blocked(
-    low: Array, high: Array, points: NDArray[np.floating], toward: Array
-) -> NDArray[np.bool_]:
+def blocked(low: Floats, high: Floats, points: Floats, toward: Floats) -> Mask:
     """Return the points from which any of the boxes hides a far light, as a mask [k].
 
     low, high : corners of the boxes [b, 3] m; points : [k, 3] m; toward : direction of the light
@@ -125,12 +120,8 @@ def blocked(
 
 
 def may_block(
-    low: Array,
-    high: Array,
-    tile_low: NDArray[np.floating],
-    tile_high: NDArray[np.floating],
-    toward: Array,
-) -> NDArray[np.bool_]:
+    low: Floats, high: Floats, tile_low: Floats, tile_high: Floats, toward: Floats
+) -> Mask:
     """Return which boxes [b, 3] (m) may be between a point of a tile [t, 3] and the light, [t, b].
 
     toward : [3] direction of the light. The result may contain too many boxes, never too few.

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Indices
 from fieldlum.projection import direction, rotation
 from fieldlum.records import Room
 from fieldlum.scene.geometry import BoxScene, build
 from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_crossings
 
-Array = NDArray[np.float64]
 WINDOW_RAYS = 3  # in each direction of a pixel, for its share of window; not measured
 
 
@@ -34,17 +33,17 @@ class SceneView:
     scene: BoxScene
     height: int
     heading_deg: float
-    position: Array
+    position: Floats
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
     box: NDArray[np.int32]
     pixel: NDArray[np.int32]
-    weight: Array
+    weight: Floats
     first_mirrored: int
-    sky: NDArray[np.float32]
-    plain: NDArray[np.float32]
+    sky: Floats32
+    plain: Floats32
 
-    def sun_points(self, pixels: NDArray[np.intp] | None = None) -> SunPoints:
+    def sun_points(self, pixels: Indices | None = None) -> SunPoints:
         """Return the surface points of all pixels, or of the flat indices `pixels` [k].
 
         Their targets are pixels: flat indices for all, else positions in `pixels`.
@@ -63,7 +62,7 @@ class SceneView:
         return sun_points(self.scene, *parts, len(pixels))
 
 
-def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Array]:
+def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Floats]:
     """Return pixel index [m] and world direction [m, 3] of sub x sub rays in each pixel.
 
     The panorama has `height` rows and `heading_deg` at its centre column. The rays of a pixel have
@@ -123,11 +122,11 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
     )
 
 
-_Samples = tuple[NDArray[Any], ...]  # position, axis, sign, box, pixel, weight
+_Samples = tuple[Array, ...]  # position, axis, sign, box, pixel, weight
 
 
 def _surfaces(
-    pixel: NDArray[np.int32], origin: Array, rays: Array, hits: Hits, weight: Array
+    pixel: NDArray[np.int32], origin: Floats, rays: Floats, hits: Hits, weight: Floats
 ) -> _Samples:
     rows = np.flatnonzero(hits.box >= 0)
     position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
@@ -135,7 +134,12 @@ def _surfaces(
 
 
 def _mirrored(
-    scene: BoxScene, pixel: NDArray[np.int32], eye: Array, rays: Array, panes: Panes, share: Array
+    scene: BoxScene,
+    pixel: NDArray[np.int32],
+    eye: Floats,
+    rays: Floats,
+    panes: Panes,
+    share: Floats,
 ) -> _Samples:
     """Return the room's reflection in the panes: one bounce off the pane that a ray crosses."""
     rows = np.flatnonzero(panes.opening >= 0)

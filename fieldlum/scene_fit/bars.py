@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from fieldlum.arrays import Floats
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Bar, Guess
 from fieldlum.scene_fit.renderer import OUTSIDE, lit_entries, surfaces
 from fieldlum.scene_fit.window_view import WindowView
-
-Array = NDArray[np.floating]
 
 # From the study of the office (docs/scene.md), whose bars are 8 cm wide and 12 cm deep. The other
 # values were chosen with it and not varied since: slope of the sun against the window's normal
@@ -60,12 +58,12 @@ class WindowPicture:
     [z, u]; u_m, z_m: edges of the 2 cm cells along the wall [u + 1] and in height [z + 1], in m.
     """
 
-    value: Array
-    weight: Array
-    u_m: Array
-    z_m: Array
+    value: Floats
+    weight: Floats
+    u_m: Floats
+    z_m: Floats
 
-    def profile(self, axis: int) -> Array:
+    def profile(self, axis: int) -> Floats:
         """Return the weighted mean of `value` over z (axis 0) as [u], or over u (axis 1) as [z].
 
         It is NaN where no cell has data.
@@ -76,7 +74,7 @@ class WindowPicture:
 
 
 def window_picture(
-    evidence: SceneEvidence, guess: Guess, number: int, albedo: Array
+    evidence: SceneEvidence, guess: Guess, number: int, albedo: Floats
 ) -> WindowPicture:
     """Return the share of the sun that each cell of a window lets through, from sunlit pixels.
 
@@ -171,7 +169,7 @@ def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]
     return bars
 
 
-def _dips(profile: Array, edges: Array) -> list[tuple[float, float]]:
+def _dips(profile: Floats, edges: Floats) -> list[tuple[float, float]]:
     """Return the extents of the dips of a profile [k] with cell edges [k + 1].
 
     An extent is as wide as the dip's area.

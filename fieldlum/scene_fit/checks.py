@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from fieldlum.arrays import Floats, Indices
 from fieldlum.errors import InputError
 from fieldlum.light import facades_of
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg, turned
@@ -24,7 +24,6 @@ from fieldlum.scene_fit.renderer import OUTSIDE, surfaces
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-Array = NDArray[np.float64]
 
 # Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
 # corrects for a compass near steel; least number of hours that show a pattern.
@@ -185,7 +184,7 @@ def _two_views(data: Dataset) -> tuple[int, int, float] | None:
     return int((label == 0).sum()), int((label == 1).sum()), correlation
 
 
-def _two_groups(points: Array) -> NDArray[np.intp]:
+def _two_groups(points: Floats) -> Indices:
     """Return the group, 0 or 1, of each of the points [n, k].
 
     The groups are found by two means that start at the ends of the widest extent.

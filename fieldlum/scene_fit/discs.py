@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.projection import rotation
 from fieldlum.records import Site
 from fieldlum.scene_fit.sun_path import sun_earlier
-
-Array = NDArray[np.float64]
 
 NAMES = ("heading_deg", "tilt_deg", "roll_deg", "clock_min", "lens_scale")
 # Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand, a
@@ -51,8 +50,8 @@ class PoseFit:
     and "A and B" for pairs correlated by over 0.98.
     """
 
-    values: Array
-    covariance: Array
+    values: Floats
+    covariance: Floats
     rms_deg: float
     dropped: tuple[int, ...]
     open: tuple[str, ...]
@@ -129,14 +128,14 @@ class _Problem:
     prior_sd: of heading, tilt, roll, clock and lens scale.
     """
 
-    measured: Array
-    expected: Array
-    sigma: Array
+    measured: Floats
+    expected: Floats
+    sigma: Floats
     latitude_deg: float
     axis_deg: float
-    prior_sd: Array
+    prior_sd: Floats
 
-    def residuals(self, values: Array) -> Array:
+    def residuals(self, values: Floats) -> Floats:
         """Return measured minus true directions of the sun, in standard uncertainties, [n, 3]."""
         heading, tilt, roll, clock, scale = values
         true = _scaled(self.measured, scale, self.axis_deg) @ (
@@ -145,7 +144,7 @@ class _Problem:
         suns = sun_earlier(self.expected, clock, self.latitude_deg)
         return (true - suns) / self.sigma[:, None]
 
-    def solve(self, keep: NDArray[np.bool_], excess: float = 1.0) -> tuple[Array, Array]:
+    def solve(self, keep: Mask, excess: float = 1.0) -> tuple[Floats, Floats]:
         """Return the parameters [5] and their covariance [5, 5], fitted with the priors.
 
         keep: which discs count [n]. excess: factor on the discs' variance, sigma squared.
@@ -168,7 +167,7 @@ class _Problem:
         return values, np.asarray(np.linalg.inv(normal), float)
 
 
-def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, float]:
+def _least_explained(problem: _Problem, keep: Mask) -> tuple[int, float]:
     """Return the disc whose removal improves the fit of the others most, and its distance.
 
     The distance from that fit is in standard uncertainties of the disc and of the others' fit; the
@@ -196,7 +195,7 @@ def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, f
     return worst, most
 
 
-def _scaled(directions: Array, scale: float, axis_deg: float) -> Array:
+def _scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
     """Return directions [n, 3] with their angle from the axis times (1 + scale)."""
     a = np.radians(axis_deg)
     axis = np.array([np.sin(a), np.cos(a), 0.0])
@@ -207,7 +206,7 @@ def _scaled(directions: Array, scale: float, axis_deg: float) -> Array:
     return np.cos(wide)[:, None] * axis + np.sin(wide)[:, None] * side
 
 
-def _undetermined(covariance: Array, prior_sd: Array) -> tuple[str, ...]:
+def _undetermined(covariance: Floats, prior_sd: Floats) -> tuple[str, ...]:
     """Return the names of undetermined parameters, and of strongly correlated pairs.
 
     An undetermined parameter has more than half of the prior's uncertainty.

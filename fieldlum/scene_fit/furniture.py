@@ -11,13 +11,11 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.parameters import Parameter
-
-Array = NDArray[np.floating]
 
 # Solids from which searches start: columns and boxes of three heights and up to the ceiling, and
 # table tops with thin legs at these heights, below which the sun passes. A desk has 0.74 m (EN
@@ -83,7 +81,7 @@ def _cabinets(guess: Guess) -> list[Solid]:
     return solids
 
 
-def _places(extent_m: float) -> Array:
+def _places(extent_m: float) -> Floats:
     """Return the lattice's coordinates along one side of the room [k]."""
     return np.arange(LATTICE_M / 2.0, extent_m, LATTICE_M)
 

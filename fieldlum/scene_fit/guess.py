@@ -12,13 +12,11 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.projection import rotation
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import WALLS, build
-
-Array = NDArray[np.floating]
 
 ARCH_STEPS = 12  # chosen: stairs of 1 to 13 cm in a half circle 2 m wide
 
@@ -45,7 +43,7 @@ class WindowRect:
         """Whether the upper edge is level, without arch and slant."""
         return self.arch_m == 0.0 and self.slant_m == 0.0
 
-    def top_m(self, u: Array) -> Array:
+    def top_m(self, u: Floats) -> Floats:
         """Return the height of the upper edge [k], in m, at places `u` [k], in m along the wall.
 
         Beyond the window's ends it is the height at the nearer end.
@@ -107,7 +105,7 @@ class Guess:
     axis_deg: float = 180.0
 
     @property
-    def turn(self) -> Array:
+    def turn(self) -> Floats:
         """The rotation from stated world axes (x east, y north, z up) to room axes, [3, 3].
 
         room = turn @ world. `north_deg` is not included.
@@ -115,7 +113,7 @@ class Guess:
         return _turn(self.wall_azimuth_deg)
 
     @property
-    def camera_turn(self) -> Array:
+    def camera_turn(self) -> Floats:
         """The rotation from the picture's world axes to room axes, [3, 3].
 
         room = camera_turn @ picture. The picture's axes are x east, y north, z up for a level
@@ -125,7 +123,7 @@ class Guess:
 
 
 @lru_cache(maxsize=64)  # a search evaluates the same angles in many scenes
-def _turn(azimuth_deg: float) -> Array:
+def _turn(azimuth_deg: float) -> Floats:
     azimuth = np.radians(azimuth_deg)
     x = (-np.cos(azimuth), np.sin(azimuth), 0.0)
     y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
@@ -133,7 +131,7 @@ def _turn(azimuth_deg: float) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Array:
+def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
     return _turn(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
 
 

@@ -7,20 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import SHELL
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class Misfits:
     """Shares of wrong pixels, 0 to 1, in n held-out hours [n], by geometry; days: local dates."""
 
-    none: Array
-    stated: Array
-    fitted: Array
+    none: Floats
+    stated: Floats
+    fitted: Floats
     days: NDArray[np.datetime64]
 
     def mean(self) -> dict[str, float]:
@@ -28,7 +27,7 @@ class Misfits:
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
-def misfits_of(evidence: SceneEvidence, stated: Guess, fitted: Guess, albedo: Array) -> Misfits:
+def misfits_of(evidence: SceneEvidence, stated: Guess, fitted: Guess, albedo: Floats) -> Misfits:
     """Return the shares of wrong pixels in the hours of `evidence` with three geometries.
 
     albedo: of the fitted scene's west, east, south and north wall, floor, ceiling and solids [6 +

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.records import Room
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.guess import Bar, Guess
-
-Array = NDArray[np.floating]
 
 Change = Callable[[Guess, float], Guess]
 
@@ -244,7 +242,7 @@ def _deepened_bar(bar: Bar, by: float) -> Bar:
     return replace(bar, depth_m=(bar.depth_m[0], max(bar.depth_m[1] + by, bar.depth_m[0] + 0.005)))
 
 
-def stated_albedo(room: Room) -> Array:
+def stated_albedo(room: Room) -> Floats:
     """Return stated albedos, 0 to 1, of west, east, south, north, floor and ceiling, [6]."""
     walls = [room.reflectance_walls] * 4
     return np.array([*walls, room.reflectance_floor, room.reflectance_ceiling])

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Indices
 from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
 from fieldlum.scene_fit.bars import window_picture
 from fieldlum.scene_fit.evidence import SceneEvidence
@@ -78,7 +78,7 @@ def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
     return figure
 
 
-def _telling_rows(evidence: SceneEvidence) -> NDArray[np.intp]:
+def _telling_rows(evidence: SceneEvidence) -> Indices:
     """Return the hours with most light in patches, one for each of several sun directions."""
     excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None) @ evidence.weights
     parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)
@@ -86,7 +86,7 @@ def _telling_rows(evidence: SceneEvidence) -> NDArray[np.intp]:
     return evidence.rows[np.array(best)]
 
 
-def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]) -> Any:
+def _windows(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> Any:
     """Draw the transmitted share of each window, with the fitted bars."""
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from fieldlum.arrays import Floats, Indices, Mask
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.furniture import TABLE_TOP_M
 from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
-
-Array = NDArray[np.floating]
 
 # From the study of the office and one more room (docs/scene.md): depths and albedos tried for each
 # pixel; gain in a pixel's misfit that exceeds noise; cells of the plan in which pixels are grouped;
@@ -47,13 +45,13 @@ class PixelDepths:
     surface is better, the gain is 0 and the position is that of the guess.
     """
 
-    position_m: Array
-    face: NDArray[np.intp]
-    albedo: Array
-    gain: Array
+    position_m: Floats
+    face: Indices
+    albedo: Floats
+    gain: Floats
 
 
-def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
+def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> PixelDepths:
     """Find for each pixel the nearer surface that explains its sunlit and dark hours best.
 
     40 depths along the ray, 5 faces and 5 albedos are tried for each pixel separately. If one is
@@ -105,7 +103,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
     return PixelDepths(position, face, tone, gain)
 
 
-def _loss(evidence: SceneEvidence, patch: Array) -> Array:
+def _loss(evidence: SceneEvidence, patch: Floats) -> Floats:
     """Return the mean misfit over the hours, for each pixel [m]."""
     lit = np.flatnonzero(patch)
     loss = evidence.dark_loss.copy()
@@ -133,9 +131,7 @@ def clustered_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
     return _distinct([solid for _, solid in proposals])[:MAX_PROPOSALS]
 
 
-def _clusters(
-    found: PixelDepths, group: NDArray[np.bool_], guess: Guess
-) -> list[tuple[float, Solid]]:
+def _clusters(found: PixelDepths, group: Mask, guess: Guess) -> list[tuple[float, Solid]]:
     rows = np.flatnonzero(group)
     if not len(rows):
         return []

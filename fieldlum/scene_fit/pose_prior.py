@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.records import Site
 from fieldlum.scene_fit.discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
 from fieldlum.scene_fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
@@ -18,7 +18,6 @@ from fieldlum.session import Session
 if TYPE_CHECKING:
     from fieldlum.scene_fit.guess import Guess
 
-Array = NDArray[np.float64]
 
 # Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include
 # (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
@@ -37,9 +36,9 @@ class MeasuredDiscs:
     uncertainty along each axis [n].
     """
 
-    altitude_deg: Array
-    azimuth_deg: Array
-    sigma_deg: Array
+    altitude_deg: Floats
+    azimuth_deg: Floats
+    sigma_deg: Floats
     t_utc: tuple[datetime, ...]
 
     def __len__(self) -> int:
@@ -53,8 +52,8 @@ class PosePrior:
     values: the mean [4]; covariance [4, 4]. Signs are those of `Guess`.
     """
 
-    values: Array
-    covariance: Array
+    values: Floats
+    covariance: Floats
 
     def cost(self, guess: Guess) -> float:
         """Return the squared Mahalanobis distance of the guess's pose and clock from the mean."""

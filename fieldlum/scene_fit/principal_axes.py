@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.parameters import POSE_NAMES, Change, Parameter
 from fieldlum.scene_fit.search import Objective, search_moves
-
-Array = NDArray[np.floating]
 
 # Chosen, not varied. The first step along a principal axis changes the cost by `_PRINCIPAL_GAIN`,
 # but is at most `_LONGEST_STEPS` first steps of the parameters.
@@ -42,7 +40,7 @@ def principal_search(
     return search_moves(objective, guess, moves)
 
 
-def prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> Array:
+def prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> Floats:
     """Return half of the prior's second derivatives by the parameters' first steps, [p, p]."""
     pose = objective.pose
     names = [p.name for p in parameters]
@@ -56,12 +54,12 @@ def prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> Ar
     return objective.prior_unit * curvature * np.outer(step, step)
 
 
-def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
+def _along(parameters: Sequence[Parameter], direction: Floats) -> Change:
     """Return a change of all parameters by `direction` [p] times their first steps."""
     return lambda guess, by: _moved(guess, parameters, by * direction)
 
 
-def _moved(guess: Guess, parameters: Sequence[Parameter], steps: Array) -> Guess:
+def _moved(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Guess:
     """Return the guess with each parameter changed by a number of first steps, [p]."""
     for p, step in zip(parameters, steps, strict=True):
         guess = p.change(guess, float(step * p.first_step))

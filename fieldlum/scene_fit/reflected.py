@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
@@ -18,8 +18,7 @@ from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-Array = NDArray[np.floating]
-Float32 = NDArray[np.float32]
+Float32 = Floats32
 
 # Chosen, for time: rays whose ends stand for the lit surfaces.
 _SOURCES = 4000
@@ -30,7 +29,7 @@ _GRAZING = 1e-3  # least cosine of a camera ray and a surface; chosen
 
 
 def relit(
-    evidence: SceneEvidence, data: Dataset, guess: Guess, albedo: Array, *, reflects: bool
+    evidence: SceneEvidence, data: Dataset, guess: Guess, albedo: Floats, *, reflects: bool
 ) -> SceneEvidence:
     """Return the evidence with the light below patches estimated again, with the guess's patches.
 
@@ -42,7 +41,7 @@ def relit(
     return evidence.relit(data, patch, reflected)
 
 
-def reflected_once(evidence: SceneEvidence, guess: Guess, albedo: Array) -> Array:
+def reflected_once(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> Floats:
     """Return the luminance of each hour's pixels by light that sun patches reflect, cd/m2 [n, m].
 
     Surfaces are matt (Lambert). Light that was reflected twice, and objects between patch and
@@ -69,9 +68,7 @@ def reflected_once(evidence: SceneEvidence, guess: Guess, albedo: Array) -> Arra
     return illuminance_lx * shade / np.pi
 
 
-def _area_m2(
-    guess: Guess, ends: Surfaces, rows: NDArray[np.intp], solid_angle_sr: Float32
-) -> Float32:
+def _area_m2(guess: Guess, ends: Surfaces, rows: Indices, solid_angle_sr: Float32) -> Float32:
     """Return the area that each of some rays stands for, in m2 [s]; rows: indices of the rays."""
     away = ends.position_m[rows] - np.array(guess.camera_m, np.float32)  # [s, 3]
     squared = np.sum(away**2, axis=1)
@@ -80,9 +77,7 @@ def _area_m2(
     return solid_angle_sr[rows] * squared / cosine
 
 
-def _received(
-    ends: Surfaces, rows: NDArray[np.intp], area_m2: Float32, pixels: Surfaces
-) -> Float32:
+def _received(ends: Surfaces, rows: Indices, area_m2: Float32, pixels: Surfaces) -> Float32:
     """Return the illuminance at pixels by sources of 1 lm/m2, in lx [m, s].
 
     ends, rows: ray ends, and the indices of those that are sources; area_m2: of the sources [s].

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.guess import Guess
@@ -17,15 +17,14 @@ from fieldlum.scene_fit.renderer import surfaces
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-Array = NDArray[np.floating]
 
 # pixels nearer to a window are omitted, because they may look through it; chosen
 _WINDOW_MARGIN_DEG = 4.0
 
 
 def draw_pixels(
-    data: Dataset, guess: Guess, rows: NDArray[np.intp], count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.intp], Array, float]:
+    data: Dataset, guess: Guess, rows: Indices, count: int, rng: np.random.Generator
+) -> tuple[Indices, Floats, float]:
     """Return randomly drawn pixels, their weights, and the solid angle [sr] they are drawn from.
 
     rows: captures with direct sun; count: of the pixels. The probability is by solid angle. Pixels
@@ -50,9 +49,7 @@ def draw_pixels(
     return chosen, 1.0 / boost[chosen], float(omega.sum())
 
 
-def rays_of(
-    data: Dataset, chosen: NDArray[np.intp], sub: int
-) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+def rays_of(data: Dataset, chosen: Indices, sub: int) -> tuple[Floats32, Indices]:
     """Return sub x sub rays in each chosen pixel [r, 3], and the index of each ray's pixel [r].
 
     Rays are unit vectors, x east, y north, z up by the stated heading.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess, Solid
 from fieldlum.scene_fit.pose_prior import PosePrior
@@ -22,8 +23,6 @@ from fieldlum.scene_fit.renderer import (
     shades,
 )
 
-Array = NDArray[np.floating]
-
 
 @dataclass(slots=True)
 class SolidCost:
@@ -36,17 +35,17 @@ class SolidCost:
 
     evidence: SceneEvidence
     guess: Guess  # without the solid
-    albedo: Array  # [6 + solids] of the guess
+    albedo: Floats  # [6 + solids] of the guess
     prior: float  # of the guess: a solid has none
     pose: PosePrior | None = None  # the pose does not move with a solid
     _rays: RoomRays = field(init=False)
-    _nearest: NDArray[np.float32] = field(init=False)
-    _position: NDArray[np.float32] = field(init=False)
-    _suns: NDArray[np.float32] = field(init=False)
+    _nearest: Floats32 = field(init=False)
+    _position: Floats32 = field(init=False)
+    _suns: Floats32 = field(init=False)
     _lit: LitEntries = field(init=False)
-    _shine: NDArray[np.float32] = field(init=False)
+    _shine: Floats32 = field(init=False)
     _view_rays: RoomRays = field(init=False)
-    _view_nearest: NDArray[np.float32] = field(init=False)
+    _view_nearest: Floats32 = field(init=False)
     _kind: NDArray[np.int8] = field(init=False)
     _view_misfit: float = field(init=False)
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from fieldlum.arrays import Floats
 
 # Apparent rotation of the sky: 360 degrees in a mean solar day; the sun's own motion in declination
 # (at most 0.4 degrees a day) is below 0.003 degrees in ten minutes.
 SKY_TURN_DEG_PER_MIN = 0.25
 
 
-def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -> Array:
+def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -> Floats:
     """Return the sun's directions `minutes` earlier (negative: later), [n, 3].
 
     sun_direction: [n, 3] unit vectors (x east, y north, z up); latitude_deg: north positive. The

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.light import facades_of
 from fieldlum.records import Room
 
@@ -28,7 +28,7 @@ _STRONGEST_SHARE = 0.1
 SUNSHINE_WM2 = 120.0
 
 
-def direct_on_windows_lx(data: Dataset, room: Room | None) -> NDArray[np.float64]:
+def direct_on_windows_lx(data: Dataset, room: Room | None) -> Floats:
     """Return the largest direct illuminance on the plane of a window [n]; 0 for suns under 2 deg.
 
     Without a box room with windows, the planes are eight vertical ones, every 45 degrees.
@@ -38,9 +38,7 @@ def direct_on_windows_lx(data: Dataset, room: Room | None) -> NDArray[np.float64
     return np.where(light.sun_altitude_deg < _LOWEST_SUN_DEG, 0.0, facing * light.direct_lx)
 
 
-def sunny_hours(
-    data: Dataset, room: Room | None, *, near_strongest: bool = False
-) -> NDArray[np.bool_]:
+def sunny_hours(data: Dataset, room: Room | None, *, near_strongest: bool = False) -> Mask:
     """Return a mask [n], True for hours with strong direct sun on the plane of a window.
 
     Strong is over 1 000 lx and over a tenth of the total light; with `near_strongest`, over a tenth

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Indices, Mask
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.year_sample import Predictor, expect, light_of_year
 from fieldlum.projection import equirect_solid_angles
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from fieldlum.models import Patch
     from fieldlum.models.data import Dataset
 
-Array = NDArray[np.float64]
 
 # Chosen: suns closer than this leave together; neighbouring hours are 12 to 15 degrees apart.
 BLOCK_DEG = 9.0
@@ -87,7 +86,7 @@ class SceneVerdict:
     trusted_share: float = 1.0
 
 
-def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
+def sun_blocks(suns: Floats, reach_deg: float = BLOCK_DEG) -> Indices:
     """Return a block number from 0 for each sun, [n]; suns closer than reach_deg share a block.
 
     suns: unit vectors [n, 3]. A chain of such neighbours is one block.
@@ -99,7 +98,7 @@ def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
     return connected_components(csr_matrix(near), directed=False)[1].astype(np.intp)
 
 
-def outside_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
+def outside_hours(data: Dataset, room: Room | None) -> Mask:
     """Return a mask [n], True for hours to hold out: sunny, in every third block of sun directions.
 
     Sunny is as in `sunny_hours`; a block (`sun_blocks`) has suns within 9 degrees of each other or
@@ -151,7 +150,7 @@ def judge(
     return choose_geometry(scores)
 
 
-def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _draw(data: Dataset, rng: np.random.Generator) -> Mask:
     """Return some of the seen pixels, drawn by solid angle, [H, W]."""
     chance = np.where(data.seen, equirect_solid_angles(*data.shape), 0.0).ravel()
     count = min(PIXELS, int((chance > 0.0).sum()))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import BAR, OUTSIDE, seen_in_opening, surfaces
@@ -17,7 +18,6 @@ from fieldlum.sun import direction
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-Array = NDArray[np.floating]
 
 RAY_DEG = 0.75  # chosen: between rays of a pixel; an edge moves a pixel's share in such steps
 MARGIN_DEG = 6.0  # chosen: a tape that is 5 cm off and a camera that is, both seen from 1 m
@@ -44,11 +44,11 @@ class WindowView:
     the stated heading [r, 3]; pixel: index below q of each ray [r]; per_pixel: rays in each pixel.
     """
 
-    seen: Array
-    row: NDArray[np.intp]
-    weights: Array
-    rays: NDArray[np.float32]
-    pixel: NDArray[np.intp]
+    seen: Floats
+    row: Indices
+    weights: Floats
+    rays: Floats32
+    pixel: Indices
     per_pixel: int
 
     def thinned(self, every: int) -> WindowView:
@@ -75,7 +75,7 @@ class WindowView:
         share = rng.exponential(1.0, len(self.weights))
         return replace(self, weights=self.weights * share / max(share.mean(), 1e-12))
 
-    def errors(self, guess: Guess) -> Array:
+    def errors(self, guess: Guess) -> Floats:
         """Return predicted minus seen luminance of each pixel over that of its row's panes, [q].
 
         A pixel mixes panes, reveals and the room in the shares that the guess has, with the
@@ -83,13 +83,13 @@ class WindowView:
         """
         return self._errors(self.shares(guess))
 
-    def _errors(self, share: Array) -> Array:
+    def _errors(self, share: Floats) -> Floats:
         level = self.levels(share)
         pane, others = level[: -len(_LEVELS)][self.row], level[-len(_LEVELS) :]
         shown = share[:, 0] * pane + share[:, 1:] @ others
         return (shown - self.seen) / np.maximum(pane, _LEAST_PANE)
 
-    def levels(self, share: Array) -> Array:
+    def levels(self, share: Floats) -> Floats:
         """Return the luminances that explain the picture best, for pixels with the shares [q, 5].
 
         They are that of the panes in each picture row, then of sill, head, jambs and room, [rows +
@@ -113,7 +113,7 @@ class WindowView:
         right[rows:] += _LEVEL_WEIGHTS * _LEVELS
         return np.linalg.solve(normal + 1e-9 * np.eye(size), right)
 
-    def shares(self, guess: Guess) -> Array:
+    def shares(self, guess: Guess) -> Floats:
         """Return the share of each pixel that shows pane, sill, head, jamb or the rest, [q, 5].
 
         The rest is room, furniture and bars.
@@ -132,7 +132,7 @@ class WindowView:
         kind[into] = seen_in_opening(guess, ends.position_m[into], self.rays[into] @ turn)
         return kind
 
-    def shares_of(self, kind: NDArray[np.int8]) -> Array:
+    def shares_of(self, kind: NDArray[np.int8]) -> Floats:
         """Return the share of each pixel's rays that see each of the five kinds, [q, 5].
 
         kind: what each ray sees, 0 to 4: `PANE`, `SILL`, `HEAD`, `JAMB`, `BAR` (also room) [r].
@@ -141,13 +141,13 @@ class WindowView:
         counts = np.bincount(self.pixel * (BAR + 1) + kind, minlength=count * (BAR + 1))
         return counts.reshape(count, BAR + 1) / self.per_pixel
 
-    def residuals(self, guess: Guess) -> Array:
+    def residuals(self, guess: Guess) -> Floats:
         """Return numbers [q] whose squares add up to `misfit`; 0 if the picture shows no edges."""
         if not self.weights.any():
             return np.zeros(len(self.weights))
         return self._saturated(self.errors(guess))
 
-    def _saturated(self, error: Array) -> Array:
+    def _saturated(self, error: Floats) -> Floats:
         return np.sqrt(self.weights) * error / np.sqrt(error**2 + WIDTH**2)
 
     def misfit(self, guess: Guess) -> float:
@@ -211,7 +211,7 @@ def window_view(data: Dataset, guess: Guess) -> WindowView:
     )
 
 
-def _scattered(rays: Array, step_deg: float) -> Array:
+def _scattered(rays: Floats, step_deg: float) -> Floats:
     """Return rays [r, 3] moved at random by up to half the step between them.
 
     The jambs of a window are at one azimuth: regular rays of all rows would pass them at once, and

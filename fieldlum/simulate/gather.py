@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.records import Progress, quiet
 from fieldlum.scene.geometry import BoxScene
 from fieldlum.scene.radiance import PLAIN_TEXT, SKY_TEXT, Face, faces, octree, rad_text
 from fieldlum.sky import reinhart_patches
 
-Array = NDArray[np.float64]
 SKY_MF = 4  # 4 x 4 Reinhart patches for each Tregenza patch: 2305 in total
 SKY = len(reinhart_patches(SKY_MF))
 PLAIN = SKY  # column of the open plain
@@ -54,17 +54,17 @@ class Pieces:
     counts: NDArray[np.int32]  # [faces, 2]
     first: NDArray[np.int32]
     face: NDArray[np.int32]
-    reflectance: Array
-    middle: Array
-    position: Array
+    reflectance: Floats
+    middle: Floats
+    position: Floats
     piece: NDArray[np.int32]
-    share: Array
+    share: Floats
 
     def __len__(self) -> int:
         return len(self.face)
 
     @property
-    def free(self) -> NDArray[np.intp]:
+    def free(self) -> Indices:
         """Indices [k], ascending, of the pieces that are not completely inside another box."""
         return np.flatnonzero(np.isfinite(self.middle[:, 0]))
 
@@ -79,7 +79,7 @@ class Pieces:
         return np.array([f.sign for f in self.faces], np.int8)[self.face]
 
     @cached_property
-    def normals(self) -> Array:
+    def normals(self) -> Floats:
         """Normal of each piece as a unit vector, [p, 3]."""
         out = np.zeros((len(self), 3))
         out[np.arange(len(self)), self.axis] = self.sign
@@ -117,7 +117,7 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     )
 
 
-def _grid(face: Face, na: int, nb: int) -> Array:
+def _grid(face: Face, na: int, nb: int) -> Floats:
     """Return _SUB x _SUB points in each piece of a face, by piece, [na nb _SUB _SUB, 3]."""
     step = (np.arange(_SUB) + 0.5) / _SUB
     jb, ja, sb, sa = (
@@ -167,9 +167,7 @@ def _bin_file(pieces: Pieces) -> str:
     return "\n".join(lines)
 
 
-def _hemispheres(
-    position: Array, normal: Array, rays: int, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def _hemispheres(position: Floats, normal: Floats, rays: int, rng: np.random.Generator) -> Floats32:
     """Return cosine-weighted rays into each point's hemisphere, origin and direction, [m, rays, 6].
 
     Roberts' R2 sequence, which fills the square evenly at any count, shifted at random for each
@@ -208,8 +206,8 @@ def _command(
 def gather(
     scene: BoxScene,
     pieces: Pieces,
-    position: Array,
-    normal: Array,
+    position: Floats,
+    normal: Floats,
     rays: int,
     *,
     workers: int | None = None,
@@ -254,8 +252,8 @@ def _sparse(answer: bytes, rows: int, columns: int) -> Any:
 
 
 def representatives(
-    keys: Sequence[NDArray[np.integer]], position: Array, weight: Array
-) -> tuple[NDArray[np.intp], Array]:
+    keys: Sequence[NDArray[np.integer]], position: Floats, weight: Floats
+) -> tuple[Indices, Floats]:
     """Group points by equal keys; return one point of each group and the group's total weight.
 
     The point is the index, from 0, of the member nearest to the group's middle, [groups]. Groups

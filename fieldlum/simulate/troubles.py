@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.projection import altitude_azimuth_deg, equirect_rays
@@ -31,7 +31,6 @@ from fieldlum.strict_toml import build
 if TYPE_CHECKING:
     from fieldlum.simulate.truth import GroundTruth, Rendering
 
-Array = NDArray[Any]
 
 # Sizes of the disturbances. Where no source is stated they are chosen to look like a campaign, not
 # measured.
@@ -168,7 +167,7 @@ class CloudyLight(Light):
     cloud_sd: float = 0.0
     cloud_seed: int = 0
 
-    def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> CloudyLight:
+    def __getitem__(self, rows: slice | Array | Sequence[int]) -> CloudyLight:
         return CloudyLight.of(super().__getitem__(rows), self.cloud_sd, self.cloud_seed)
 
     @classmethod
@@ -177,7 +176,7 @@ class CloudyLight(Light):
         values = {f.name: getattr(light, f.name) for f in fields(Light)}
         return cls(**values, cloud_sd=cloud_sd, cloud_seed=cloud_seed)
 
-    def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
+    def sky_at(self, directions: Floats) -> Floats32:
         """Return the luminance of the clouded sky, [n, m], cd/m2.
 
         The diffuse illuminance is that of the sky without the field; the ground below the horizon
@@ -197,9 +196,7 @@ class CloudyLight(Light):
         return out
 
 
-def _cloud_field(
-    rng: np.random.Generator, sd: float, *directions: NDArray[np.floating]
-) -> list[NDArray[np.float64]]:
+def _cloud_field(rng: np.random.Generator, sd: float, *directions: Floats) -> list[Floats]:
     """Return exp of a smooth normal field at each set of directions [m, 3], [m] each."""
     waves = rng.normal(0.0, 1.0 / _CLOUD_SCALE_RAD, (_CLOUD_WAVES, 3))
     phases = rng.uniform(0.0, 2.0 * np.pi, _CLOUD_WAVES)
@@ -360,7 +357,7 @@ def _block(
     altitude_deg: float,
     wide_deg: float,
     high_deg: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return the pixels of an upright rectangle; its azimuth counts from the heading, [H, W]."""
     altitude, azimuth = altitude_azimuth_deg(equirect_rays(height, width, 0.0))
     away = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.errors import InputError
 from fieldlum.light import Light, light_at
 from fieldlum.projection import equirect_rays
@@ -24,7 +25,6 @@ from fieldlum.session.provenance import digest
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
 from fieldlum.strict_toml import plain
 
-Array = NDArray[np.float64]
 VERSION = 3  # of the coefficients; increase it to recompute all stored ones
 
 
@@ -59,10 +59,10 @@ class Rendering:
     sun at the camera; visible_fraction : [n] of the disc; light : as requested.
     """
 
-    luminance_cdm2: NDArray[np.float32]
-    patch_cdm2: NDArray[np.float32]
-    disc_lx: Array
-    visible_fraction: Array
+    luminance_cdm2: Floats32
+    patch_cdm2: Floats32
+    disc_lx: Floats
+    visible_fraction: Floats
     light: Light
 
     def __len__(self) -> int:
@@ -111,11 +111,11 @@ class GroundTruth:
         return sun_points(self.view.scene, p.position, axis, sign, p.share, p.piece, len(p))
 
     @cached_property
-    def _sky_rays(self) -> Array:
+    def _sky_rays(self) -> Floats:
         return equirect_rays(self.height, 2 * self.height, self.view.heading_deg).reshape(-1, 3)
 
     @cached_property
-    def _seen_sky(self) -> NDArray[np.intp]:
+    def _seen_sky(self) -> Indices:
         return np.flatnonzero(self.view.sky.ravel() > 0)
 
     def render(self, light: Light) -> Rendering:
@@ -140,16 +140,14 @@ class GroundTruth:
             out.reshape(shape), patch.reshape(shape), direct_lx * visible * through, visible, light
         )
 
-    def _columns(self, light: Light, sunlit: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _columns(self, light: Light, sunlit: Floats32) -> Floats32:
         """Return the luminance of sky, plain, and pieces after all bounces, [columns, n]."""
         outdoors = np.zeros((FIRST_PIECE, len(light)), np.float32)
         outdoors[:SKY] = light.sky_cdm2.T
         outdoors[PLAIN] = light.sky.ground_cdm2
         return self.columns(outdoors, sunlit.T)
 
-    def columns(
-        self, outdoors: NDArray[np.float32], first_lx: NDArray[np.float32] | float = 0.0
-    ) -> NDArray[np.float32]:
+    def columns(self, outdoors: Floats32, first_lx: Floats32 | float = 0.0) -> Floats32:
         """Return the luminance of sky and plain, then of pieces after all bounces, [columns, n].
 
         outdoors: luminance of sky and plain [FIRST_PIECE, n] cd/m2; first_lx: illuminance of the
@@ -162,7 +160,7 @@ class GroundTruth:
             pieces = reflect * (first + self._bounces @ pieces)
         return np.concatenate((outdoors, pieces))
 
-    def pixels_cdm2(self, columns: NDArray[np.float32]) -> NDArray[np.float32]:
+    def pixels_cdm2(self, columns: Floats32) -> Floats32:
         """Return the luminance of surfaces in the pixels without direct sun, [H W, n] cd/m2.
 
         columns: the result of `columns`.
@@ -312,7 +310,7 @@ def _gather_pieces(
     return (spread @ gathered).tocsr()
 
 
-def _pixel_points(view: SceneView, smooth_px: int) -> tuple[NDArray[np.intp], Any, Array]:
+def _pixel_points(view: SceneView, smooth_px: int) -> tuple[Indices, Any, Floats]:
     """Choose the points to gather light at: one for each face in each pixel, and for its mirror.
 
     Returns rows [m] of the view's samples, the matrix [H W, m] from their irradiance to luminance,
@@ -338,7 +336,11 @@ def _pixel_points(view: SceneView, smooth_px: int) -> tuple[NDArray[np.intp], An
 
 
 def _neighbours(
-    pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: SceneView, radius: int
+    pixel: NDArray[np.int32],
+    face: NDArray[np.int64],
+    position: Floats,
+    view: SceneView,
+    radius: int,
 ) -> Any:
     """Return the averaging matrix [m, m] over points of one face in pixels within `radius`.
 

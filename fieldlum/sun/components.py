@@ -9,8 +9,9 @@ from datetime import datetime
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats, Mask
 from fieldlum.records import Site
 from fieldlum.sun.ephemeris import pandas_index, position
 
@@ -32,7 +33,7 @@ def _old_names() -> Iterator[None]:
         yield
 
 
-def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
+def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> Floats:
     """Return the irradiance on a plane normal to the sun above the atmosphere, [n], in W/m2.
 
     Spencer 1971, through pvlib. Raises ValueError for naive times.
@@ -48,9 +49,9 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
 class Irradiance(NamedTuple):
     """Global horizontal, direct normal, diffuse horizontal irradiance [n] W/m2; NaN: unknown."""
 
-    ghi_wm2: NDArray[np.float64]
-    dni_wm2: NDArray[np.float64]
-    dhi_wm2: NDArray[np.float64]
+    ghi_wm2: Floats
+    dni_wm2: Floats
+    dhi_wm2: Floats
 
 
 def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
@@ -67,9 +68,7 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     return Irradiance(*(np.asarray(found[name], float) for name in ("ghi", "dni", "dhi")))
 
 
-def dirint_dni(
-    ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site
-) -> NDArray[np.float64]:
+def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) -> Floats:
     """Return DNI from a regular series of global irradiance by DIRINT, [n], in W/m2.
 
     Perez et al. 1992, through pvlib: the best of pvlib's decompositions on BSRN Payerne, June 2016,
@@ -96,9 +95,7 @@ def dirint_dni(
     return np.where(np.isnan(ghi), np.nan, np.where(zenith > 87.0, 0.0, dni))
 
 
-def dhi_by_closure(
-    ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
-) -> NDArray[np.float64]:
+def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2.
 
     With the sun below the horizon it is the global.
@@ -107,9 +104,7 @@ def dhi_by_closure(
     return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
 
 
-def dni_by_closure(
-    ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike
-) -> NDArray[np.float64]:
+def dni_by_closure(ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
 
     Noise can make it negative: values are not clipped, so that a mean has no bias. Zero at
@@ -124,9 +119,9 @@ def dni_by_closure(
 class Limits(NamedTuple):
     """Lowest (one number) and highest plausible value [n] of each component, in W/m2."""
 
-    ghi_wm2: tuple[float, NDArray[np.float64]]
-    dhi_wm2: tuple[float, NDArray[np.float64]]
-    dni_wm2: tuple[float, NDArray[np.float64]]
+    ghi_wm2: tuple[float, Floats]
+    dhi_wm2: tuple[float, Floats]
+    dni_wm2: tuple[float, Floats]
 
 
 def bsrn_limits(
@@ -152,9 +147,7 @@ def bsrn_limits(
     )
 
 
-def too_weak(
-    ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike
-) -> NDArray[np.bool_]:
+def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> Mask:
     """Return True where global is under 0.5 % of extraterrestrial sin(altitude), [n].
 
     False for a sun up to 10 degrees. Where True, the instrument is covered or dead, or the unit is
@@ -167,7 +160,7 @@ def too_weak(
 
 def closure_ratio(
     ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return global over (diffuse + DNI sin altitude), [n].
 
     NaN (not testable) where that sum is not over 50 W/m2. Irradiances in W/m2.

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Site
 from fieldlum.sun.ephemeris import position
@@ -127,7 +127,7 @@ def season(year: int, which: int) -> datetime:
     return datetime.fromtimestamp(round(moment), UTC)
 
 
-def declination_deg(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
+def declination_deg(times_utc: Sequence[datetime]) -> Floats:
     """Return the sun's declination, north positive, [n], in deg, correct to about 0.01 deg.
 
     Raises ValueError for naive times. It is computed as the true altitude of the sun at the pole.

@@ -7,8 +7,9 @@ from datetime import datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.arrays import Floats
 from fieldlum.records import Site
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ class SunPosition(NamedTuple):
     azimuth_deg: clockwise from north, in [0, 360).
     """
 
-    altitude_deg: NDArray[np.float64]
-    apparent_altitude_deg: NDArray[np.float64]
-    azimuth_deg: NDArray[np.float64]
+    altitude_deg: Floats
+    apparent_altitude_deg: Floats
+    azimuth_deg: Floats
 
 
 def pandas_index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
@@ -68,7 +69,7 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     )
 
 
-def shown_altitude_deg(altitude_deg: ArrayLike) -> NDArray[np.float64]:
+def shown_altitude_deg(altitude_deg: ArrayLike) -> Floats:
     """Return the altitude at which a picture shows the sun, from the true one, [n] deg.
 
     Refraction by SPA's formula (Bennett 1982, Reda and Andreas 2004) at standard pressure and 12 C:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Indices, Mask
 from fieldlum.light import LAMP_LX, Kernel
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.features import (
@@ -23,8 +23,7 @@ from fieldlum.models.transport.features import (
 )
 from fieldlum.models.transport.window_sky import seen_sky
 
-Array = NDArray[Any]
-Rows = NDArray[np.intp]
+Rows = Indices
 
 FEWEST_DAYS = 4  # with fewer days it is unclear which day is the exception; chosen
 _THIN_HEIGHT = 20  # least number of rows of the maps that are compared; chosen
@@ -83,11 +82,11 @@ class Process:
     """
 
     y: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
     covariance: Array
     spread: Array
-    days: NDArray[Any]
-    judged: NDArray[np.bool_]
+    days: Array
+    judged: Mask
     total_lx: Array
     beam: Array
     measured: Array
@@ -98,7 +97,7 @@ class Process:
         """Whether at least four days have pictures that can be judged."""
         return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
-    def without(self, hidden: NDArray[np.bool_]) -> Process:
+    def without(self, hidden: Mask) -> Process:
         """Return the process without the values where `hidden` [n, P] is True.
 
         Predictions from the other captures replace them in `y`, and `valid` becomes False there.
@@ -144,7 +143,7 @@ class Process:
         variance = 1.0 / np.diagonal(inverse)
         return LeftOut(rows, inverse, weights, weights * variance[:, None], variance)
 
-    def factor(self, rows: Rows, noise: float) -> NDArray[np.float64]:
+    def factor(self, rows: Rows, noise: float) -> Floats:
         """Return measured over predicted light of each capture, median over pixels, [n].
 
         Each capture is predicted from those of the captures `rows` that are from other days. noise:
@@ -238,7 +237,7 @@ def process_of(
     return process.without(~valid)
 
 
-def _draw(arrays: TrainingArrays, valid: NDArray[np.bool_]) -> Rows:
+def _draw(arrays: TrainingArrays, valid: Mask) -> Rows:
     """Return pixels that are valid in most captures, drawn by solid angle."""
     pixels = np.flatnonzero(valid.mean(axis=0) > 0.5)
     share = arrays.weights[pixels] / arrays.weights[pixels].sum()
@@ -246,7 +245,7 @@ def _draw(arrays: TrainingArrays, valid: NDArray[np.bool_]) -> Rows:
     return np.sort(np.random.default_rng(0).choice(pixels, count, replace=False, p=share))
 
 
-def _valid(arrays: TrainingArrays, data: Dataset, luminance: Array) -> NDArray[np.bool_]:
+def _valid(arrays: TrainingArrays, data: Dataset, luminance: Array) -> Mask:
     """Return a mask [n, P] of pixels without direct sun in or next to them; luminance: [n, P]."""
     from scipy.ndimage import maximum_filter
 

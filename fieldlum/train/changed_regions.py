@@ -10,14 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Mask
 from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_rays, equirect_solid_angles
 from fieldlum.train.agreement import Process, Rows, process_of, thinned
-
-Array = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 _NOISE = 3e-3  # relative variance of a capture, when the other captures predict it; chosen
 _ROUNDS = 2  # rounds, so that a detected region no longer disturbs the prediction of others; chosen

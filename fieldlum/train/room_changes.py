@@ -13,9 +13,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.seasons import seasons
 from fieldlum.train.agreement import (
@@ -60,7 +60,7 @@ class RoomChanges:
     lamp: Rows
     unexplained: Rows
     complete_days: tuple[Any, ...]
-    factor: NDArray[np.float64]
+    factor: Floats
 
 
 _NO_ROWS = np.empty(0, np.intp)
@@ -163,7 +163,7 @@ def _slots(data: Dataset, rows: Rows) -> str:
     return ", ".join(data.slots[row] for row in rows)
 
 
-def _hours(data: Dataset) -> NDArray[np.float64]:
+def _hours(data: Dataset) -> Floats:
     """Return the local standard time, [n] h."""
     times = [sun.standard_time(t, data.setup.site.timezone) for t in data.light.t_utc]
     return np.array([t.hour + t.minute / 60.0 for t in times])
@@ -173,7 +173,7 @@ def _hours(data: Dataset) -> NDArray[np.float64]:
 # a lamp
 
 
-def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]:
+def find_lamp(process: Process, hours: Floats) -> tuple[Rows, Rows]:
     """Return the captures to omit because of a lamp, and all captures with a lamp, as indices.
 
     Both are the same for a lamp that is on in some mornings or evenings only. A lamp that is on in
@@ -207,7 +207,7 @@ def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Rows]
     return lit, lit
 
 
-def _lit_days(process: Process, block: NDArray[np.bool_], cost: Callable[[Rows], float]) -> Rows:
+def _lit_days(process: Process, block: Mask, cost: Callable[[Rows], float]) -> Rows:
     """Return the captures of a block of hours [n], on the days on which a lamp explains most."""
 
     def rows_of(days: set[Any]) -> Rows:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.model_registry import MODELS
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, by_day
@@ -46,7 +46,7 @@ def _size(label: str) -> int:
     return MODELS[label.replace(":", " ").split()[0]].size
 
 
-def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
+def _daily(trial: Trial, data: Dataset, slots: set[str]) -> Floats:
     """Return the mean error of each held-out day, over the hours in `slots`."""
     day_of = dict(zip(data.slots, data.days, strict=True))
     rows = [k for k, slot in enumerate(trial.scores.slots) if slot in slots]

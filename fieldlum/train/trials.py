@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import models
+from fieldlum.arrays import Floats
 from fieldlum.model_registry import MODELS
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import Scores, evaluate, join, truth
@@ -122,7 +122,7 @@ def evaluate_folds(
     return Trial(name, join(parts), wall_s / n, cpu_s / n, round(taught / n), n, least)
 
 
-def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64]:
+def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> Floats:
     """Return the angle between the sun of each stored map and the nearest training sun [n] deg."""
     assert scores.maps is not None
     row = {data.slots[k]: k for k in fold.check}

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.glare.own_pixels import glare_of_pixels
 from fieldlum.glare.picture_grid import picture_grid
 from fieldlum.glare.picture_view import PictureView, picture_rays
 from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.single import picture_glare
 from fieldlum.projection import equirect_rays, equirect_solid_angles
-from fieldlum.records import Flag, Float
+from fieldlum.records import Flag
 
 _DRAWN_SOURCES = 12  # strongest sources with an outline; not measured
 Outline = tuple[tuple[int, int], ...]
@@ -33,9 +33,9 @@ class MeasuredPicture:
     """
 
     name: str
-    luminance_cdm2: NDArray[np.float32]
-    solid_angle_sr: NDArray[np.float32]
-    u_cdm2: NDArray[np.float32] | None
+    luminance_cdm2: Floats32
+    solid_angle_sr: Floats32
+    u_cdm2: Floats32 | None
     view: PictureView | None
     heading_deg: float
     ev_lx: float | None
@@ -43,7 +43,7 @@ class MeasuredPicture:
     outlines: tuple[Outline, ...]
     notes: tuple[str, ...]
 
-    def cosine_to(self, towards: Float) -> NDArray[np.float64]:
+    def cosine_to(self, towards: Floats) -> Floats:
         """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W].
 
         It is -1 where the picture has no direction.
@@ -82,7 +82,7 @@ def read_measured_picture(path: Path) -> MeasuredPicture:
     )
 
 
-def _solid_angles(picture: Picture) -> NDArray[np.float32]:
+def _solid_angles(picture: Picture) -> Floats32:
     """Return the solid angle of each complete pixel [sr], also behind the observer, [H, W]."""
     height, width = picture.panorama.luminance_cdm2.shape
     if picture.view is None:
@@ -93,7 +93,7 @@ def _solid_angles(picture: Picture) -> NDArray[np.float32]:
     return (density / (height * width)).astype(np.float32)
 
 
-def _outlines(picture: Picture, luminance: NDArray[np.float32]) -> tuple[Outline, ...]:
+def _outlines(picture: Picture, luminance: Floats32) -> tuple[Outline, ...]:
     """Return polygons around the strongest sources; none for a panorama, which has many views."""
     import cv2
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32
 from fieldlum.view.false_colour import COLOURS
 from fieldlum.view.measured_picture import MeasuredPicture
 from fieldlum.view.regions import shared_scale
@@ -25,7 +25,7 @@ _U_STEP = 4  # u is at a quarter of the size: bounds the page; chosen
 _U_PER_PERCENT = 4.0  # code of relative u: quarters of a percent, at most 63 %; chosen
 
 
-def encode_luminance(luminance_cdm2: NDArray[np.float32]) -> str:
+def encode_luminance(luminance_cdm2: Floats32) -> str:
     """Return luminances [H, W] as text for the page: base64 of deflated 16-bit logarithmic codes.
 
     Each code is stored as its difference from the pixel to the left, all high bytes first. Code 0:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Mask
 from fieldlum.projection import direction
 from fieldlum.view.measured_picture import MeasuredPicture
 
@@ -58,7 +58,7 @@ def parse_region(text: str) -> Region:
     return Region(kind, values, text)
 
 
-def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
+def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
     """Return a mask [H, W]: True for pixels whose centres are in the region."""
     height, width = picture.luminance_cdm2.shape
     y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]

@@ -11,9 +11,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import shipped
 from fieldlum.records import Site
@@ -170,7 +170,7 @@ def _in_order(path: Path, found: WeatherTable, site: Site, repairs: list[str]) -
     return rows
 
 
-def _values(rows: list[WeatherRow], repairs: list[str]) -> NDArray[np.float64]:
+def _values(rows: list[WeatherRow], repairs: list[str]) -> Floats:
     """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed."""
     values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
     negative = values < 0
@@ -183,11 +183,7 @@ def _values(rows: list[WeatherRow], repairs: list[str]) -> NDArray[np.float64]:
 
 
 def _fill_gaps(
-    found: WeatherTable,
-    site: Site,
-    rows: list[WeatherRow],
-    columns: NDArray[np.float64],
-    repairs: list[str],
+    found: WeatherTable, site: Site, rows: list[WeatherRow], columns: Floats, repairs: list[str]
 ) -> Weather:
     """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
 
@@ -264,11 +260,7 @@ def _check_night(path: Path, weather: Weather) -> None:
 
 
 def _check_sense(
-    path: Path,
-    found: WeatherTable,
-    rows: list[WeatherRow],
-    columns: NDArray[np.float64],
-    weather: Weather,
+    path: Path, found: WeatherTable, rows: list[WeatherRow], columns: Floats, weather: Weather
 ) -> None:
     """Check plausibility with the global irradiance that the file itself states.
 

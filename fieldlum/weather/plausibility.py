@@ -13,14 +13,12 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import InputError
 from fieldlum.records import Site
 from fieldlum.weather.year import Weather
-
-Array = NDArray[np.float64]
 
 # Energy of the year's global irradiance over that of a cloudless sky. Chosen so that every climate
 # is inside and a file in kW (0.001) or kJ (3.6) is outside; not measured.
@@ -57,7 +55,7 @@ _HALF = timedelta(minutes=30)  # of an hour, by definition
 _CORRECT_COLUMNS = "write the right columns, in W/m2"
 
 
-def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Array) -> None:
+def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) -> None:
     """Raise InputError if the values or labels of a file cannot be true at `station`.
 
     ghi_wm2 : [n] global irradiance of the file, NaN where it has none, W/m2.
@@ -96,7 +94,7 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
         )
 
 
-def _check_level(path: Path, weather: Weather, station: Site, total: Array) -> None:
+def _check_level(path: Path, weather: Weather, station: Site, total: Floats) -> None:
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
     if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
         raise InputError(
@@ -107,9 +105,7 @@ def _check_level(path: Path, weather: Weather, station: Site, total: Array) -> N
         )
 
 
-def _check_limits(
-    path: Path, weather: Weather, altitude: Array, top: Array, up: NDArray[np.bool_]
-) -> None:
+def _check_limits(path: Path, weather: Weather, altitude: Floats, top: Floats, up: Mask) -> None:
     limits = sun.bsrn_limits(altitude, top, extreme=True)
     over = {
         "DNI": float((weather.dni_wm2 > limits.dni_wm2[1])[up].mean()),
@@ -126,9 +122,7 @@ def _check_limits(
         )
 
 
-def _check_overcast(
-    path: Path, weather: Weather, total: Array, overcast: NDArray[np.bool_]
-) -> None:
+def _check_overcast(path: Path, weather: Weather, total: Floats, overcast: Mask) -> None:
     if overcast.sum() < LEAST_OVERCAST_HOURS:
         return
     share = float(np.median(weather.dhi_wm2[overcast] / total[overcast]))
@@ -141,7 +135,7 @@ def _check_overcast(
         )
 
 
-def _check_closure(path: Path, ghi_wm2: Array, total: Array, tested: NDArray[np.bool_]) -> None:
+def _check_closure(path: Path, ghi_wm2: Floats, total: Floats, tested: Mask) -> None:
     if not tested.any():
         return
     off = float(np.median(np.abs(ghi_wm2 - total)[tested] / ghi_wm2[tested]))
@@ -192,7 +186,7 @@ def _against(weather: Weather, station: Site, shift_min: int) -> int:
 
 
 def hours_against(
-    times_utc: Sequence[datetime], light: Array, station: Site, half: timedelta = _HALF
+    times_utc: Sequence[datetime], light: Floats, station: Site, half: timedelta = _HALF
 ) -> int:
     """Count the hours that contradict sunrise or sunset.
 

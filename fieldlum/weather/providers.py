@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.records import Site
 from fieldlum.weather.plausibility import hours_against
@@ -40,9 +40,9 @@ class ProviderYear:
 
     place: Site
     t_utc: tuple[datetime, ...]
-    dni_wm2: NDArray[np.float64]
-    dhi_wm2: NDArray[np.float64]
-    ghi_wm2: NDArray[np.float64]
+    dni_wm2: Floats
+    dhi_wm2: Floats
+    ghi_wm2: Floats
     typical: bool
     notes: tuple[str, ...] = ()
 

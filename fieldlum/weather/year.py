@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.records import Site
 
 # Hours of a typical year are dated in this year: any year without 29 February serves. Chosen.
@@ -29,9 +30,9 @@ class Weather:
     name: str
     site: Site
     t_utc: tuple[datetime, ...]
-    dni_wm2: NDArray[np.float64]
-    dhi_wm2: NDArray[np.float64]
-    ghi_wm2: NDArray[np.float64]
+    dni_wm2: Floats
+    dhi_wm2: Floats
+    ghi_wm2: Floats
     repairs: tuple[str, ...] = ()
     typical: bool = True
     synthetic: bool = False
@@ -70,7 +71,7 @@ class Weather:
         outside = np.abs(seconds - known[nearest]) > 1800.5
         share = np.clip((seconds - known[before]) / (known[after] - known[before]), 0.0, 1.0)
 
-        def value(series: NDArray[np.float64]) -> NDArray[np.float64]:
+        def value(series: Floats) -> Floats:
             between = series[before] * (1 - share) + series[after] * share
             return np.where(outside, np.nan, series[nearest] if steady else between)
 
@@ -125,7 +126,7 @@ def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     )
 
 
-def _ar1(rng: np.random.Generator, n: int, correlation: float) -> NDArray[np.float64]:
+def _ar1(rng: np.random.Generator, n: int, correlation: float) -> Floats:
     from scipy.signal import lfilter
 
     noise = rng.standard_normal(n) * math.sqrt(1 - correlation**2)

@@ -6,9 +6,9 @@ from datetime import UTC, date, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Floats
 from fieldlum.records import JsonTable, Site
 from fieldlum.web.follow import BIN_S, IrradianceFollower
 
@@ -60,5 +60,5 @@ def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
     }
 
 
-def _numbers(values: NDArray[np.float64]) -> list[float | None]:
+def _numbers(values: Floats) -> list[float | None]:
     return [None if not np.isfinite(value) else round(float(value), 1) for value in values]

@@ -14,8 +14,8 @@ from datetime import date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.records import parse_utc
 from fieldlum.session import Session, decode_line, decode_sample
 from fieldlum.session.ledger import Ledger, fold
@@ -140,7 +140,7 @@ class DayBins:
             self.last = sample.t_utc, sample.ghi_wm2
 
     @property
-    def means(self) -> NDArray[np.float64]:
+    def means(self) -> Floats:
         """GHI, DNI and DHI, in this order, [720, 3] in W/m2; NaN without a reading."""
         return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
 

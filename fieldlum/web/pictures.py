@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32
 from fieldlum.images import read_panorama
 from fieldlum.records import Flag
 from fieldlum.view.false_colour import COLOURS
@@ -66,7 +67,7 @@ def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
     return _encoded(coloured(values, low, high))
 
 
-def coloured(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
+def coloured(values: Floats32, low: float, high: float) -> NDArray[np.uint8]:
     """Return RGB [H, W, 3] of luminances, log scale from low to high [cd/m2]; grey if not finite.
 
     Values outside the scale get the colour of its nearer end.
@@ -84,7 +85,7 @@ def scale_png() -> bytes:
     return _encoded(_colours()[None])
 
 
-def _seen(path: Path) -> NDArray[np.float32]:
+def _seen(path: Path) -> Floats32:
     panorama = read_panorama(path)
     values = np.array(panorama.luminance_cdm2, np.float32)
     if panorama.flags is not None:

@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32
 from fieldlum.devices import CameraInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.settings import nearest
@@ -51,7 +51,7 @@ class SimulatedCamera:
         self._jpeg = sensor.JpegSensor(profile) if profile.camera.kind == "jpeg" else None
         self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
-        self._last: tuple[Panorama, float, NDArray[np.float32]] | None = None
+        self._last: tuple[Panorama, float, Floats32] | None = None
 
     @property
     def info(self) -> CameraInfo:
@@ -114,7 +114,7 @@ class SimulatedCamera:
             )
         return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
 
-    def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
+    def _image(self, panorama: Panorama, heading_deg: float) -> Floats32:
         """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
 
         The result is stored and used again while the scene does not change.
@@ -133,7 +133,7 @@ class SimulatedCamera:
         lenses = (lens_geometry(lens, turn_deg) for lens in self._profile.lens)
         return [optics.look(lens, self._shape, panorama) for lens in lenses]
 
-    def _shading_of(self, f_number: float) -> NDArray[np.float32]:
+    def _shading_of(self, f_number: float) -> Floats32:
         """Return the vignetting on the sensor, [h, w] or [h, w, 1]."""
         out = np.ones(self._shape, np.float32)
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
@@ -149,7 +149,7 @@ class SimulatedCamera:
 
     def _write(
         self,
-        image: NDArray[np.float32],
+        image: Floats32,
         exposure: Exposure,
         true_s: float,
         target: Path,

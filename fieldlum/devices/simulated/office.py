@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import projection, sun
+from fieldlum.arrays import Floats
 from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld, World
 from fieldlum.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
 from fieldlum.session import Session
@@ -28,10 +28,8 @@ _LIGHT_STEP_S = 600  # seconds between computed skies; chosen for speed
 _LM_PER_W_SUN = 93.0
 _LM_PER_W_SKY = 120.0
 
-Array = NDArray[np.float64]
 
-
-def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
+def _wall_frames(room: Room) -> dict[str, tuple[Floats, Floats, Floats]]:
     """Return lower left corner, right vector and inward normal of each wall, in room axes.
 
     Left and right are as seen from inside.
@@ -72,7 +70,7 @@ class _Geometry:
         )
         self.sky_factor, self.ground_factor = self._window_factors()
 
-    def through_glass(self, start: Array, rays: Array) -> Array:
+    def through_glass(self, start: Floats, rays: Floats) -> Floats:
         """Return the transmittance [n] of rays [n, 3] to the outside; `start` is [3] or [n, 3].
 
         It is 0 where a wall blocks the ray.
@@ -98,7 +96,7 @@ class _Geometry:
             transmittance[inside & clear] = window.transmittance
         return transmittance
 
-    def _window_factors(self) -> tuple[Array, Array]:
+    def _window_factors(self) -> tuple[Floats, Floats]:
         """Return form factor times transmittance of the windows to sky and to ground, [n] each."""
         sky, ground = np.zeros(len(self.points)), np.zeros(len(self.points))
         for window in self.room.window:
@@ -121,7 +119,7 @@ class _Geometry:
         return np.minimum(sky, 1.0), np.minimum(ground, 1.0)
 
 
-def _turn(wall_azimuth_deg: float) -> Array:
+def _turn(wall_azimuth_deg: float) -> Floats:
     """Return the rotation from world axes (x east, y north) to room axes, [3, 3].
 
     The room's -y points to the azimuth of the wall.
@@ -222,7 +220,7 @@ class Office:
         )
         return Panorama(luminance, self.setup.camera.heading_deg, t_utc=t_utc, sun=disc)
 
-    def _interreflected_lx(self, g: _Geometry, first_lx: Array) -> float:
+    def _interreflected_lx(self, g: _Geometry, first_lx: Floats) -> float:
         """Return the interreflected illuminance [lx] from the first flux and mean reflectance."""
         room = self._room
         floor = room.width_m * room.depth_m

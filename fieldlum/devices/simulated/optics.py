@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import projection
+from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.records import Panorama, SunSource
 
@@ -23,8 +24,6 @@ _SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the 
 # smoother. Chosen as that of a good lens; not measured.
 _PSF_PX = 0.5
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class LensSampling:
@@ -35,7 +34,7 @@ class LensSampling:
     """
 
     geometry: LensGeometry
-    pixels: NDArray[np.intp]
+    pixels: Indices
     weights: csr_array
 
 
@@ -66,7 +65,7 @@ def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int])
     return LensSampling(lens, rows * sensor[1] + columns, weights)
 
 
-def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32]:
+def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int32]:
     """Return the flat index of the panorama pixel of each ray, in the shape of the rays.
 
     Rays are in the panorama's own frame (heading 0).
@@ -80,7 +79,7 @@ def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32
     ).astype(np.int32)
 
 
-def channels(panorama: Panorama) -> NDArray[np.float32]:
+def channels(panorama: Panorama) -> Floats32:
     """Return R, G, B in cd/m2 with luminance .265 R + .670 G + .065 B, [H * W, 3], row by row.
 
     A panorama without colour gives its luminance [H * W, 1].
@@ -92,9 +91,7 @@ def channels(panorama: Panorama) -> NDArray[np.float32]:
     return (RADIANCE_LM_PER_W * np.asarray(panorama.rgb, np.float32)).reshape(-1, 3)
 
 
-def on_sensor(
-    panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]
-) -> NDArray[np.float32]:
+def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]) -> Floats32:
     """Return the mean R, G, B of each sensor pixel [cd/m2], [h, w, 3], or grey [h, w, 1].
 
     The sun's disc is included; pixels outside the lenses are 0. views : from `look`, one for each
@@ -111,9 +108,7 @@ def on_sensor(
     return image
 
 
-def _add_sun(
-    image: NDArray[np.float32], sun: SunSource, heading_deg: float, lens: LensGeometry
-) -> None:
+def _add_sun(image: Floats32, sun: SunSource, heading_deg: float, lens: LensGeometry) -> None:
     """Add the sun's disc to the image, with the correct energy.
 
     The sum of luminance times solid angle over its pixels equals its normal illuminance.
@@ -141,9 +136,7 @@ def _add_sun(
     image[np.ix_(rows[fits[0]], columns[fits[1]])] += value[..., None].astype(np.float32)
 
 
-def pixel_solid_angle_sr(
-    lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]
-) -> Array:
+def pixel_solid_angle_sr(lens: LensGeometry, x_px: Floats, y_px: Floats) -> Floats:
     """Return the solid angle of one pixel at points [...], in sr; 0 outside the image circle.
 
     x_px, y_px : column and row; the first pixel's centre is at (0.5, 0.5).

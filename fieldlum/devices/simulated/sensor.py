@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Floats32
 from fieldlum.images import RADIANCE_Y
 from fieldlum.linear_light import gain_e_per_dn, nd_factors, response_tables
 from fieldlum.photometry import z_per_cdm2
@@ -26,7 +27,7 @@ DIAL_S = (
 _GAUSSIAN_ABOVE_E = 60.0
 
 
-def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
+def camera_from_scene(profile: CameraProfile) -> Floats:
     """Return the matrix from scene R, G, B [cd/m2] to camera channels, [3, 3].
 
     It is the inverse of the profile's colour. With a profile without a matrix, each channel gets
@@ -38,13 +39,13 @@ def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
     return np.tile(np.asarray(RADIANCE_Y) / sum(colour.y_from_rgb), (3, 1))
 
 
-def camera_channels(scene: NDArray[np.float32], profile: CameraProfile) -> NDArray[np.float32]:
+def camera_channels(scene: Floats32, profile: CameraProfile) -> Floats32:
     """Return camera channels [h, w, 3] of a scene [h, w, 3] or grey [h, w, 1], in cd/m2."""
     matrix = camera_from_scene(profile).astype(np.float32)
     return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
 
 
-def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
+def mosaic_of(image: Floats32, cfa: str) -> Floats32:
     """Return each pixel's channel in the Bayer pattern `cfa`: R, G, B [h, w, 3] become [h, w].
 
     cfa : the letters of a cell of 2 x 2 pixels, row by row, such as RGGB.
@@ -56,7 +57,7 @@ def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
     return out
 
 
-def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> NDArray[np.float32]:
+def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> Floats32:
     """Return the values of R, G1, G2, B at their pixels of a mosaic, [h, w]."""
     out = np.empty(shape, np.float32)
     for (row, column), value in zip(channel_positions(cfa), by_colour, strict=True):
@@ -76,11 +77,7 @@ class RawSensor:
         self._range = sensor.white_dn - self._black
 
     def counts(
-        self,
-        mosaic_cdm2: NDArray[np.float32],
-        exposure: Exposure,
-        true_s: float,
-        rng: np.random.Generator,
+        self, mosaic_cdm2: Floats32, exposure: Exposure, true_s: float, rng: np.random.Generator
     ) -> NDArray[np.uint16]:
         """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
 
@@ -113,11 +110,7 @@ class JpegSensor:
         self._z = response_tables(profile).T  # [3, 256]
 
     def codes(
-        self,
-        image_cdm2: NDArray[np.float32],
-        exposure: Exposure,
-        true_s: float,
-        rng: np.random.Generator,
+        self, image_cdm2: Floats32, exposure: Exposure, true_s: float, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
         """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
 

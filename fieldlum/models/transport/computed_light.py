@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats32, Indices
 from fieldlum.models.transport.features import pixel_scale
 
 if TYPE_CHECKING:
     from fieldlum.models.transport.features import TrainingArrays
 
-Array = NDArray[Any]
 
 # Computed light has no meaning below; far under that of any wall by day. Chosen.
 LEAST_COMPUTED_CDM2 = 1e-3
@@ -31,11 +30,11 @@ class ComputedLight:
     `luminance` is under the skies that captures show through the windows.
     """
 
-    luminance: NDArray[np.float32]
+    luminance: Floats32
     gain: Array
-    perez: NDArray[np.float32] | None = None
+    perez: Floats32 | None = None
 
-    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> ComputedLight:
+    def __getitem__(self, pixels: Indices | slice) -> ComputedLight:
         """Return the computed light of the selected pixels, at all hours."""
         perez = None if self.perez is None else self.perez[:, pixels]
         return ComputedLight(self.luminance[:, pixels], self.gain[pixels], perez)
@@ -45,9 +44,7 @@ class ComputedLight:
         return self if self.perez is None else ComputedLight(self.perez, self.gain)
 
 
-def computed_light(
-    arrays: TrainingArrays, open_sky: NDArray[np.intp], luminance: NDArray[np.float32]
-) -> ComputedLight:
+def computed_light(arrays: TrainingArrays, open_sky: Indices, luminance: Floats32) -> ComputedLight:
     """Return the computed luminance [n, P] cd/m2, with the gain of each pixel from the captures.
 
     The gain is captured over computed luminance, limited to a factor of 20 below or above the

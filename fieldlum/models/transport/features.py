@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.light import (
     LAMP_LX,
     Facades,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
     from fieldlum.models.transport.computed_light import ComputedLight
 
-Array = NDArray[Any]
 
 # cells of the patch descriptor, about 8 x 16 degrees each; not measured
 CELL_ROWS = CELL_COLUMNS = 23
@@ -94,9 +94,7 @@ class PatchDescriptor:
 
     cells_norm: float
 
-    def add(
-        self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
-    ) -> Features:
+    def add(self, features: Features, patch: Floats, light: Light, open_sky: NDArray) -> Features:
         """Return `features` with `cells`: `patch_cells` divided by total light and `cells_norm`.
 
         patch: luminance of sun patches [n, H, W] cd/m2; open_sky: mask [H, W], True at window
@@ -107,22 +105,22 @@ class PatchDescriptor:
         return replace(features, cells=(cells / unit).astype(np.float32))
 
 
-def _edges(size: int, count: int) -> NDArray[np.intp]:
+def _edges(size: int, count: int) -> Indices:
     return np.unique(np.linspace(0, size, min(count, size) + 1).astype(int))[:-1]
 
 
-def _summed(picture: NDArray[np.floating]) -> NDArray[np.floating]:
+def _summed(picture: Floats) -> Floats:
     """Return the sums of a picture [H, W] over its cells, [rows, columns]."""
     rows, columns = _edges(picture.shape[0], CELL_ROWS), _edges(picture.shape[1], CELL_COLUMNS)
     return np.add.reduceat(np.add.reduceat(picture, rows, axis=0), columns, axis=1)
 
 
-def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
+def cell_areas_sr(height: int, width: int) -> Floats:
     """Return the solid angle of each cell into which a map is divided, [c] sr."""
     return _summed(equirect_solid_angles(height, width).astype(np.float32)).ravel()
 
 
-def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
+def patch_cells(patch: Floats, open_sky: Mask) -> Floats32:
     """Return the light of the sun patches in each of c cells of the picture, [n, c].
 
     It is the luminance of the patches (patch [n, H, W] cd/m2, clipped at 3e4) integrated over the
@@ -140,7 +138,7 @@ def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDA
     return out
 
 
-def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> Array:
+def direct_flux_lx(patch: Floats, open_sky: Mask) -> Array:
     """Return the luminance of sun patches, integrated over the solid angle of the picture, [n] lx.
 
     patch: [n, H, W] cd/m2, clipped at 3e4; open_sky: mask [H, W], True at window pixels, which do
@@ -150,9 +148,7 @@ def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> 
     return np.asarray(patch_cells(patch, open_sky) @ root, float)
 
 
-def describe_patches(
-    patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
-) -> PatchDescriptor:
+def describe_patches(patch: Floats, light: Light, open_sky: Mask) -> PatchDescriptor:
     """Return the descriptor that makes the cells of a typical sunny hour about one.
 
     Its norm is the 75th percentile over sunny hours of the cells' size per direct illuminance, at
@@ -215,10 +211,10 @@ class TrainingArrays:
 
     light: Light
     features: Features
-    luminance: NDArray[np.float32]
-    patch: NDArray[np.float32] | None
-    sky: NDArray[np.float32]
-    filled: NDArray[np.bool_]
+    luminance: Floats32
+    patch: Floats32 | None
+    sky: Floats32
+    filled: Mask
     weights: Array
     days: NDArray
     unsure: Array
@@ -227,7 +223,7 @@ class TrainingArrays:
     facades: Facades
     states: StateColumns = USUAL
     counts: NDArray[np.float16] | None = None
-    perez_sky: NDArray[np.float32] | None = None
+    perez_sky: Floats32 | None = None
     fitted_patches: bool = False
     computed: ComputedLight | None = None
 
@@ -246,7 +242,7 @@ class TrainingArrays:
         """Weight of each hour, [n]: 1 for exact irradiance, less if unsteady or unmeasured."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
-    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
+    def __getitem__(self, pixels: Indices | slice) -> TrainingArrays:
         """Return the arrays of some pixels."""
         return replace(
             self,
@@ -321,7 +317,7 @@ def light_variance(data: Dataset) -> Array:
     return variance + np.where(unknown, UNMEASURED_VARIANCE, 0.0)
 
 
-def sun_is_unmeasured(light: Light, direct: Array) -> NDArray[np.bool_]:
+def sun_is_unmeasured(light: Light, direct: Array) -> Mask:
     """Return a mask [n], True where direct light is recorded as zero only because it is unmeasured.
 
     That is so if the sun is under 3 degrees and `direct` is zero or less. direct [n]: irradiance,
@@ -330,7 +326,7 @@ def sun_is_unmeasured(light: Light, direct: Array) -> NDArray[np.bool_]:
     return (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (direct <= 0.0)
 
 
-def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
+def _patches_unknown(data: Dataset) -> Mask:
     """Mark the pixels that a computed sun patch reaches while a blind was not up, [n, H, W]."""
     out = np.zeros(data.luminance_cdm2.shape, bool)
     if data.patch_cdm2 is None or data.light.states is None:
@@ -341,7 +337,7 @@ def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
     return out
 
 
-def around_disc(data: Dataset) -> NDArray[np.bool_]:
+def around_disc(data: Dataset) -> Mask:
     """Return a mask [n, H, W], True at pixels from which the visible sun disc was removed.
 
     It includes a margin of two pixels; hours without a visible disc have no such pixel.
@@ -364,7 +360,7 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
     return out
 
 
-def pixel_scale(arrays: TrainingArrays, per: NDArray[np.floating] | None = None) -> Array:
+def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
     """Return each pixel's usual luminance, without sky and sun patch, per lx of total light, [P].
 
     It is a geometric mean over the hours in which at most half of the pixel's luminance is window

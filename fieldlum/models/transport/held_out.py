@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats
 from fieldlum.models.transport.features import TrainingArrays, pixel_scale
 from fieldlum.models.transport.pixel_fit import (
     SECOND_NOISE,
@@ -23,8 +22,6 @@ from fieldlum.models.transport.pixel_fit import (
 )
 from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
 from fieldlum.models.transport.seasons import seasons
-
-Array = NDArray[Any]
 
 FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the paper)
 
@@ -59,7 +56,7 @@ class HeldOutFit:
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
-def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
+def score(predicted: Floats, seen: Floats) -> Array:
     """Return log10 of predicted over captured (`seen`) luminance; below 1 cd/m2 counts as 1."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 

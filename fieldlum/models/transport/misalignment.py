@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
+from fieldlum.arrays import Array, Floats, Indices
 from fieldlum.light import Kernel, facades_of
 from fieldlum.models.transport.features import LEAST_CDM2, direct_flux_lx, training_arrays_of
 from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from fieldlum.scene.points import SunPoints
     from fieldlum.scene.view import SceneView
 
-Array = NDArray[Any]
 
 HOURS = 48  # those with most direct sun in view; bounds the time; chosen
 LEAST_HOURS = 3  # not measured
@@ -46,8 +46,8 @@ class Evidence:
     """
 
     data: Dataset
-    rows: NDArray[np.intp]
-    pixels: NDArray[np.intp]
+    rows: Indices
+    pixels: Indices
     weights: Array
     log_seen: Array
     background: Array
@@ -130,9 +130,7 @@ class Evidence:
         return (error / (error + WIDTH**2)) @ self.weights
 
 
-def moved(
-    maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float
-) -> Array:
+def moved(maps: Floats, pixels: Indices, right_px: float, down_px: float) -> Array:
     """Return maps [n, H, W] moved right and down by fractions of a pixel, at m pixels only, [n, m].
 
     Values are interpolated linearly; the left and right edges join. pixels: flat indices [m].
@@ -225,7 +223,7 @@ def _filled(parts: Evidence, data: Dataset, sub: int) -> Evidence | None:
     return replace(parts, gains=(given, computed))
 
 
-def _without_patches(data: Dataset, pixels: NDArray[np.intp]) -> tuple[Array, Array]:
+def _without_patches(data: Dataset, pixels: Indices) -> tuple[Array, Array]:
     """Return captured light, and the light below the patches that robust rounds find, [n, m] each.
 
     The robust rounds do not use the patches.

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, Light
 from fieldlum.models import ModelState, Patch, Prediction
@@ -55,7 +55,6 @@ from fieldlum.records import Progress, counted, quiet
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-Array = NDArray[Any]
 
 # Number of pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not
 # measured.
@@ -100,7 +99,7 @@ class Transport:
         count = pixels.b.size + pixels.second.size + 4 * len(pixels.scale)
         return int(count + self.response.basis.projector.size)
 
-    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps [n, H, W] of the n hours of `light`, with their uncertainty.
 
         Maps do not contain the sun's disc. patch_cdm2 [n, H, W]: luminance of direct sun on
@@ -125,8 +124,8 @@ class Transport:
         return Prediction(maps, sd, expected, trusted)
 
     def _belief(
-        self, light: Light, maps: SurfaceMaps, patch: NDArray[np.float32] | None
-    ) -> tuple[NDArray[np.floating], Array, NDArray[np.bool_]]:
+        self, light: Light, maps: SurfaceMaps, patch: Floats32 | None
+    ) -> tuple[Floats, Array, Mask]:
         """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n]."""
         basis, recipe, unsure = self.response.basis, self.recipe, self.uncertainty
         features, luminance = maps.features, np.maximum(maps.luminance, np.float32(LEAST_CDM2))
@@ -157,7 +156,7 @@ class Transport:
         off = (slip @ weights).astype(float)  # [n]
         return np.sqrt(sd**2 + slip), expected + off, trusted & unsure.slip_trusted(off)
 
-    def _check(self, light: Light, patch: NDArray[np.float32] | None) -> None:
+    def _check(self, light: Light, patch: Floats32 | None) -> None:
         if self.response.basis.patches is not None and patch is None:
             raise InputError(
                 "the model",
@@ -319,7 +318,7 @@ def held_out_errors(data: Dataset) -> Array:
     return plain_held_out(arrays[_draw(arrays, seed=0)], kernel).judged
 
 
-def _draw(arrays: TrainingArrays, seed: int) -> NDArray[np.intp]:
+def _draw(arrays: TrainingArrays, seed: int) -> Indices:
     """Return indices of some pixels, drawn with probabilities by solid angle."""
     rng = np.random.default_rng(seed)
     count = min(SAMPLE, len(arrays.weights))
@@ -331,7 +330,7 @@ def _uncertainty(
     data: Dataset,
     arrays: TrainingArrays,
     chosen: SelectedRecipe,
-    drawn: NDArray[np.intp],
+    drawn: Indices,
 ) -> Uncertainty:
     """Calibrate the uncertainty by the held-out errors of the pixels `drawn`.
 

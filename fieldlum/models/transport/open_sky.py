@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.light import Light
 from fieldlum.statistics import nan_percentiles
-
-Array = NDArray[Any]
 
 LEAST_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
 WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky counts as a surface; chosen
@@ -29,15 +26,15 @@ class OpenSky:
     [k]; directions: unit vectors from the camera, x east, y north, z up [k, 3].
     """
 
-    index: NDArray[np.intp]
-    share: NDArray[np.float32]
+    index: Indices
+    share: Floats32
     directions: Array  # [k, 3]
 
-    def luminance(self, light: Light) -> NDArray[np.float32]:
+    def luminance(self, light: Light) -> Floats32:
         """Return the Perez sky's luminance behind these pixels times `share`, [n, k] cd/m2."""
         return light.sky_at(self.directions) * self.share
 
-    def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def mask(self, seen: Mask) -> Mask:
         """Return a mask [H, W], True at window pixels.
 
         seen: mask [H, W], True at the P pixels that the lens saw, to which `index` refers.
@@ -50,7 +47,7 @@ class OpenSky:
 
 
 def open_sky_from_captures(
-    luminance: NDArray[np.floating], patch: NDArray[np.floating] | None, light: Light, rays: Array
+    luminance: Floats, patch: Floats | None, light: Light, rays: Array
 ) -> OpenSky:
     """Find the window pixels without any geometry: they follow the Perez sky behind them.
 

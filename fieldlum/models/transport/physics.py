@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats32, Mask
 from fieldlum.light import Light, light_at
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Room, Site, SiteFile
@@ -53,16 +54,16 @@ class Physics:
     """
 
     room: Room
-    modes: NDArray[np.float32]
-    position: NDArray[np.float32]
+    modes: Floats32
+    position: Floats32
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
-    share: NDArray[np.float32]
+    share: Floats32
     piece: NDArray[np.int32]
     norm: float = 1.0
-    sun_light: NDArray[np.float32] = field(default_factory=lambda: _EMPTY)
-    sky_modes: NDArray[np.float32] = field(default_factory=lambda: _EMPTY)
-    sky_light: NDArray[np.float32] = field(default_factory=lambda: _EMPTY)
+    sun_light: Floats32 = field(default_factory=lambda: _EMPTY)
+    sky_modes: Floats32 = field(default_factory=lambda: _EMPTY)
+    sky_light: Floats32 = field(default_factory=lambda: _EMPTY)
 
     @cached_property
     def _points(self) -> SunPoints:
@@ -81,11 +82,11 @@ class Physics:
             pieces,
         )
 
-    def features(self, sunlight: NDArray[np.float32]) -> NDArray[np.float32]:
+    def features(self, sunlight: Floats32) -> Floats32:
         """Return the first 48 columns of `sunlight` [n, k] (all, if fewer), which compare hours."""
         return sunlight[:, :MODES]
 
-    def sunlight(self, light: Light) -> NDArray[np.float32]:
+    def sunlight(self, light: Light) -> Floats32:
         """Return the reflected sunlight of n hours as coefficients of the k modes, [n, k].
 
         They are divided by the hour's total light and by `norm`; 0 in hours without direct sun.
@@ -103,12 +104,8 @@ class Physics:
         return out
 
     def luminance(
-        self,
-        light: Light,
-        sunlight: NDArray[np.float32],
-        seen: NDArray[np.bool_],
-        sky_cdm2: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+        self, light: Light, sunlight: Floats32, seen: Mask, sky_cdm2: Floats32 | None = None
+    ) -> Floats32:
         """Return the computed light of surfaces, without direct sun on them, [n, P] cd/m2.
 
         sunlight: result of `sunlight` for `light` [n, k]; seen [H, W]: mask of the P pixels;
@@ -121,7 +118,7 @@ class Physics:
         return _at_pixels(np.maximum(maps, np.float32(0.0)), seen)
 
 
-def _at_pixels(maps: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _at_pixels(maps: Floats32, seen: Mask) -> Floats32:
     """Interpolate panoramas [n, 2 h^2] at the pixels `seen` [H, W] of a larger one, [n, P]."""
     height, (rows, columns) = round(np.sqrt(maps.shape[1] / 2)), seen.shape
     wide, scale = 2 * height, height / rows
@@ -159,13 +156,13 @@ def physics_of(setup: SiteFile, light: Light, heading_deg: float) -> Physics | N
     return replace(rough, norm=float(np.percentile(share, 75)))
 
 
-def _outdoors(light: Light, sky_cdm2: NDArray[np.float32]) -> NDArray[np.float32]:
+def _outdoors(light: Light, sky_cdm2: Floats32) -> Floats32:
     """Return the luminance of the sky patches [n, 2305] and the ground, [n, 2306] cd/m2."""
     ground = light.sky.ground_cdm2.astype(np.float32)[:, None]
     return np.concatenate((sky_cdm2, ground), axis=1)
 
 
-def _sky_modes(site: Site) -> NDArray[np.float32]:
+def _sky_modes(site: Site) -> Floats32:
     """Return an orthonormal basis of the Perez skies of a site's year, [s, 2306].
 
     The skies are those of three kinds of weather at suns over the year.

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats
 from fieldlum.light import Kernel, Light
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays, pixel_scale
 from fieldlum.models.transport.ridge import (
@@ -17,8 +16,6 @@ from fieldlum.models.transport.ridge import (
     pair_products,
     solve,
 )
-
-Array = NDArray[Any]
 
 RANK = 100  # number of features; chosen, limits memory and time
 # variance of log residuals while the gain of the patches is fitted; not measured
@@ -103,11 +100,11 @@ class PixelFit:
     """
 
     scale: Array
-    b: NDArray[np.floating]
+    b: Floats
     patch_gain: Array
     sky_gain: Array
     least: Array
-    second: NDArray[np.floating]
+    second: Floats
     computed: Array
 
 

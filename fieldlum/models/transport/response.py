@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.light import Features, Kernel, Light, light_features
 from fieldlum.models.transport.features import USUAL, PatchDescriptor, StateColumns
 from fieldlum.models.transport.open_sky import OpenSky
 from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe, second_covariance
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +45,12 @@ class SurfaceMaps:
     captures], or [n, 0] without one.
     """
 
-    luminance: NDArray[np.floating]
-    patch: NDArray[np.floating] | None
-    unit: NDArray[np.floating]
+    luminance: Floats
+    patch: Floats | None
+    unit: Floats
     features: Features
     cross: Array
-    second: NDArray[np.float32]
+    second: Floats32
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +62,14 @@ class RoomResponse:
     fitted factor on all sun patches; recipe: settings of the fit.
     """
 
-    seen: NDArray[np.bool_]
+    seen: Mask
     basis: LightBasis
     pixels: PixelFit
     open_sky: OpenSky
     patch_scale: float
     recipe: Recipe
 
-    def features(
-        self, light: Light, patch: NDArray[np.float32] | None, sunlight: NDArray[np.float32] | None
-    ) -> Features:
+    def features(self, light: Light, patch: Floats32 | None, sunlight: Floats32 | None) -> Features:
         """Return the features of n hours that the kernel compares.
 
         patch: luminance of sun patches [n, H, W] cd/m2, None without them; sunlight: result of
@@ -89,7 +84,7 @@ class RoomResponse:
             return features
         return basis.patches.add(features, patch, light, self.open_sky.mask(self.seen))
 
-    def maps(self, light: Light, patch: NDArray[np.float32] | None) -> SurfaceMaps:
+    def maps(self, light: Light, patch: Floats32 | None) -> SurfaceMaps:
         """Predict n hours without the sun's disc.
 
         patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun.
@@ -119,11 +114,11 @@ class RoomResponse:
         return SurfaceMaps(luminance, direct, unit, features, cross, second)
 
     @property
-    def patch_gain(self) -> NDArray[np.float32]:
+    def patch_gain(self) -> Floats32:
         """Fitted over computed luminance of the sun patch at each pixel, [P]."""
         return np.float32(self.patch_scale) * self.pixels.patch_gain.astype(np.float32)
 
-    def _second(self, light: Light, features: Features) -> NDArray[np.float32]:
+    def _second(self, light: Light, features: Features) -> Floats32:
         if not len(self.pixels.second):
             return np.empty((len(light), 0), np.float32)
         known, captured = self.basis.captured_light, self.basis.captured.beam

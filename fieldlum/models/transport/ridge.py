@@ -11,13 +11,12 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-Array = NDArray[Any]
+from fieldlum.arrays import Array, Floats, Indices
 
 # Pixels per core at a time, which limits the memory of the normal matrices to some 100 MB each.
 # Chosen.
@@ -35,12 +34,12 @@ class Columns:
     light); the others are sun patch and window sky.
     """
 
-    values: NDArray[np.floating]
+    values: Floats
     mean: Array
     variance: Array
     surface: int = 0
 
-    def __getitem__(self, pixels: slice | NDArray[np.intp]) -> Columns:
+    def __getitem__(self, pixels: slice | Indices) -> Columns:
         """Return the covariates of the selected pixels."""
         return Columns(self.values[:, :, pixels], self.mean, self.variance, self.surface)
 
@@ -64,7 +63,7 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> 
             yield part.stop
 
 
-def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+def pair_products(features: Array) -> tuple[Array, Indices, Indices]:
     """Return the products of all pairs of features of each hour, and which features they pair.
 
     features: F [n, r]. The result is F_a F_b for a <= b, [n, r (r + 1) / 2], then the indices a and

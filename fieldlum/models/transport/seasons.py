@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from datetime import UTC
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-
-Array = NDArray[Any]
+from fieldlum.arrays import Array, Indices
 
 # captures with a smaller range of the sun's declination are from one season; chosen
 ONE_SEASON_DEG = 20.0
@@ -33,7 +31,7 @@ def one_season(days: NDArray) -> bool:
     return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
 
-def seasons(days: NDArray) -> NDArray[np.intp]:
+def seasons(days: NDArray) -> Indices:
     """Return the index of the season of each day, from 0, [n].
 
     Seasons are ordered by the sun's declination, lowest (northern winter) first. A gap of over 10

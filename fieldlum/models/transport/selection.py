@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats32
 from fieldlum.light import Features, Kernel
 from fieldlum.models.transport.computed_light import ComputedLight
 from fieldlum.models.transport.features import (
@@ -20,8 +20,6 @@ from fieldlum.models.transport.pixel_fit import RANK, Basis, Recipe, basis_of, l
 from fieldlum.models.transport.seasons import one_season
 from fieldlum.models.transport.window_sky import SeenSky, SkyField
 from fieldlum.statistics import is_no_worse, standard_error
-
-Array = NDArray[Any]
 
 NOISES = (
     1e-4,
@@ -135,7 +133,7 @@ class SelectedRecipe:
 def choose_model(
     drawn: TrainingArrays,
     kernel: Kernel,
-    bounced: NDArray[np.float32] | None,
+    bounced: Floats32 | None,
     sky: SeenSky | None = None,
     under_sky: ComputedLight | None = None,
 ) -> SelectedRecipe:
@@ -166,7 +164,7 @@ def choose_model(
 
 
 def _with_better_mean(
-    drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
+    drawn: TrainingArrays, kernel: Kernel, bounced: Floats32 | None
 ) -> tuple[TrainingArrays, SelectedRecipe | None]:
     """Return the arrays with computed light as the prior mean, if it lowers held-out errors.
 
@@ -256,7 +254,7 @@ def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> 
 def _choose_recipe(
     drawn: TrainingArrays,
     kernel: Kernel,
-    bounced: NDArray[np.float32] | None,
+    bounced: Floats32 | None,
     first: SelectedRecipe | None = None,
 ) -> SelectedRecipe:
     """Return the complete choice; first: of `_choose_kernel` among all recipes, if known."""
@@ -272,10 +270,7 @@ def _choose_recipe(
 
 
 def _choose_kernel(
-    drawn: TrainingArrays,
-    kernel: Kernel,
-    recipes: list[Recipe],
-    bounced: NDArray[np.float32] | None,
+    drawn: TrainingArrays, kernel: Kernel, recipes: list[Recipe], bounced: Floats32 | None
 ) -> SelectedRecipe:
     """Return the kernel and recipe with the least error on held-out days, tested on some pixels.
 
@@ -305,7 +300,7 @@ def _doubted(
     drawn: TrainingArrays,
     kernel: Kernel,
     one_season: bool,
-    bounced: NDArray[np.float32] | None,
+    bounced: Floats32 | None,
     trusting: SelectedRecipe,
 ) -> SelectedRecipe:
     """Return the better choice: light fitted with or without patches, by held-out days.

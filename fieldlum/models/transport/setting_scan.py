@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array
 from fieldlum.models.transport.misalignment import (
     MOST_SHIFT_PX,
     MOST_TURN_DEG,
@@ -28,7 +29,6 @@ from fieldlum.records import Progress, quiet
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-Array = NDArray[Any]
 Amount = tuple[float, ...]
 
 TURNS_DEG = (MOST_TURN_DEG, 1.0, 0.125)  # reach, coarse step and fine step; chosen

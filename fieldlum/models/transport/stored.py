@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from typing import Any, NotRequired, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array
 from fieldlum.light import Facades, Features, Kernel, Light
 from fieldlum.models.transport.features import (
     PatchDescriptor,
@@ -23,8 +23,6 @@ from fieldlum.models.transport.response import LightBasis, RoomResponse
 from fieldlum.models.transport.uncertainty import Uncertainty
 from fieldlum.records import Room
 from fieldlum.strict_toml import build, plain
-
-Array = NDArray[Any]
 
 # absent from models of earlier versions
 LIGHT_ARRAYS = ("sun_light", "sky_modes", "sky_light")
@@ -76,11 +74,11 @@ def table_of(
     }
 
 
-def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[Any]]:
+def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, Array]:
     """Return the arrays of a model for weights.npz by name, in the shapes of the dataclasses."""
     basis = response.basis
     light = basis.captured_light
-    arrays: dict[str, NDArray[Any]] = {
+    arrays: dict[str, Array] = {
         "seen": response.seen,
         "projector": basis.projector,
         "noise_dull": unsure.noise_dull.astype(np.float32),
@@ -101,7 +99,7 @@ def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[
     return arrays
 
 
-def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> RoomResponse:
+def response_of(own: TransportTable, arrays: Mapping[str, Array]) -> RoomResponse:
     """Return the response stored in the table of `table_of` (`own`) and the arrays of `arrays_of`.
 
     Models of fieldlum 0.1.0 are read too.
@@ -116,21 +114,21 @@ def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Room
     )
 
 
-def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Uncertainty:
+def uncertainty_of(own: TransportTable, arrays: Mapping[str, Array]) -> Uncertainty:
     """Return the uncertainty stored in the table of `table_of` and the arrays of `arrays_of`."""
     trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
     noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
     return Uncertainty(**{**own["trust"], **trust, **noise})
 
 
-def _pixels(arrays: Mapping[str, NDArray[Any]]) -> PixelFit:
+def _pixels(arrays: Mapping[str, Array]) -> PixelFit:
     """Return the pixels' values; models of earlier versions use no computed light."""
     unused = {"computed": np.zeros(len(arrays["pixel_scale"]), np.float32)}
     stored = {f.name: arrays.get(f"pixel_{f.name}", unused.get(f.name)) for f in fields(PixelFit)}
     return PixelFit(**stored)  # pyright: ignore[reportArgumentType]
 
 
-def _basis(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> LightBasis:
+def _basis(own: TransportTable, arrays: Mapping[str, Array]) -> LightBasis:
     altitude, azimuth = arrays["train_sun"]
     nothing = np.zeros(len(altitude))
     unknown = (datetime(2000, 1, 1, tzinfo=UTC),) * len(altitude)  # only the directions are used
@@ -163,7 +161,7 @@ def _states(own: TransportTable) -> StateColumns:
     return StateColumns(bool(table.get("always", False)), lamps, changed)
 
 
-def _kernel(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Kernel:
+def _kernel(own: TransportTable, arrays: Mapping[str, Array]) -> Kernel:
     facades = Facades(arrays["facade_azimuths"], arrays["facade_weights"])
     settings = dict(own["kernel"])
     if "flux_width" not in settings:

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.light import Light
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
 from fieldlum.models.transport.held_out import FLOOR_CDM2, HeldOutFit
 from fieldlum.models.transport.pixel_fit import SECOND_NOISE, SECOND_SEASON, Recipe, second_own
 from fieldlum.models.transport.seasons import one_season, seasons
 from fieldlum.models.transport.selection import SelectedRecipe
-
-Array = NDArray[Any]
 
 LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
@@ -78,8 +77,8 @@ class Uncertainty:
     patch: float
     mse: float
     second: Array
-    noise_dull: NDArray[np.floating]
-    noise_sun: NDArray[np.floating]
+    noise_dull: Floats
+    noise_sun: Floats
     slip_deg: float = 0.0
 
     def variance(self, cross: Array, own: Array) -> Array:
@@ -92,12 +91,12 @@ class Uncertainty:
 
     def log10_sd(
         self,
-        surface_share: NDArray[np.floating],
-        patch_share: NDArray[np.floating] | float,
+        surface_share: Floats,
+        patch_share: Floats | float,
         variance: Array,
         beam: Array,
         cross_second: Array,
-    ) -> NDArray[np.floating]:
+    ) -> Floats:
         """Return the standard deviation of log10 L, [m, P]; at most that of a factor of ten, 1.0.
 
         surface_share: luminance of a usual surface (total light times pixel scale) over L [m, P];
@@ -124,12 +123,8 @@ class Uncertainty:
         return np.sqrt(np.maximum(beam**2 + SECOND_SEASON - known, LEAST_SD))
 
     def slip_log10_variance(
-        self,
-        patch: NDArray[np.float32],
-        seen: NDArray[np.bool_],
-        gain: NDArray[np.float32],
-        dark: NDArray[np.floating],
-    ) -> NDArray[np.floating]:
+        self, patch: Floats32, seen: Mask, gain: Floats32, dark: Floats
+    ) -> Floats:
         """Return the variance of log10 L due to displaced sun patches, [m, P].
 
         patch: luminance of sun patches [m, H, W] cd/m2; seen: mask [H, W] of the P pixels; gain:
@@ -138,11 +133,11 @@ class Uncertainty:
         slip_px = self.slip_deg * patch.shape[1] / 180.0
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
-    def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
+    def slip_trusted(self, off: Array) -> Mask:
         """Return a mask [m], True where the log10 MSE `off` [m] by displaced patches is < 0.01."""
         return off < SLIP_MSE
 
-    def trusted(self, variance: Array) -> NDArray[np.bool_]:
+    def trusted(self, variance: Array) -> Mask:
         """Return a mask [m], True for hours whose light is similar enough to that of captures.
 
         Their `variance` [m] is at most 1.5 times `novelty`.
@@ -169,7 +164,7 @@ class Uncertainty:
         return np.exp(factors[0] + np.clip(new, 0.0, 1.0) * (factors[1] - factors[0]))
 
 
-def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
+def edge_range(patch: Floats32, slip_px: float) -> tuple[NDArray, NDArray, float]:
     """Return the least and the largest patch luminance near each pixel, and a probability.
 
     Both arrays are [n, H, W], over the square of pixels within `slip_px` (rounded up, at least 1)
@@ -190,12 +185,8 @@ def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDA
 
 
 def slip_variance(
-    patch: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    gain: NDArray[np.float32],
-    dark: NDArray[np.floating],
-    slip_px: float,
-) -> NDArray[np.floating]:
+    patch: Floats32, seen: Mask, gain: Floats32, dark: Floats, slip_px: float
+) -> Floats:
     """Return the variance of ln L due to sun patches displaced by `slip_px`, [n, P].
 
     patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; gain: factor
@@ -224,11 +215,7 @@ def experience(
 
 
 def seen_mse(
-    beam: Array,
-    unmeasured: NDArray[np.bool_],
-    train_beam: Array,
-    train_unmeasured: NDArray[np.bool_],
-    held_out_mse: Array,
+    beam: Array, unmeasured: Mask, train_beam: Array, train_unmeasured: Mask, held_out_mse: Array
 ) -> Array:
     """Return the mean held-out error of captures of a similar kind of sky, log10 MSE for m hours.
 
@@ -238,7 +225,7 @@ def seen_mse(
     sun's share of the light; unmeasured [m], train_unmeasured [n]: masks; held_out_mse [n].
     """
 
-    def mean_of(captures: NDArray[np.bool_]) -> Array:
+    def mean_of(captures: Mask) -> Array:
         errors = held_out_mse[captures]
         classes = _of_classes(train_beam[captures], lambda rows: errors[rows].mean())
         return np.interp(beam, MIDDLES, classes)
@@ -249,13 +236,13 @@ def seen_mse(
 
 
 def log_sd(
-    surface_share: NDArray[np.floating],
-    patch_share: NDArray[np.floating] | float,
+    surface_share: Floats,
+    patch_share: Floats | float,
     variance: Array,
     doubt: Array,
-    noise: tuple[NDArray[np.floating], NDArray[np.floating]],
+    noise: tuple[Floats, Floats],
     patch_sd: float,
-) -> NDArray[np.floating]:
+) -> Floats:
     """Return the uncalibrated standard deviation of ln L, [m, P].
 
     surface_share, patch_share: luminance of a usual surface and of the sun patch, over L [m, P];
@@ -270,9 +257,7 @@ def log_sd(
     return np.minimum(np.sqrt(total), kind.type(MOST_SD))
 
 
-def residual_noise(
-    arrays: TrainingArrays, fitted: NDArray[np.floating], doubt: Array
-) -> tuple[Array, Array]:
+def residual_noise(arrays: TrainingArrays, fitted: Floats, doubt: Array) -> tuple[Array, Array]:
     """Return the sd of each pixel's ln residual in overcast hours, and its increase with doubt.
 
     Both are [P]; variances add: sd^2 + (doubt * increase)^2. fitted: luminance [n, P] cd/m2; doubt:
@@ -382,12 +367,12 @@ def _factors(arrays: TrainingArrays, held: HeldOutFit, sd: Array) -> Array:
     )
 
 
-def hours_by_class(beam: Array) -> tuple[NDArray[np.bool_], ...]:
+def hours_by_class(beam: Array) -> tuple[Mask, ...]:
     """Return masks of the overcast, intermediate and clear hours, [n] each."""
     return beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1]
 
 
-def _of_classes(beam: Array, figure: Callable[[NDArray[np.bool_]], Any]) -> Array:
+def _of_classes(beam: Array, figure: Callable[[Mask], Any]) -> Array:
     """Return a figure of the overcast, intermediate and clear hours, [3].
 
     A class with fewer than five hours gets the figure of all hours.

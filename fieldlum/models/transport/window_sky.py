@@ -12,17 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Array, Floats32, Indices, Mask
 from fieldlum.light import Features
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
 from fieldlum.sky import reinhart_patches
 from fieldlum.statistics import robust_sigma
-
-Array = NDArray[Any]
 
 # Values to be tried: sd of ln luminance, chord over which the field changes, sd of a patch's mean.
 # They range from a nearly clear sky to broken clouds; the likelihood chooses. Chosen.
@@ -75,7 +72,7 @@ class SeenSky:
     luminance_cdm2: of the Reinhart sky patches [n, 2305]; field: the statistics used.
     """
 
-    luminance_cdm2: NDArray[np.float32]
+    luminance_cdm2: Floats32
     field: SkyField
 
     def features(self, arrays: TrainingArrays) -> Features:
@@ -109,9 +106,7 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     return SeenSky((sky * kept[:, None]).astype(np.float32), field)
 
 
-def scatter_of_skies(
-    arrays: TrainingArrays, groups: Sequence[NDArray[np.bool_]]
-) -> list[float | None]:
+def scatter_of_skies(arrays: TrainingArrays, groups: Sequence[Mask]) -> list[float | None]:
     """Return how far the skies in the windows differ from Perez's, a value for each group.
 
     groups: masks [n] of captures. The value is the robust standard deviation of the ln of sky
@@ -160,7 +155,7 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     return means[:, some], everywhere[names[some]]
 
 
-def _spread(count: int, most: int) -> NDArray[np.intp]:
+def _spread(count: int, most: int) -> Indices:
     """Return at most `most` of `count` indices, evenly spread."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).astype(np.intp))
 
@@ -198,7 +193,7 @@ def _interpolated(field: SkyField, ratios: Array, directions: Array, asked: Arra
     return out
 
 
-def _by_patches_seen(ratios: Array) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _by_patches_seen(ratios: Array) -> list[tuple[Indices, Indices]]:
     """Group captures that show the same patches: return indices of patches and rows of captures."""
     masks, group = np.unique(np.isfinite(ratios), axis=0, return_inverse=True)
     groups = [

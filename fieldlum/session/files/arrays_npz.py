@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fieldlum.arrays import Array
 
 # Most bytes of a compressed member, which could expand to a huge array. Models of 0.1.0 compress
 # their mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels. Chosen.
@@ -18,7 +19,7 @@ _HEADERS = {
 }
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path) -> dict[str, Array]:
     """Return the arrays by name, of any shape; nothing is unpickled.
 
     Raises ValueError for compressed members over 16 MiB, for an unknown array format, for objects,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, reason_of
 from fieldlum.session.writing import replacing
 
@@ -15,8 +16,6 @@ CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
 MEASURED, DERIVED = "measured", "derived:dirint"
 _BLOCK_ROWS = 20_000  # the texts of a million rows at once would take 300 MB; chosen
 _AROUND_ROWS = 30  # rows on each side for the usual time between rows; not measured
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +26,10 @@ class CleanIrradiance:
     words separated by spaces.
     """
 
-    t_unix_s: Array
-    ghi_wm2: Array
-    dhi_wm2: Array
-    dni_wm2: Array
+    t_unix_s: Floats
+    ghi_wm2: Floats
+    dhi_wm2: Floats
+    dni_wm2: Floats
     source: NDArray[np.object_]
     flags: NDArray[np.object_]
 

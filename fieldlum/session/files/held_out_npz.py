@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats, Indices
 from fieldlum.errors import InputError
 from fieldlum.session.writing import replacing
 
@@ -31,21 +32,21 @@ class HeldOutMaps:
     """
 
     slots: NDArray[np.str_]
-    sun_altitude_deg: NDArray[np.float64]
-    sun_azimuth_deg: NDArray[np.float64]
-    log10_mse: NDArray[np.float64]
-    dgp_measured: NDArray[np.float64]
-    dgp_predicted: NDArray[np.float64]
-    contrast_measured: NDArray[np.float64]
-    contrast_predicted: NDArray[np.float64]
+    sun_altitude_deg: Floats
+    sun_azimuth_deg: Floats
+    log10_mse: Floats
+    dgp_measured: Floats
+    dgp_predicted: Floats
+    contrast_measured: Floats
+    contrast_predicted: Floats
     measured_log10: NDArray[np.float16]
     predicted_log10: NDArray[np.float16]
-    season_deg: NDArray[np.float64]
+    season_deg: Floats
 
     def __len__(self) -> int:
         return len(self.slots)
 
-    def take(self, rows: NDArray[np.intp]) -> HeldOutMaps:
+    def take(self, rows: Indices) -> HeldOutMaps:
         """Return the hours with these indices (from 0), in their order."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, reason_of
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import replacing
@@ -59,12 +59,12 @@ class HourlyFile:
     """
 
     t_utc: tuple[datetime, ...]
-    azimuths_deg: NDArray[np.float64]
-    hours: dict[str, NDArray[np.float64]]
-    views: dict[str, NDArray[np.float64]]
+    azimuths_deg: Floats
+    hours: dict[str, Floats]
+    views: dict[str, Floats]
 
     @classmethod
-    def read(cls, folder: Path, azimuths_deg: NDArray[np.float64], count: int) -> HourlyFile:
+    def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
         """Read hourly.csv of a folder, with `count` rows and the view directions `azimuths_deg`.
 
         Columns that version 0.1.0 did not write become NaN. Raises InputError for a missing file,

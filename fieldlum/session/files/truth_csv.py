@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, reason_of
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import write_table
@@ -21,10 +21,10 @@ TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 class TruthIrradiance:
     """Simulated irradiance, rows [n] in order of time [W/m2]; readers interpolate between them."""
 
-    t_unix_s: NDArray[np.float64]
-    ghi_wm2: NDArray[np.float64]
-    dhi_wm2: NDArray[np.float64]
-    dni_wm2: NDArray[np.float64]
+    t_unix_s: Floats
+    ghi_wm2: Floats
+    dhi_wm2: Floats
+    dni_wm2: Floats
 
     @classmethod
     def read(cls, path: Path) -> TruthIrradiance:
