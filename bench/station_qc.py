@@ -16,7 +16,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.arrays import Floats
@@ -117,7 +116,7 @@ def dirint_row(name: str, raw: Series, site: Site) -> str:
     return f"| {name} | {int(usable.sum())} | {' | '.join(cells)} |"
 
 
-def _error_text(model: NDArray[np.float64], truth: NDArray[np.float64]) -> str:
+def _error_text(model: Floats, truth: Floats) -> str:
     good = np.isfinite(model + truth)
     error, mean = (model - truth)[good], float(truth[good].mean())
     rmse, bias = float(np.sqrt(np.mean(error**2))), float(error.mean())

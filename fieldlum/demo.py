@@ -15,24 +15,22 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from fieldlum.predict import Annual
 from fieldlum.profiles import shipped
 from fieldlum.projection import compass_name
 from fieldlum.records import Progress
 from fieldlum.scheduler import in_processes
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.scores_json import TrainAnswer
 from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.simulate import Troubles
 from fieldlum.site_toml import load_site
-
-if TYPE_CHECKING:
-    from fieldlum.predict import Annual
-    from fieldlum.session.files.scores_json import TrainAnswer
-    from fieldlum.simulate import Troubles
-    from fieldlum.weather import Weather
+from fieldlum.weather import Weather
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"

@@ -8,11 +8,11 @@ pictures separate map and disc with the functions of this module.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Floats32, Mask
+from fieldlum.light import Light
 from fieldlum.projection import (
     column_azimuths_deg,
     direction,
@@ -22,9 +22,6 @@ from fieldlum.projection import (
     row_solid_angles,
 )
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
 
 SUN_RADIUS_RAD = 0.004652  # 0.2665 degrees, the mean disc of SUN_SOLID_ANGLE_SR
 # Mean luminance over the true disc. A dimmer sun gives less than 68 lx, a DNI of 0.7 W/m2, which no

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fieldlum.errors import InputError
+from fieldlum.profiles import CameraProfile
 from fieldlum.records import Panorama, Site, SiteFile
-
-if TYPE_CHECKING:
-    from fieldlum.profiles import CameraProfile
-    from fieldlum.session import Session
-    from fieldlum.weather import Weather
-
+from fieldlum.session import Session
+from fieldlum.weather import Weather
 
 PANORAMA_SUFFIXES = (".exr", ".hdr")
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fieldlum.api.files import load_camera_profile, load_site
+from fieldlum.glare.answers import GlareAnswer
+from fieldlum.merge import MergeResult
+from fieldlum.plan import Plan
+from fieldlum.profiles import CameraProfile
 from fieldlum.records import Panorama, Progress, SiteFile, quiet
-
-if TYPE_CHECKING:
-    from fieldlum.glare.answers import GlareAnswer
-    from fieldlum.merge import MergeResult
-    from fieldlum.plan import Plan
-    from fieldlum.profiles import CameraProfile
-    from fieldlum.weather import Weather
+from fieldlum.weather import Weather
 
 
 def plan_captures(

@@ -10,16 +10,14 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
+from fieldlum.bench.pieces import BenchData, BenchFiles
 from fieldlum.model_registry import MODELS
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, run_each
 from fieldlum.session import replacing, replacing_path
-
-if TYPE_CHECKING:
-    from fieldlum.bench.pieces import BenchData, BenchFiles
-    from fieldlum.train.selection import Trial
+from fieldlum.train.selection import Trial
 
 TABLE = {
     "name": "model",

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from fieldlum.bench.stress import StressRow
 from fieldlum.plot_style import GRID, open_axes
-
-if TYPE_CHECKING:
-    from fieldlum.bench.stress import StressRow
 
 # Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"

@@ -7,11 +7,11 @@ once.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from fieldlum.scene_fit.apply import in_scene
 from fieldlum.scene_fit.stated_box import training_captures, with_same_box
 from fieldlum.scheduler import WorkUnit
 from fieldlum.train.folds import day_folds
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 PieceKind = Literal["score", "random", "greedy", "periods", "stress", "rendering"]
 

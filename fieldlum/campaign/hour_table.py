@@ -5,17 +5,15 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fieldlum.campaign.campaign_file import CampaignFile
 from fieldlum.errors import FieldlumError, InputError
+from fieldlum.predict import Annual
 from fieldlum.records import utc_text
 from fieldlum.session import open_session, replacing, replacing_path
-
-if TYPE_CHECKING:
-    from fieldlum.predict import Annual
 
 
 def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:

@@ -20,16 +20,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, parse_uri
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure, IrradianceSample
-
-if TYPE_CHECKING:
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
-
+from fieldlum.session import Session
 
 FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no checksum
 

@@ -12,15 +12,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import reduce
 from operator import xor
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from fieldlum.devices import IlluminanceReading, InstrumentInfo
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort
 from fieldlum.devices.uri import DeviceUri, one_of
 from fieldlum.errors import DeviceError
-
-if TYPE_CHECKING:
-    from fieldlum.devices.clock import Clock
 
 # Commands and frame marks of CS-A32T.
 PC_MODE = b"00541   "

@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fieldlum.devices import CameraInfo, refuse_turning
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.driver_process import Child, Serve
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
-
-if TYPE_CHECKING:
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 # Timeouts in seconds; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not
 # measured.

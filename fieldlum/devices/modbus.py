@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
@@ -24,9 +24,7 @@ from fieldlum.devices.serial_port import SerialLine, SerialPort, device_errors
 from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
-
-if TYPE_CHECKING:
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,18 +9,15 @@ from __future__ import annotations
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fieldlum.devices import CameraInfo
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.photometry import same_exposure
 from fieldlum.raw import FrameInfo, read_exif
 from fieldlum.records import Exposure
-
-if TYPE_CHECKING:
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", ".md"}
 

@@ -21,17 +21,14 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fieldlum.devices import CameraInfo, refuse_turning
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, number
 from fieldlum.errors import DeviceError, reason_of
 from fieldlum.photometry import SAME_SETTING_EV
 from fieldlum.records import Exposure, shutter_text
-
-if TYPE_CHECKING:
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 PROGRAM = "rpicam-still"
 LIST_S = 20.0  # timeout for listing the cameras; chosen, not measured

@@ -5,15 +5,11 @@ PLACE is a device file or usb=VID:PID:SERIAL.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from fieldlum.devices import Pyranometer
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
 from fieldlum.errors import DeviceError
-
-if TYPE_CHECKING:
-    from fieldlum.devices import Pyranometer
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 
 def open_pyranometer(

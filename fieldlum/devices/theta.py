@@ -14,18 +14,16 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
 from fieldlum.devices import CameraInfo, refuse_turning
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
-
-if TYPE_CHECKING:
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point
 # Timeout that is added to the shutter time, and pause between status requests. Chosen, not

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from fieldlum.arrays import Floats, Floats32
+from fieldlum.light import Light
 from fieldlum.models import Fitted, ModelState, Patch, Prediction
+from fieldlum.models.data import Dataset
 from fieldlum.models.training_domain import Domain, captured
 from fieldlum.records import Progress, quiet
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models.data import Dataset
 
 LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 # share of a pixel's light that remains at least when its sun patch is subtracted; not measured

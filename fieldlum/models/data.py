@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.light import Light
 from fieldlum.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.models.pair_pictures import fill_gaps, read_pictures
@@ -26,9 +26,6 @@ from fieldlum.session.files.model_config import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.provenance import data_digest
 from fieldlum.site_toml import load_site, site_table
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
 
 _NAMED = 3  # number of slots that a note names; chosen
 
@@ -221,8 +218,6 @@ def load_pairs(
 def _assemble(
     path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
 ) -> Dataset:
-    from fieldlum.light import Light
-
     check_plausible(path, _stated(path, rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     refraction = _refraction(path, rows)

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
 from fieldlum.arrays import Floats, Floats32
+from fieldlum.light import Light
 from fieldlum.models import ModelState, Patch, Prediction
+from fieldlum.models.data import Dataset
 from fieldlum.models.dense_network import (
     DHI_TOP_WM2,
     DNI_TOP_WM2,
@@ -33,10 +35,6 @@ from fieldlum.models.dense_network import (
 from fieldlum.models.dense_training import train
 from fieldlum.models.training_domain import Domain, captured
 from fieldlum.records import Progress, quiet
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models.data import Dataset
 
 PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache; not measured
 

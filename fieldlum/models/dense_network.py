@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -21,10 +21,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from fieldlum.arrays import Array, Floats, Floats32
+from fieldlum.light import Light
 from fieldlum.projection import equirect_rays, signed_angle_deg
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
 
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
 POWER = 1.0 / 1.5  # of the paper's preprocessing

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from fieldlum.arrays import Floats32
+from fieldlum.models import Patch
+from fieldlum.models.data import Dataset
 from fieldlum.models.dense_network import Canvas, HourInputs, Shape, encode, hours, scene_inputs
-
-if TYPE_CHECKING:
-    from fieldlum.models import Patch
-    from fieldlum.models.data import Dataset
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,14 +13,15 @@ import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from fieldlum.arrays import Floats
-from fieldlum.models import distributed
+from fieldlum.models import Patch, distributed
+from fieldlum.models.data import Dataset
 from fieldlum.models.dense_network import Net, Shape, bfloat16_pays, canvas, pick_device
 from fieldlum.models.dense_pixels import PixelSampler, pixels_of
 from fieldlum.models.dense_schedule import (
@@ -39,10 +40,6 @@ from fieldlum.models.dense_schedule import (
 from fieldlum.models.dense_state import keep, restore
 from fieldlum.records import Progress, quiet
 from fieldlum.session.provenance import data_digest
-
-if TYPE_CHECKING:
-    from fieldlum.models import Patch
-    from fieldlum.models.data import Dataset
 
 RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
 _MICRO_PIXELS = {"cpu": 8192, "cuda": 131_072}  # pixels of a micro-batch; not measured

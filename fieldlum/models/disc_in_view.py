@@ -6,18 +6,13 @@ from a predicted map.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from fieldlum.arrays import Floats, Floats32
+from fieldlum.light import Light
 from fieldlum.projection import direction, equirect_pixel
 from fieldlum.records import Room, SiteFile
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.scene import RoomUncertainty
-
+from fieldlum.scene import RoomUncertainty
 
 # Ratio of a pixel's luminance to that of the sky behind it. Between these limits the sun's pixel
 # shows open sky through glass. Not measured.

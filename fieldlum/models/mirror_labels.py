@@ -8,11 +8,11 @@ are near and whose pixels have similar luminance in all captures.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.models.data import Dataset
 from fieldlum.models.mirrors import TO_SHOW, Mirror, pixels
 from fieldlum.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sun_disc import brightest_surface_cdm2, without_disc
@@ -25,9 +25,6 @@ from fieldlum.sun_images import (
     mirrored,
     near_sun_rad,
 )
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 # Kernel of the labels; chosen. In three views of a mirroring facade, other widths (6 to 18 degrees,
 # 0.05 to 0.2) change the error of DGP by -25 to +30 %, some by a factor of two

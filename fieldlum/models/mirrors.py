@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.errors import InputError
+from fieldlum.light import Light
 from fieldlum.projection import altitude_azimuth_deg, equirect_pixel
 from fieldlum.session.files.arrays_npz import read_arrays
+from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.sun_images import glass_reflectance, mirrored, ring_around, tolerance_rad
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.session.files.model_config import ModelConfig
-
 
 TO_SHOW = 0.5  # an image with a larger chance is predicted
 MOST_DOUBT = 0.05  # an hour is not trusted if the chance of a wrong decision is larger; chosen

@@ -15,7 +15,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +23,13 @@ from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.glare.contrast import RAMMG_LEVELS, contrast_levels
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
-from fieldlum.models import trusted_hours
+from fieldlum.models import Fitted, Prediction, trusted_hours
+from fieldlum.models.data import Dataset
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, quiet
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreFigures
 from fieldlum.sun_disc import add_disc
-
-if TYPE_CHECKING:
-    from fieldlum.models import Fitted, Prediction
-    from fieldlum.models.data import Dataset
 
 FLOOR_CDM2 = 1.0  # paper
 RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020

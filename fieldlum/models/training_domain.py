@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from typing import TypedDict
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
+from fieldlum.light import Light
 
 # with less direct light the sun lights a room less than the sky does; not measured
 SUNNY_WM2 = 60.0

@@ -7,21 +7,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from fieldlum import sun
 from fieldlum.arrays import Floats32
-from fieldlum.light import light_at
-from fieldlum.models import trusted_hours
+from fieldlum.light import Light, light_at
+from fieldlum.models import Prediction, trusted_hours
+from fieldlum.models.data import Dataset
 from fieldlum.records import Progress, quiet
 from fieldlum.scene.patches import sun_patches
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models import Prediction
-    from fieldlum.models.data import Dataset
 
 YEAR_HOURS = 150  # measured: their mean expected error has a standard error of 10 to 15 %
 _CHUNK = 50  # hours; about 20 MB for each map layer at 460 x 230; chosen

@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
-from fieldlum.models import seen_of, trusted_hours
+from fieldlum.light import Light
+from fieldlum.models import Fitted, Prediction, seen_of, trusted_hours
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.records import Progress, SiteFile, quiet
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.sun_disc import add_source
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models import Fitted, Prediction
 
 BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
@@ -13,14 +13,12 @@ from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.maps_bucket import is_complete
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.projection import signed_angle_deg
+from fieldlum.scene import RoomUncertainty
 from fieldlum.session import open_session, sha256
+from fieldlum.session.files.model_config import ModelConfig, UsedScene
 from fieldlum.session.provenance import made_from
 from fieldlum.site_toml import site_table
 from fieldlum.version import __version__
-
-if TYPE_CHECKING:
-    from fieldlum.scene import RoomUncertainty
-    from fieldlum.session.files.model_config import ModelConfig, UsedScene
 
 
 def default_folder(model_folder: Path) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -33,9 +33,7 @@ from fieldlum.session.files.predict_json import (
 )
 from fieldlum.site_toml import site_table
 from fieldlum.version import __version__
-
-if TYPE_CHECKING:
-    from fieldlum.weather import Weather
+from fieldlum.weather import Weather
 
 HOURLY_MEANS = (
     "Weather files have hourly means. Under broken cloud the sun comes and goes within the "

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +15,14 @@ from fieldlum.glare.contrast import ViewRegions
 from fieldlum.glare.geometry import Views, panorama_views
 from fieldlum.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
 from fieldlum.glare.unseen import ViewCoverage, view_coverage
+from fieldlum.light import Light
+from fieldlum.models import Fitted
 from fieldlum.models.disc_in_view import guessed_disc_lx
 from fieldlum.predict.block_figures import hour_figures, unseen_bounds, view_figures
 from fieldlum.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
 from fieldlum.predict.maps import write_maps
 from fieldlum.scheduler import WorkUnit
 from fieldlum.session import sha256
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models import Fitted
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.light import Light
+from fieldlum.models import Fitted
 from fieldlum.predict.annual import Annual, Pictures
 from fieldlum.predict.blocks import ModelRoom, blocks
 from fieldlum.predict.glare_summary import best_and_worst
 from fieldlum.sun import standard_date
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models import Fitted
 
 
 def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:

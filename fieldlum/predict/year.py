@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.glare.standards import GlareDoubt, disturbed_share
 from fieldlum.glare.unseen import view_coverage
+from fieldlum.light import Light
 from fieldlum.models.disc_in_view import DRAWN_ROOMS, EDGE_SD_DEG, drawn_discs_lx
 from fieldlum.predict.annual import Annual, write_pictures
 from fieldlum.predict.blocks import ModelRoom, room_of
@@ -32,17 +33,14 @@ from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_o
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
+from fieldlum.scene import RoomUncertainty
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.weather import Weather
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
-
-if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.scene import RoomUncertainty
-    from fieldlum.weather import Weather
 
 
 class PredictedYear(NamedTuple):

@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.predict import Annual
 from fieldlum.records import Progress, quiet, slot_id
+from fieldlum.report.page import Page, Section
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
@@ -22,10 +24,6 @@ from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
 
 _MOST_LISTED = 12  # values of a setting that are shown one by one; chosen
-
-if TYPE_CHECKING:
-    from fieldlum.predict import Annual
-    from fieldlum.report.page import Page, Section
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +59,7 @@ def find(session: Session) -> SessionArtefacts:
 
 
 def _settings(session: Session, found: SessionArtefacts) -> Section:
-    from fieldlum.report.page import Section, Table
+    from fieldlum.report.page import Table
 
     groups: list[tuple[str, Any]] = list(session.table().items())
     if found.annual is not None:
@@ -111,7 +109,6 @@ def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
 def _page(session: Session, found: SessionArtefacts) -> Page:
     from fieldlum.predict import read_pictures
     from fieldlum.report import annual, captured, evidence
-    from fieldlum.report.page import Page
 
     setup = session.site_file()
     zone = setup.site.timezone

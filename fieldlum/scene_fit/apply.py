@@ -5,22 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.light import Light
+from fieldlum.models.data import Dataset
 from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
 from fieldlum.session.files.model_config import UsedScene
 from fieldlum.site_toml import site_table
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 # Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which
 # north is determined.

@@ -6,24 +6,19 @@ was read in the wrong direction, and two views in one csv.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.optimize import nnls
 
 from fieldlum.arrays import Floats, Indices
 from fieldlum.errors import InputError
 from fieldlum.light import facades_of
+from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg, turned
 from fieldlum.records import Room
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.evidence import require_box
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.renderer import OUTSIDE, surfaces
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-
 
 # Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
 # corrects for a compass near steel; least number of hours that show a pattern.

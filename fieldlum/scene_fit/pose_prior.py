@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.arrays import Floats
 from fieldlum.records import Site
 from fieldlum.scene_fit.discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
+from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
 from fieldlum.session import Session
-
-if TYPE_CHECKING:
-    from fieldlum.scene_fit.guess import Guess
-
 
 # Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include
 # (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.

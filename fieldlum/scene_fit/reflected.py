@@ -6,17 +6,13 @@ without it walls near a patch look as if the sun reached them, and patches grow.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from fieldlum.arrays import Floats, Floats32, Indices
+from fieldlum.models.data import Dataset
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 Float32 = Floats32
 

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.ndimage import binary_dilation
 
 from fieldlum.arrays import Floats, Floats32, Indices
+from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.light_below import LEAST_CDM2
 from fieldlum.scene_fit.renderer import surfaces
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-
 
 # pixels nearer to a window are omitted, because they may look through it; chosen
 _WINDOW_MARGIN_DEG = 4.0

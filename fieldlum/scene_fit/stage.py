@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.models import Patch
+from fieldlum.models.data import Dataset
+from fieldlum.models.year_sample import Predictor
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.apply import scene_of, with_scene
 from fieldlum.scene_fit.checks import check_captures
@@ -21,12 +24,6 @@ from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY
 from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
 from fieldlum.session import Session
 from fieldlum.statistics import is_no_worse
-
-if TYPE_CHECKING:
-    from fieldlum.models import Patch
-    from fieldlum.models.data import Dataset
-    from fieldlum.models.year_sample import Predictor
-
 
 # With three hours or fewer, the relative uncertainty of the standard error of their mean misfit is
 # a half: (2 (n - 1)) ** -0.5. Chosen.

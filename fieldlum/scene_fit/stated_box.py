@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.models.data import Dataset
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.apply import in_scene, with_patches, with_scene
 from fieldlum.scene_fit.evidence import gather
@@ -22,9 +22,6 @@ from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY
 from fieldlum.scene_fit.stage import MIN_HOURS_OUTSIDE
 from fieldlum.scene_fit.sunny import MIN_SUNNY_HOURS, sunny_hours
 from fieldlum.scene_fit.verdict import SAME_MISFIT
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 # Clear hours that a trusted verdict on a fitted scene needs. With fewer, held-out days chose plain
 # recipes for patches of a tape-measured box in two rooms of four, with up to 2.6 times the error

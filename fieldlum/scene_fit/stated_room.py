@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.parameters import SUN_DEG_PER_MIN
-
-if TYPE_CHECKING:
-    from fieldlum.scene_fit.pose_prior import PosePrior
+from fieldlum.scene_fit.pose_prior import PosePrior
 
 START_CLOCKS_MIN = (-6.0, 0.0, 6.0)  # slightly beyond the prior's 5 minutes; chosen
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
 from fieldlum.light import facades_of
+from fieldlum.models.data import Dataset
 from fieldlum.records import Room
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 # Least number of sunny hours: with every third held out, four hours are left to fit. Chosen.
 MIN_SUNNY_HOURS = 6

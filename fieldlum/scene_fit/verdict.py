@@ -9,21 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Indices, Mask
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.models import Patch
+from fieldlum.models.data import Dataset
 from fieldlum.models.year_sample import Predictor, expect, light_of_year
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.sunny import sunny_hours
-
-if TYPE_CHECKING:
-    from fieldlum.models import Patch
-    from fieldlum.models.data import Dataset
-
 
 # Chosen: suns closer than this leave together; neighbouring hours are 12 to 15 degrees apart.
 BLOCK_DEG = 9.0

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from fieldlum.arrays import Floats, Floats32, Indices
+from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import BAR, OUTSIDE, seen_in_opening, surfaces
 from fieldlum.sun import direction
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-
 
 RAY_DEG = 0.75  # chosen: between rays of a pixel; an edge moves a pixel's share in such steps
 MARGIN_DEG = 6.0  # chosen: a tape that is 5 cm off and a camera that is, both seen from 1 m

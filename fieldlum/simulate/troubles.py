@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,12 +24,9 @@ from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.projection import altitude_azimuth_deg, equirect_rays
 from fieldlum.records import Site
+from fieldlum.simulate.truth import GroundTruth, Rendering
 from fieldlum.sky import reinhart_patches
 from fieldlum.strict_toml import build
-
-if TYPE_CHECKING:
-    from fieldlum.simulate.truth import GroundTruth, Rendering
-
 
 # Sizes of the disturbances. Where no source is stated they are chosen to look like a campaign, not
 # measured.

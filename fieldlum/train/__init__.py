@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,9 +19,12 @@ from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
+from fieldlum.models.data import Dataset
 from fieldlum.models.mirror_labels import split_images
 from fieldlum.models.mirrors import Mirror
 from fieldlum.models.scores import summary
+from fieldlum.models.transport.setting_scan import Setting
+from fieldlum.models.year_sample import YearExpectation
 from fieldlum.records import Progress, counted, quiet
 from fieldlum.session import sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -36,11 +39,6 @@ from fieldlum.train.setting import scan, settle, with_right_clock
 from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import dense_folds, evaluate_folds, fit_timed
 from fieldlum.version import __version__
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-    from fieldlum.models.transport.setting_scan import Setting
-    from fieldlum.models.year_sample import YearExpectation
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 # share of the time of slow models that their held-out days get; the stored model gets the rest; not

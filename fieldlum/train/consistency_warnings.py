@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from fieldlum.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE
+from fieldlum.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted
+from fieldlum.models.data import Dataset
 from fieldlum.models.scores import by_day
-
-if TYPE_CHECKING:
-    from fieldlum.models import Fitted
-    from fieldlum.models.data import Dataset
 
 # log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach;
 # chosen

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
+from fieldlum.models.data import Dataset
 from fieldlum.train.folds import one_day_only
 from fieldlum.train.selection import Trial
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 
 def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:

@@ -7,15 +7,13 @@ else: north, room and heading in SITE.toml, a constant error of the clock by `fi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
+from fieldlum.models import Fitted, Patch
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport.room_errors import RoomError
+from fieldlum.models.transport.setting_scan import Setting, SettingFinding
 from fieldlum.records import Progress, SiteFile, quiet
-
-if TYPE_CHECKING:
-    from fieldlum.models import Fitted, Patch
-    from fieldlum.models.data import Dataset
-    from fieldlum.models.transport.room_errors import RoomError
-    from fieldlum.models.transport.setting_scan import Setting, SettingFinding
 
 
 def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | None:

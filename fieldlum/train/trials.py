@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,13 +13,11 @@ from fieldlum import models
 from fieldlum.arrays import Floats
 from fieldlum.model_registry import MODELS
 from fieldlum.models import Fitted, Patch
+from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, evaluate, join, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.train.folds import MOST_FOLDS, Fold
 from fieldlum.train.selection import Trial
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 LEAST_FOLDS = 2  # one fold gives no standard error; chosen
 LEAST_FOLD_S = 60.0  # a shorter training of a dense fold is no measure of the network; not measured

@@ -7,15 +7,11 @@ options: seed, noise (W/m2).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from fieldlum.devices import Camera, Pyranometer
+from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, integer_option, number
 from fieldlum.errors import DeviceError
-
-if TYPE_CHECKING:
-    from fieldlum.devices import Camera, Pyranometer
-    from fieldlum.devices.clock import Clock
-    from fieldlum.session import Session
+from fieldlum.session import Session
 
 _SEED = integer_option(0, 2**31)
 

@@ -8,22 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.arrays import Array
+from fieldlum.models.data import Dataset
 from fieldlum.models.transport.misalignment import Evidence, evidence_of
 from fieldlum.models.transport.model import held_out_errors
 from fieldlum.records import Progress, quiet
 from fieldlum.scene import sun_patches
 from fieldlum.statistics import is_no_worse
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-
 
 # Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldlum.arrays import Array, Floats32, Indices
-from fieldlum.models.transport.features import pixel_scale
-
-if TYPE_CHECKING:
-    from fieldlum.models.transport.features import TrainingArrays
-
+from fieldlum.models.transport.features import TrainingArrays, pixel_scale
 
 # Computed light has no meaning below; far under that of any wall by day. Chosen.
 LEAST_COMPUTED_CDM2 = 1e-3

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +12,12 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.arrays import Array, Floats, Indices
 from fieldlum.light import Kernel, facades_of
+from fieldlum.models.data import Dataset
 from fieldlum.models.transport.features import LEAST_CDM2, direct_flux_lx, training_arrays_of
 from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-    from fieldlum.scene.points import SunPoints
-    from fieldlum.scene.view import SceneView
-
+from fieldlum.scene.points import SunPoints
+from fieldlum.scene.view import SceneView
 
 HOURS = 48  # those with most direct sun in view; bounds the time; chosen
 LEAST_HOURS = 3  # not measured

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, Light
 from fieldlum.models import ModelState, Patch, Prediction
+from fieldlum.models.data import Dataset
 from fieldlum.models.transport.computed_light import computed_light
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
@@ -51,10 +51,6 @@ from fieldlum.models.transport.uncertainty import (
 )
 from fieldlum.models.transport.window_sky import SkyField, seen_sky
 from fieldlum.records import Progress, counted, quiet
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
-
 
 # Number of pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not
 # measured.

@@ -14,7 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,7 @@ from fieldlum.arrays import Floats32, Mask
 from fieldlum.light import Light, light_at
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Room, Site, SiteFile
-
-if TYPE_CHECKING:
-    from fieldlum.scene.points import SunPoints
+from fieldlum.scene.points import SunPoints
 
 HEIGHT = 16  # rows of the coarse panorama from which the modes are computed; not measured
 # Rows of the panorama of computed light. With 16 rows the error of two days is 1.4 to 1.8 times

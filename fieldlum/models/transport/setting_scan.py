@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Array
+from fieldlum.models.data import Dataset
 from fieldlum.models.transport.misalignment import (
     MOST_SHIFT_PX,
     MOST_TURN_DEG,
@@ -25,9 +25,6 @@ from fieldlum.models.transport.misalignment import (
 from fieldlum.models.transport.room_errors import RoomError, room_error
 from fieldlum.models.transport.uncertainty import edge_range
 from fieldlum.records import Progress, quiet
-
-if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
 
 Amount = tuple[float, ...]
 
