@@ -255,3 +255,13 @@ def test_a_view_without_a_direction_says_that_north_is_a_guess(
     assert not any("-vd" in text for text in told["warnings"])
     assert any("-vd" in text for text in bare["warnings"])
     assert bare["views"][0]["dgp"] == pytest.approx(told["views"][0]["dgp"], abs=2e-3)
+
+
+@pytest.mark.contract
+def test_more_light_than_the_sun_gives_is_reported(tmp_path: Path) -> None:
+    """A picture whose pixels are in cd/m2 instead of W/sr/m2 is 179 times too bright."""
+    for level_cdm2, count in ((4_000.0, 0), (4_000.0 * 179.0, 1)):
+        path = tmp_path / "f.hdr"
+        write_radiance_hdr(path, np.full((60, 60), level_cdm2), view=SOUTH)
+        warnings = picture_glare(path)["warnings"]
+        assert sum("more than sun and sky give" in text for text in warnings) == count

@@ -209,6 +209,11 @@ def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
     shots = take(tmp_path)
     with pytest.raises(InputError, match=r"0.dng: this frame is listed twice"):
         shots_of_files([shots[0].path, shots[1].path, tmp_path / "." / "0.dng"])
+    copy = tmp_path / "0 (1).dng"
+    copy.write_bytes(shots[0].path.read_bytes())
+    with pytest.raises(InputError, match=r"0 \(1\).dng: the same content as 0.dng"):
+        shots_of_files([shots[0].path, shots[1].path, copy])
+    copy.unlink()
     with pytest.raises(
         InputError, match=r"2.dng: a frame with f/8 in a bracket with f/5.6; expected one aperture"
     ):

@@ -163,8 +163,15 @@ def test_what_libraw_only_mutters_is_an_error(
 def test_a_renamed_jpeg_is_named(tmp_path: Path) -> None:
     write_jpeg(tmp_path / "f.jpg", np.zeros((16, 16, 3), np.uint8), EXPOSURE)
     (tmp_path / "f.jpg").rename(tmp_path / "f.dng")
-    with pytest.raises(InputError, match="content is a JPEG"):
+    with pytest.raises(InputError, match=r"content is a JPEG.*give the file the suffix .jpg"):
         read_mosaic(tmp_path / "f.dng")
+
+
+@pytest.mark.contract
+def test_a_png_is_refused_with_a_remedy_that_can_be_followed(tmp_path: Path) -> None:
+    (tmp_path / "f.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(64))
+    with pytest.raises(InputError, match=r"content is a PNG.*raw or JPEG with its EXIF"):
+        read_mosaic(tmp_path / "f.png")
 
 
 @pytest.mark.contract

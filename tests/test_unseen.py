@@ -18,9 +18,16 @@ from learning_room import dataset
 from fieldlum import models, predict
 from fieldlum.cli import main
 from fieldlum.glare import glare_directions, panorama_views
+from fieldlum.glare.picture_grid import picture_grid
+from fieldlum.glare.picture_view import parse_view
 from fieldlum.glare.single import picture_glare
-from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
-from fieldlum.images import write_panorama
+from fieldlum.glare.unseen import (
+    brightest_cdm2,
+    picture_coverage,
+    unseen_dgp_bounds,
+    view_coverage,
+)
+from fieldlum.images import write_panorama, write_radiance_hdr
 from fieldlum.predict.pictures import telling_hours
 from fieldlum.profiles import coverage_text, load_camera_profile
 from fieldlum.projection import (
@@ -175,3 +182,58 @@ def test_no_direction_at_all_is_said_and_not_drawn(year: predict.Annual) -> None
     assert predict.best_and_worst(blind) is None
     nothing = replace(year, summary=replace(year.summary, protection=blind))
     assert "No view direction can be judged" in annual_page.answer(nothing)[0]
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("half_deg", [75.0, 67.0])
+def test_a_partly_covering_picture_has_bounds_that_hold_the_complete_one(
+    half_deg: float, tmp_path: Path
+) -> None:
+    """A narrow fisheye is bounded as a partly seen panorama is; the 180-degree one is the truth."""
+    size, truth = 240, tmp_path / "180.hdr"
+    row, column = np.indices((size, size))
+    radius_deg = np.hypot(row - size / 2 + 0.5, column - size / 2 + 0.5) * 180.0 / size
+    scene = np.where(np.abs(column - 60) < 25, 6000.0, 200.0)
+    scene = np.where(radius_deg < 90.0, scene, 0.0)
+    view = "-vta -vd 0 -1 0 -vu 0 0 1 -vh {0:g} -vv {0:g}"
+    write_radiance_hdr(truth, scene, view=view.format(180.0))
+    margin = round(size * (90.0 - half_deg) / 180.0)
+    inner = scene[margin : size - margin, margin : size - margin]
+    narrow = tmp_path / "narrow.hdr"
+    write_radiance_hdr(narrow, inner, view=view.format(180.0 * (size - 2 * margin) / size))
+    complete = picture_glare(truth)["views"][0]
+    part = picture_glare(narrow)["views"][0]
+    assert part["seen"] == "partly seen" and "dgp_low" not in complete
+    assert part["dgp_low"] <= part["dgp"] <= part["dgp_high"]
+    assert part["dgp_low"] <= complete["dgp"] <= part["dgp_high"]
+    table = tmp_path / "glare.csv"
+    done = CliRunner().invoke(main, ["glare", str(narrow), "--csv", str(table)])
+    assert done.exit_code == 0 and f"{part['dgp_low']:.3f} to {part['dgp_high']:.3f}" in done.output
+    with table.open() as file:
+        cells = next(iter(csv.DictReader(file)))
+    assert float(cells["dgp_high"]) == pytest.approx(part["dgp_high"])
+    assert float(cells["seen_share"]) == pytest.approx(part["seen_share"])
+
+
+@pytest.mark.contract
+def test_a_narrow_dim_picture_has_a_grade_for_each_bound(tmp_path: Path) -> None:
+    path = tmp_path / "half.hdr"
+    scene = np.full((200, 200), 300.0)
+    scene[60:90, 80:120] = 6000.0
+    write_radiance_hdr(path, scene, view="-vta -vd 0 -1 0 -vu 0 0 1 -vh 135 -vv 135")
+    view = picture_glare(path)["views"][0]
+    assert view["dgp"] < 0.35 < view["dgp_high"]
+    assert view["verdict"].startswith("imperceptible to ")
+
+
+@pytest.mark.analytic
+def test_the_unseen_part_of_a_picture_completes_the_hemisphere() -> None:
+    """Analytic: seen and unseen illuminance add up to pi, whatever the mapping."""
+    for options in ("-vta -vh 140 -vv 140", "-vtv -vh 100 -vv 80", "-vth -vh 120 -vv 120"):
+        grid = picture_grid(parse_view(f"{options} -vd 0 -1 0 -vu 0 0 1", Path("x")), 200, 200)
+        coverage = picture_coverage(grid)
+        share = float(coverage.seen_share[0])
+        assert coverage.unseen_illuminance[0] == pytest.approx((1.0 - share) * np.pi, rel=1e-3)
+    assert picture_coverage(
+        picture_grid(parse_view("-vta -vd 0 -1 0 -vh 180 -vv 180", Path("x")), 200, 200)
+    ).words == ("seen",)

@@ -41,6 +41,9 @@ CSV_COLUMNS = (
     "reference_ev_lx",
     "calibration_factor",
     "warnings",
+    "seen_share",
+    "dgp_low",
+    "dgp_high",
 )
 
 

@@ -23,6 +23,12 @@ VERDICTS = (
 )
 
 
+# More than sun and sky give: the sun's illuminance outside the atmosphere is 133 100 lx (IES
+# Lighting Handbook). Chosen above it, for sunlit snow. A picture in cd/m2 instead of Radiance's
+# W/sr/m2 is 179 times too bright.
+MOST_EV_LX = 200_000.0
+
+
 class ViewAnswer(TypedDict):
     """The figures of one view direction in `glare --json`, with names as in `glare_directions`.
 
@@ -32,7 +38,7 @@ class ViewAnswer(TypedDict):
     grade of DGP; "A to B" if dgp_low and dgp_high have different grades; "not seen" as in seen.
     seen : "seen", "partly seen" or "not seen"; seen_share : share (0 to 1) of the vertical
     illuminance of a uniform field that comes from seen pixels. dgp_low, dgp_high : bounds of DGP,
-    for a partly seen direction of a panorama only. source_count : number of glare sources of a
+    for a partly seen direction only. source_count : number of glare sources of a
     single picture; sources : its strongest ones, at most 20. reference : evalglare's figures, if
     requested; a panorama has them for fully seen directions only.
 
@@ -100,6 +106,12 @@ def verdict(dgp: float) -> str:
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
+def bounds_verdict(low: float, high: float) -> str:
+    """Return one grade, or two if the unseen part decides between them."""
+    least, most = verdict(low), verdict(high)
+    return least if least == most else f"{least} to {most}"
+
+
 def answer_of(
     path: Path,
     picture: Picture,
@@ -126,9 +138,21 @@ def answer_of(
         "melanopic_der": "D65, assumed",
         "views": views,
         "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
-        "warnings": warnings + picture_warnings(picture),
+        "warnings": warnings + picture_warnings(picture) + _level_warnings(views),
         "covered_share": covered_share,
     }
+
+
+def _level_warnings(views: list[ViewAnswer]) -> list[str]:
+    """Return a warning if a view has more light than sun and sky can give; else an empty list."""
+    most = max((view["ev_lx"] or 0.0 for view in views), default=0.0)
+    if most <= MOST_EV_LX:
+        return []
+    return [
+        f"Ev of {most:.0f} lx is more than sun and sky give ({MOST_EV_LX:.0f} lx): the luminance "
+        "is not calibrated, or the pixels are in cd/m2 instead of Radiance's W/sr/m2; scale the "
+        "picture with --calibrate-ev"
+    ]
 
 
 def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:

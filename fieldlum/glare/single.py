@@ -15,6 +15,7 @@ from fieldlum.glare.answers import (
     GlareAnswer,
     ViewAnswer,
     answer_of,
+    bounds_verdict,
     plain,
     scaled_sun,
     seen_pixels,
@@ -32,12 +33,6 @@ from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_covera
 from fieldlum.projection import NOT_SEEN, SEEN, direction
 from fieldlum.records import Panorama, SunSource
 from fieldlum.sun_disc import find_disc, without_disc
-
-
-def _bounds_verdict(low: float, high: float) -> str:
-    """Return one grade, or two if the unseen part decides between them."""
-    least, most = verdict(low), verdict(high)
-    return least if least == most else f"{least} to {most}"
 
 
 def picture_glare(
@@ -145,7 +140,7 @@ def _view_rows(
         row |= {"seen": coverage.words[i], "seen_share": float(coverage.seen_share[i])}
         if coverage.partly[i]:
             row |= {"dgp_low": float(low[0, i]), "dgp_high": float(high[0, i])}
-            row["verdict"] = _bounds_verdict(row["dgp_low"], row["dgp_high"])
+            row["verdict"] = bounds_verdict(row["dgp_low"], row["dgp_high"])
         if not coverage.judged[i]:
             row |= dict.fromkeys((*figures, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
         views.append(cast(ViewAnswer, row))

@@ -9,11 +9,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from fieldlum.arrays import Floats
 from fieldlum.errors import InputError
 from fieldlum.glare.answers import (
     GlareAnswer,
     ViewAnswer,
     answer_of,
+    bounds_verdict,
     plain,
     scaled_sun,
     seen_pixels,
@@ -26,7 +28,12 @@ from fieldlum.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels
 from fieldlum.glare.picture_grid import PictureGrid, picture_grid
 from fieldlum.glare.pictures import Picture
 from fieldlum.glare.reference import reference_glare
-from fieldlum.projection import FULLY_SEEN_SHARE, NOT_SEEN, seen_words, signed_angle_deg
+from fieldlum.glare.unseen import (
+    brightest_of_picture_cdm2,
+    picture_coverage,
+    unseen_dgp_bounds,
+)
+from fieldlum.projection import FULLY_SEEN_SHARE, NOT_SEEN, signed_angle_deg
 
 # most sources that are listed, because a noisy picture can have thousands; chosen
 SHOWN_SOURCES = 20
@@ -54,10 +61,7 @@ def single_picture_glare(
     row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
     row |= {name: plain(value) for name, value in figures.items()}
     row["melanopic_edi_lx"] = float(melanopic_edi_lx(np.asarray(figures["ev_lx"])))
-    seen_share = min(1.0, float(grid.illuminance.sum(dtype=float)) / np.pi)
-    seen = seen_words(np.array([seen_share]))[0]
-    row |= {"seen": seen, "seen_share": seen_share}
-    row["verdict"] = NOT_SEEN if seen == NOT_SEEN else verdict(figures["dgp"])
+    row |= _seen_figures(pixels, grid, parts)
     row |= {"source_count": len(sources), "sources": _source_rows(sources)}
     if reference:
         shown = pixels if sun is None else pixels + disc_pixels(grid, sun)
@@ -66,9 +70,27 @@ def single_picture_glare(
     if share < FULLY_SEEN_SHARE:
         warnings.append(
             f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
-            "bound, and DGP counts the part outside the picture as black; use a 180-degree fisheye"
+            "bound, and DGP counts the part outside the picture as black; a partly seen view has "
+            "bounds of DGP too; use a 180-degree fisheye"
         )
     return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share)
+
+
+def _seen_figures(pixels: Floats, grid: PictureGrid, parts: dict[str, float]) -> dict[str, Any]:
+    """Return how much of the view was seen, the grade, and bounds of DGP for a partly seen view.
+
+    pixels : [H, W] cd/m2; grid : their weights; parts : figures by `glare_of_pixels`.
+    """
+    coverage = picture_coverage(grid)
+    row: dict[str, Any] = {"seen": coverage.words[0], "seen_share": float(coverage.seen_share[0])}
+    if not coverage.judged[0]:
+        return row | {"verdict": NOT_SEEN}
+    if not coverage.partly[0]:
+        return row | {"verdict": verdict(parts["dgp"])}
+    most = np.array([brightest_of_picture_cdm2(pixels, grid)])
+    ev_lx, contrast = (np.array([[parts[name]]]) for name in ("ev_lx", "contrast"))
+    low, high = (float(bound[0, 0]) for bound in unseen_dgp_bounds(coverage, ev_lx, contrast, most))
+    return row | {"dgp_low": low, "dgp_high": high, "verdict": bounds_verdict(low, high)}
 
 
 def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:

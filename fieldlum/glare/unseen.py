@@ -8,19 +8,25 @@ bounds are the least and the largest DGP over these luminances. More light on th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
-from fieldlum.glare.geometry import Views, position_index
+from fieldlum.glare.geometry import Views, angles_from_view, panorama_views, position_index
 from fieldlum.glare.metrics import dgp
+from fieldlum.glare.picture_grid import PictureGrid, centres, row_blocks
+from fieldlum.glare.picture_view import picture_rays
 from fieldlum.glare.sources import SOURCE_CDM2
-from fieldlum.projection import NOT_SEEN, SEEN, equirect_solid_angles, seen_words
+from fieldlum.projection import FULLY_SEEN_SHARE, NOT_SEEN, SEEN, equirect_solid_angles, seen_words
 
 # Share of the seen solid angle that is brighter than the brightest likely luminance: a window pane
 # is larger, a single bright pixel of a reflection smaller. Chosen, not measured.
 BRIGHTEST_SHARE = 0.01
 _LEVELS = 12  # number of luminances between 1 cd/m2 and the brightest; chosen
+# Rows of a panorama of the hemisphere: its sum of solid angle over squared position index is then
+# exact to 1e-4. Chosen.
+_HEMISPHERE_ROWS = 180
 _THIN = 4  # use every fourth row and column, which suffices for a percentile; only for speed
 
 
@@ -80,6 +86,70 @@ def view_coverage(seen: Mask | None, views: Views) -> ViewCoverage:
     return ViewCoverage(1.0 - missing / total, missing, np.maximum(apart, together))
 
 
+def picture_coverage(grid: PictureGrid) -> ViewCoverage:
+    """Return the same as `view_coverage` for a single picture in its own direction, d = 1.
+
+    grid : weights of the picture's pixels, 0 for pixels that no lens saw. All sums are those of the
+    hemisphere in front minus those of the picture: pi for the illuminance, and 0 for the moments of
+    the solid angle to the right and upwards.
+    """
+    share = np.array([min(float(grid.illuminance.sum(dtype=float)) / np.pi, 1.0)])
+    if share[0] >= FULLY_SEEN_SHARE:
+        return ViewCoverage(share, np.zeros(1), np.zeros(1))
+    omega, right, up, apart = _sums_of_picture(grid)
+    area = max(2.0 * np.pi - omega, 1e-30)
+    shrink = min(1.0, 0.5 * np.pi * area / max(float(np.hypot(right, up)), 1e-30))  # in front
+    centre = -right / area * shrink, -up / area * shrink
+    together = area / float(position_index(*centre)) ** 2
+    sources = max(_hemisphere_sources() - apart, together)
+    return ViewCoverage(share, np.pi * (1.0 - share), np.array([sources]))
+
+
+def _sums_of_picture(grid: PictureGrid) -> Floats:
+    """Return sums over a picture's pixels in front [4], in sr.
+
+    They are of the solid angle, of this times the coordinates right and up, and of this over the
+    squared position index.
+    """
+    height, width = grid.solid_angle.shape
+    sums = np.zeros(4)
+    for rows in row_blocks(height, width):
+        y, x = centres(rows, height, width)
+        rays = picture_rays(grid.view, x, y)
+        front = grid.solid_angle[rows] > 0.0
+        omega = grid.solid_angle[rows][front].astype(float)
+        towards = np.stack([rays.right[front], rays.up[front], rays.forward[front]], axis=-1)
+        right, up, _ = angles_from_view(towards, np.eye(3))
+        parts = (omega, omega * right, omega * up, omega / position_index(right, up) ** 2)
+        sums += [part.sum() for part in parts]
+    return sums
+
+
+@lru_cache(maxsize=1)
+def _hemisphere_sources() -> float:
+    """Return the sum of solid angle over squared position index of a complete hemisphere, sr."""
+    views = panorama_views(_HEMISPHERE_ROWS, 2 * _HEMISPHERE_ROWS, 180.0, 180.0)
+    omega, right, up = np.moveaxis(views.moments[:, :, 0].astype(float), 1, 0)
+    ahead = np.maximum(omega, 1e-30)
+    return float((omega / position_index(right / ahead, up / ahead) ** 2).sum())
+
+
+def brightest_of_picture_cdm2(luminance_cdm2: Floats, grid: PictureGrid) -> float:
+    """Return the luminance exceeded in the brightest hundredth of a picture's solid angle.
+
+    luminance_cdm2 : [H, W]; grid : weights of its pixels. 0 for a picture without a weight.
+    """
+    weights = grid.solid_angle[grid.solid_angle > 0.0].astype(float)
+    return _brightest(luminance_cdm2[grid.solid_angle > 0.0], weights) if len(weights) else 0.0
+
+
+def _brightest(values: Floats, weights: Floats) -> float:
+    """Return the value that the brightest hundredth of the weights exceeds; both are [k]."""
+    order = np.argsort(values)[::-1]
+    share = np.cumsum(weights[order]) / weights.sum()
+    return float(values[order[int(np.searchsorted(share, BRIGHTEST_SHARE))]])
+
+
 def brightest_cdm2(luminance_cdm2: Floats, seen: Mask) -> Floats:
     """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
 
@@ -91,10 +161,7 @@ def brightest_cdm2(luminance_cdm2: Floats, seen: Mask) -> Floats:
     weights = equirect_solid_angles(height, width)[pick][seen[pick]]
     out = np.empty(len(luminance_cdm2))
     for k, image in enumerate(luminance_cdm2):
-        values = image[pick][seen[pick]]
-        order = np.argsort(values)[::-1]
-        share = np.cumsum(weights[order]) / weights.sum()
-        out[k] = values[order[int(np.searchsorted(share, BRIGHTEST_SHARE))]]
+        out[k] = _brightest(image[pick][seen[pick]], weights)
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -84,8 +85,8 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
     """Return frames described by their EXIF.
 
     Their headings and times are None. lens_f_number: f-number for files whose EXIF has none; with 0
-    that is an error. Raises InputError for an empty list, for a file that is missing or listed
-    twice, and for a file without exposure time, f-number or ISO.
+    that is an error. Raises InputError for an empty list, for a file that is missing, listed twice
+    or a copy of another one, and for a file without exposure time, f-number or ISO.
     """
     if not files:
         raise InputError(
@@ -103,8 +104,20 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
                 "remove the repetition",
             )
         known.add(real)
+        if (first := _same_content(path, [shot.path for shot in found])) is not None:
+            raise InputError(
+                path,
+                f"the same content as {first.name}: this frame would count twice",
+                "each frame once",
+                "leave the copy out",
+            )
         found.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
     return found
+
+
+def _same_content(path: Path, others: Sequence[Path]) -> Path | None:
+    """Return the first of `others` with the same bytes as `path`; None without one."""
+    return next((other for other in others if filecmp.cmp(path, other, shallow=False)), None)
 
 
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:

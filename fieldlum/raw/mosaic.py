@@ -154,8 +154,10 @@ def opened(path: Path) -> Any:
             raise InputError(
                 path,
                 f"the file's content is {kind}",
-                "a camera raw",
-                "give the file the suffix of its content",
+                "a camera raw or JPEG",
+                "give the file the suffix .jpg"
+                if kind == "a JPEG"
+                else "use the frame as the camera wrote it, raw or JPEG with its EXIF",
             )
     _check_strips(path)
     try:
