@@ -331,6 +331,47 @@ def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected
 
 @pytest.mark.slow
 @pytest.mark.contract
+def test_global_for_direct_is_refused_under_bright_clouds(tmp_path) -> None:
+    """Clouds that transmit 70 % are below a clearness of 0.25 at low suns only, where sin(altitude)
+    hides the wrong column; but global irradiance is never below the diffuse one.
+    """
+    year = _year(Site("Sydney", -33.87, 151.21, "Australia/Sydney"))
+    clear = sun.clearsky(year.t_utc, year.site)
+    cloudy = np.arange(len(year)) // 24 % 8 > 0
+    dni = np.where(cloudy, 0.0, clear.dni_wm2)
+    dhi = np.where(cloudy, 0.7 * clear.ghi_wm2, clear.dhi_wm2)
+    ghi = np.where(cloudy, dhi, clear.ghi_wm2)
+    _write_dated(tmp_path / "right.csv", year, dni=dni, dhi=dhi)
+    assert not weather.read_weather(tmp_path / "right.csv", year.site).repairs
+    _write_dated(tmp_path / "wrong.csv", year, dni=ghi, dhi=dhi)
+    with pytest.raises(InputError, match=r"DNI equals DHI in.*the column of DNI has global"):
+        weather.read_weather(tmp_path / "wrong.csv", year.site)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("latitude_deg", "longitude_deg", "zone"),
+    [(-33.87, 151.21, "Australia/Sydney"), (-0.2, -78.5, "America/Guayaquil")],
+)
+@pytest.mark.parametrize("shift_min", [-30, 0, 30])
+def test_labels_half_an_hour_off_are_reported_at_any_latitude(
+    tmp_path, latitude_deg: float, longitude_deg: float, zone: str, shift_min: int
+) -> None:
+    """Sunrise and sunset do not show half an hour here; mornings and afternoons do."""
+    year = _year(Site("There", latitude_deg, longitude_deg, zone))
+    _write_dated(tmp_path / "w.csv", year, shift_min=shift_min)
+    notes = [
+        text
+        for text in weather.read_weather(tmp_path / "w.csv", year.site).repairs
+        if "mornings and afternoons" in text
+    ]
+    assert len(notes) == (shift_min != 0)
+    assert not notes or f"(--label-shift {-shift_min:+d})" in notes[0]
+
+
+@pytest.mark.slow
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("latitude_deg", "expected"),
     [(47.6, "sun is down"), (20.0, "check that the file is of this place")],

@@ -18,6 +18,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import shipped
 from fieldlum.records import Site
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_lines, read_table
+from fieldlum.weather.label_shift import label_notes
 from fieldlum.weather.plausibility import check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
@@ -76,6 +77,7 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     weather = _fill_gaps(found, site, rows, columns, repairs)
     _check_night(path, weather)
     _check_sense(path, found, rows, columns, weather)
+    repairs += label_notes(weather, found.place or site)
     return replace(weather, repairs=tuple(repairs))
 
 
