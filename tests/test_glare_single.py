@@ -96,6 +96,7 @@ def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.nda
     path = tmp_path / "p.hdr"
     write_radiance_hdr(path, lit, heading_deg=180.0)
     sun = picture_glare(path, [180.0])["sun"]
+    assert sun is not None
     assert sun["normal_illuminance_lx"] == pytest.approx(50_000, rel=0.02)
     assert (sun["altitude_deg"], sun["azimuth_deg"]) == pytest.approx((29.0, 185.0), abs=0.2)
 

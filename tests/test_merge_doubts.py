@@ -119,7 +119,7 @@ def test_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
     """Ten percent over the bracket: the ratio fit takes it up, so neighbours agree; "good"
     before.
     """
-    light = np.linspace(1.0, 1.1, len(TIMES))
+    light = np.linspace(1.0, 1.1, len(TIMES)).tolist()
     files = [shot.path for shot in take(tmp_path, light=light)]
     result = merge_frames(files, PROFILE, SMALL)
     assert result.quality["residual_percent"] < 0.5
