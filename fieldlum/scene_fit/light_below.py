@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Kernel, facades_of, light_features
+from fieldlum.scene_fit.small_systems import packed_index, solve_packed
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -43,10 +44,13 @@ class LightBelow:
         rank = min(RANK, len(data) - 1)
         basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
         scale = np.sqrt(np.mean(basis**2) * rank)
-        self.basis = np.column_stack([basis, np.ones(len(data))]) / scale  # [n, k]
-        products = np.einsum("nk,nl->nkl", self.basis, self.basis)
-        self.products = products.reshape(len(basis), -1)  # [n, k k]
-        self.total_lx = data.light.total_lx[:, None]
+        # float32 is precise to 1e-5 of the light, and twice as fast
+        terms = (np.column_stack([basis, np.ones(len(data))]) / scale).T.astype(np.float32)
+        row, column = packed_index(len(terms))
+        self.basis = terms  # [k, n]
+        self.products = terms[row] * terms[column]  # [k (k + 1) / 2, n], packed
+        self.diagonal = np.flatnonzero(row == column)  # [k]
+        self.total_lx = data.light.total_lx[:, None].astype(np.float32)  # [n, 1]
 
     def __call__(self, seen: Array, patch: Array, reflected: Array, rounds: int = ROUNDS) -> Array:
         """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
@@ -62,23 +66,27 @@ class LightBelow:
         rest = np.maximum(seen - patch, 0.02 * seen)
         near = np.minimum(reflected, _MOST_REFLECTED * rest)
         y = (rest - near) / self.total_lx
-        scale = np.median(y, axis=0)
-        y = y / scale  # [n, m] of median 1
+        scale = _middle(y)
+        y = (y / scale).astype(np.float32)  # [n, m] of median 1
+        trust = trust.astype(np.float32)
         fit = np.maximum(np.minimum(y, 1.5), 0.05)
         weight = trust / (y * fit)
-        least = 0.05
-        terms = self.basis.shape[1]
+        least = np.float32(0.05)
         for _ in range(rounds):
-            normal = (weight.T @ self.products).reshape(-1, terms, terms)  # [m, k, k]
-            ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / terms
-            normal = normal + ridge * np.eye(terms)
-            right = (weight * y).T @ self.basis  # [m, k]
-            coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
-            fit = np.maximum(self.basis @ coefficients.T, least)
+            normal = self.products @ weight  # [k (k + 1) / 2, m]
+            normal[self.diagonal] += _RIDGE * normal[self.diagonal].mean(axis=0)
+            right = self.basis @ (weight * y)  # [k, m]
+            fit = np.maximum(self.basis.T @ solve_packed(normal, right), least)  # [n, m]
             q = np.log(y / fit)
             doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
             weight = trust / (y * fit) / (1.0 + doubt)
         return np.maximum(fit * scale * self.total_lx + near, LEAST_CDM2)
+
+
+def _middle(values: Array) -> Array:
+    """Return the upper median of each column of values [n, m], [m]."""
+    half = len(values) // 2
+    return np.partition(np.ascontiguousarray(values.T), half, axis=1)[:, half]
 
 
 def _trust(patch: Array, seen: Array) -> Array:

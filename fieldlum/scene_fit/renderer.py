@@ -9,12 +9,14 @@ the outer rectangle of a window, misses its bars and misses all solids.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.scene.geometry import WALLS, glass_optics
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.scene_fit.sunlit import box_entries, end_points, lit_pairs, shaded, shell_ends
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.floating]
@@ -87,18 +89,9 @@ def ends_of(guess: Guess, rays: RoomRays) -> tuple[Surfaces, Float32]:
     A ray through a window ends at the wall's inner face.
     """
     count = rays.direction.shape[1]
-    nearest = np.full(count, np.inf, np.float32)
-    axis = np.zeros(count, np.int8)
-    for number in range(3):
-        bound = np.where(
-            rays.direction[number] > 0.0, np.float32(guess.size_m[number]), np.float32(0.0)
-        )
-        distance = (bound - rays.eye_m[number]) * rays.inverse[number]
-        nearer = distance < nearest
-        nearest = np.where(nearer, distance, nearest)
-        axis[nearer] = number
-    high = rays.direction[axis, np.arange(count)] > 0.0
-    surface = (2 * axis + high).astype(np.int16)
+    size = np.array(guess.size_m, np.float32)
+    nearest, surface = shell_ends(rays.eye_m, rays.direction, rays.inverse, size)
+    axis = (surface // 2).astype(np.int8)
     for number, solid in enumerate(guess.solids):
         rows, enters, entry_axis = entries(solid, rays, nearest)
         nearest[rows], axis[rows] = enters, entry_axis
@@ -113,10 +106,9 @@ def _ends(
     surface: NDArray[np.int16],
 ) -> Surfaces:  # fmt: skip
     """Return the ends of some of the rays; normals point against the ray."""
-    position = rays.eye_m[:, None] + rays.direction[:, rows] * distance
-    sign = np.where(rays.direction[axis, rows] > 0.0, -1.0, 1.0).astype(np.float32)
+    position, sign = end_points(rays.eye_m, rays.direction, rows, distance, axis)
     spread_m = np.maximum(rays.spread * distance, _SMALLEST).astype(np.float32)
-    return Surfaces(np.ascontiguousarray(position.T, np.float32), axis, sign, surface, spread_m)
+    return Surfaces(position, axis, sign, surface, spread_m)
 
 
 def ends_on_solid(
@@ -140,19 +132,8 @@ def entries(
     These are k ray indices, distances to the entry in m, and axes of the face that is entered (0 x,
     1 y, 2 z). A ray that starts within the solid does not count.
     """
-    near = np.zeros_like(nearest)
-    far = nearest
-    axis = np.full(len(nearest), -1, np.int8)
-    for number in range(3):
-        a = np.float32(solid.low_m[number] - rays.eye_m[number]) * rays.inverse[number]
-        b = np.float32(solid.high_m[number] - rays.eye_m[number]) * rays.inverse[number]
-        first = np.minimum(a, b)
-        later = first > near
-        near = np.where(later, first, near)
-        axis[later] = number
-        far = np.minimum(far, np.maximum(a, b))
-    rows = np.flatnonzero((near < far) & (axis >= 0))
-    return rows, near[rows], axis[rows]
+    low, high = np.array(solid.low_m, np.float32), np.array(solid.high_m, np.float32)
+    return box_entries(low, high, rays.eye_m, rays.inverse, nearest)
 
 
 def _wall_surface(wall: str) -> int:
@@ -231,83 +212,50 @@ def lit_entries(guess: Guess, ends: Surfaces, suns_room: Float32) -> LitEntries:
     ends: of r rays; suns_room: unit vectors to the sun in room axes, one for each hour [n, 3]. Bars
     and solids shade; surfaces that face down and rays through a window are never lit.
     """
-    parts = [
-        _through(guess, number, rect, ends, suns_room) for number, rect in enumerate(guess.windows)
-    ]
+    faces_down = (ends.axis == 2) & (ends.sign < 0.0)
+    face = (ends.axis + np.where(ends.sign > 0.0, 0, 3)).astype(np.int8)
+    face[faces_down | (ends.surface == OUTSIDE)] = -1
+    corners = [(solid.low_m, solid.high_m) for solid in guess.solids]
+    solids = np.array(corners, np.float32).reshape(-1, 2, 3)
+    suns = suns_room.astype(np.float32)
+    parts = []
+    for number, rect in enumerate(guess.windows):
+        axis, _ = WALLS[rect.wall]
+        glass = _glass(rect.transmittance, suns[:, axis])
+        window = _numbers(guess, rect)
+        bars = [_bar_numbers(bar) for bar in guess.bars if bar.window == number]
+        bars = np.array(bars, np.float32).reshape(-1, 5)
+        parts.append(
+            lit_pairs(axis, window, bars, solids, ends.position_m, face, ends.spread_m, suns, glass)
+        )
     hour, ray, strength = (np.concatenate(column) for column in zip(*parts, strict=True))
     return LitEntries(hour, ray, strength)
 
 
-def _through(
-    guess: Guess, number: int, rect: WindowRect, ends: Surfaces, suns: Float32
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Float32]:
+def _numbers(guess: Guess, rect: WindowRect) -> Float32:
+    """Return a window's numbers for `lit_pairs`, [9]."""
     axis, side = WALLS[rect.wall]
-    along = 1 - axis
-    outward = np.float32(1.0 if side else -1.0)
-    inner = np.float32(guess.size_m[axis] if side else 0.0)
-    toward = suns[:, axis] * outward  # [n] component of the sun's direction out of this wall
-    before = np.flatnonzero((toward > _GRAZING) & (suns[:, 2] > 0.0))
-    across = (inner - ends.position_m[:, axis]) * outward  # [r] distance to the wall's inner face
-    faces_down = (ends.axis == 2) & (ends.sign < 0.0)
-    inside = np.flatnonzero((ends.surface != OUTSIDE) & (across > 0.0) & ~faces_down)
-    across = across[inside]
-    position = ends.position_m[inside]  # [r, 3]
-    slope_u = suns[before, along] / toward[before]  # [n]
-    slope_z = suns[before, 2] / toward[before]
-    t = np.float32(guess.thickness_m)
-    low_u, high_u = _both(rect.u_m, slope_u * t)  # [n]
-    low_z, high_z = _both(rect.z_m, slope_z * t)
-    across = np.ascontiguousarray(across)
-    p_u, p_z = (np.ascontiguousarray(position[:, k]) for k in (along, 2))
-    half = 0.5 * ends.spread_m[inside]
-    parts: list[tuple[NDArray[np.intp], Float32, Float32]] = []
-    for k in range(len(before)):  # hour by hour: arrays that stay in the processor's cache
-        u = p_u + slope_u[k] * across  # [r] where the line crosses the wall's inner face
-        rows = np.flatnonzero((u > low_u[k] - half) & (u < high_u[k] + half))
-        z, reach = p_z[rows] + slope_z[k] * across[rows], half[rows]
-        passes = np.flatnonzero((z > low_z[k] - reach) & (z < high_z[k] + reach))
-        rows = rows[passes]
-        parts.append((rows, u[rows], z[passes]))
-    if not parts:
-        empty = np.zeros(0, np.intp)
-        return empty, empty, np.zeros(0, np.float32)
-    h = np.repeat(np.arange(len(before)), [len(part[0]) for part in parts])
-    r, u, z = (np.concatenate(column) for column in zip(*parts, strict=True))
-    # The component of the sun towards the surface, by hour and signed axis.
-    facing = np.concatenate([suns[before], -suns[before]], axis=1)  # [n, 6]
-    column = ends.axis[inside] + np.where(ends.sign[inside] > 0.0, 0, 3)  # [r]
-    spread = 2.0 * half[r]
-    cosine = facing[h, column[r]]
-    cosine = cosine * _passed(u - low_u[h], spread) * _passed(high_u[h] - u, spread)
-    cosine = cosine * _passed(z - low_z[h], spread) * _passed(high_z[h] - z, spread)
-    if not rect.is_rectangle:
-        outer_u, outer_z = u + slope_u[h] * t, z + slope_z[h] * t
-        cosine = cosine * _passed(rect.top_m(u) - z, spread)
-        cosine = cosine * _passed(rect.top_m(outer_u) - outer_z, spread)
-    for bar in guess.bars:
-        if bar.window == number:
-            at, slope = (u, slope_u) if bar.upright else (z, slope_z)
-            before_bar, behind_bar = _gaps(bar, at, slope[h])
-            cosine = cosine * (1.0 - _passed(-before_bar, spread) * _passed(-behind_bar, spread))
-    keep = cosine > 0.0
-    h, r, cosine = h[keep], r[keep], cosine[keep]
-    for solid in guess.solids:
-        free = ~shades(solid, position, suns[before], h, r)
-        h, r, cosine = h[free], r[free], cosine[free]
-    glass = glass_optics(rect.transmittance, suns[before, axis])[0].astype(np.float32)  # [n]
-    return before[h], inside[r], cosine * glass[h]
+    inner, outward = (guess.size_m[axis], 1.0) if side else (0.0, -1.0)
+    edges = (*rect.u_m, *rect.z_m, rect.arch_m, rect.slant_m)
+    return np.array((inner, outward, guess.thickness_m, *edges), np.float32)
 
 
-def _both(span: tuple[float, float], shift: Array) -> tuple[Array, Array]:
-    """Return the part of a span, in [n] hours, that lines shifted by `shift` [n] pass too."""
-    low = span[0] - np.minimum(shift, 0.0)
-    high = span[1] - np.maximum(shift, 0.0)
-    return low.astype(np.float32), high.astype(np.float32)
+def _bar_numbers(bar: Bar) -> tuple[float, ...]:
+    """Return a bar's five numbers for `lit_pairs`."""
+    return (float(bar.upright), *bar.span_m, *bar.depth_m)
 
 
-def _passed(beyond_m: Float32, spread_m: Float32) -> Float32:
-    """Return the share of a ray's spread [k] beyond an edge that its middle passes by so much."""
-    return np.clip(beyond_m / spread_m + np.float32(0.5), 0.0, 1.0)
+def _glass(transmittance: float, cosine: Float32) -> Float32:
+    """Return the transmittance of a pane at cosines of incidence of either sign, [n]."""
+    cosines, through = _glass_table(transmittance)
+    return np.interp(np.abs(cosine), cosines, through).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _glass_table(transmittance: float) -> tuple[Array, Array]:
+    """Return cosines from 0 to 1, and a pane's transmittance there; steps are 2e-4."""
+    cosines = np.linspace(0.0, 1.0, 5001)
+    return cosines, glass_optics(transmittance, cosines)[0]
 
 
 def _gaps(bar: Bar, at_inner: Array, slope: Array) -> tuple[Array, Array]:
@@ -329,17 +277,8 @@ def shades(
     position: in room axes, m [r, 3]; suns: unit vectors to the sun in room axes [n, 3]; hour, ray:
     indices into these [k].
     """
-    enters = np.full(len(hour), -np.inf, np.float32)
-    leaves = np.full(len(hour), np.inf, np.float32)
-    for axis in range(3):
-        sun = suns[:, axis]
-        inverse = (1.0 / np.where(np.abs(sun) < _SMALLEST, _SMALLEST, sun)).astype(np.float32)
-        scale = inverse[hour]  # [k]
-        low = (np.float32(solid.low_m[axis]) - position[:, axis])[ray] * scale
-        extent = np.float32(solid.high_m[axis] - solid.low_m[axis]) * scale
-        enters = np.maximum(enters, low + np.minimum(extent, 0.0))
-        leaves = np.minimum(leaves, low + np.maximum(extent, 0.0))
-    return (leaves > enters) & (leaves > _AHEAD_M) & (enters > -_AHEAD_M)
+    low, high = np.array(solid.low_m, np.float32), np.array(solid.high_m, np.float32)
+    return shaded(low, high, position, suns, hour, ray)
 
 
 def unit_patches(

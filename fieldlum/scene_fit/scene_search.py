@@ -163,12 +163,17 @@ class SceneSearch:
         return guess
 
     def shaded(self, guess: Guess) -> Guess:
-        """Add up to two blinds, curtains, facades, canopies, arched or slanted tops that pay."""
+        """Add up to two blinds, curtains, facades, canopies, arched or slanted tops that pay.
+
+        A shade must also explain more than no patch at all: a facade that hides every sun costs
+        less than displaced patches.
+        """
         coarse = self.objective(self.fit_evidence.coarse())
+        without_sun = coarse.evidence.dark_misfit + coarse.without_patches(guess)
         for _ in range(MAX_SHADES):
             trials = [self._covered(guess, coarse), self._faced(guess), self._shaped(guess, coarse)]
             trial = min(trials, key=coarse)
-            if coarse(trial) > coarse(guess) * (1.0 - SHADE_GAIN):
+            if coarse(trial) > min(coarse(guess), without_sun) * (1.0 - SHADE_GAIN):
                 return guess
             both = [*self.parameters, *self._shape_parameters(trial)]
             trial, _ = pattern_search(coarse, trial, both, fine=4.0)
