@@ -1,0 +1,128 @@
+"""Glare of a year in rooms of `scene_rooms.py`, by the sun's disc of a fitted scene.
+
+    python bench/scene_glare.py ROOMS [NAME ...] [--draw 7] [--pixels 4000]
+
+fits a scene to nine days of a user (errors as in `scene_judge.py`), trains light transport with it
+and with the stated box, and predicts the test hours of each room as `fieldlum predict` does. DGP
+in ten directions is compared with that of the true pictures and discs: its mean squared error; the
+share of occupied hours inside the stated 95 % interval; and whether the DGP that 5 % of the
+occupied hours exceed is inside its interval, and its class of EN 17037 stated and right.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scene_generators import ROOMS
+from scene_judge import fitted as with_fitted
+from scene_judge import user_of
+from scene_rooms import with_box
+
+from fieldlum import models
+from fieldlum.glare import view_azimuths_deg
+from fieldlum.glare.standards import class_of, exceeded_in_share
+from fieldlum.models import fit
+from fieldlum.models.data import Dataset
+from fieldlum.models.scores import evaluate, summary, truth
+from fieldlum.predict.blocks import room_of
+from fieldlum.predict.glare_summary import judge
+from fieldlum.predict.occupancy import default_occupancy
+from fieldlum.predict.year import measure
+from fieldlum.scene_fit.apply import with_scene
+from fieldlum.scene_fit.evidence import PIXELS
+from fieldlum.scene_fit.fit import fit_scene
+from fieldlum.scene_fit.stage import judged_scene
+
+TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
+
+
+@dataclass(frozen=True)
+class Glare:
+    """Predicted glare of one room against its truth; counts are of the ten directions."""
+
+    dgp_mse: float
+    inside: float
+    directions_inside: int
+    decided: int
+    wrong: int
+
+
+def glare_of(data: Dataset, test: Dataset) -> Glare:
+    """Train on captures, predict the test hours, and compare DGP with that of the true discs."""
+    patch = "none" if data.patch_cdm2 is None else "absolute"
+    model = fit("transport", data, patch=patch, seed=0)
+    known = truth(test)
+    figures = summary(evaluate(model, known))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        models.save(folder / "model", model, data, patch=patch)
+        room = room_of(models.read_config(folder / "model"), folder / "model")
+        azimuths = view_azimuths_deg(room.heading_deg)
+        annual, doubt, u_of_maps = measure(
+            folder / "model", room, test.light, azimuths, folder / "predicted"
+        )
+    occupied = default_occupancy().at(annual.t_utc, test.setup.site.timezone)
+    annual.hours["occupied"][:] = occupied
+    hours = int(occupied.sum())
+    stated = judge(annual, doubt, u_of_maps, hours, 0)
+    assert stated.low is not None and stated.high is not None
+    views = annual.views
+    low, high = views["dgp_low"] - TOLERANCE, views["dgp_high"] + TOLERANCE
+    inside = (known.dgp >= low) & (known.dgp <= high)
+    exceeded = exceeded_in_share(known.dgp[occupied], hours)
+    held = (exceeded >= stated.low - TOLERANCE) & (exceeded <= stated.high + TOLERANCE)
+    right = np.array([class_of(float(v)) for v in exceeded]) == np.array(stated.classes)
+    mse = figures["dgp_mse_own_disc"]
+    assert mse is not None
+    return Glare(
+        mse,
+        float(inside[occupied].mean()),
+        int(held.sum()),
+        int(stated.certain.sum()),
+        int((stated.certain & ~right).sum()),
+    )
+
+
+def true_disc_lx(path: Path) -> NDArray[np.float64]:
+    """Illuminance of the disc at the lens in the test hours, lx [n]."""
+    with np.load(path) as stored:
+        return stored["disc_lx"][stored["test"]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("rooms", type=Path)
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--draw", type=int, default=7)
+    parser.add_argument("--pixels", type=int, default=PIXELS)
+    wanted = parser.parse_args()
+    head = ["room", "disc of", "DGP MSE", "hours inside 95 %", "directions inside 95 %"]
+    print("| " + " | ".join([*head, "classes stated", "wrong"]) + " |\n" + "|---" * 7 + "|")
+    for name in wanted.names or ROOMS:
+        path = wanted.rooms / f"{name}.npz"
+        user, test, _, _, _ = user_of(path, wanted.draw)
+        test = replace(test, disc_lx=true_disc_lx(path))
+        stated = user.setup.room
+        assert stated is not None
+        found = fit_scene(user, stated, pixels=wanted.pixels)
+        scene = judged_scene(user, found)
+        chosen = with_scene(user, scene)
+        assert scene.chosen == "fitted", scene.verdict
+        cases = {
+            "stated box": (with_box(user, stated), with_box(test, stated)),
+            "fitted scene": (chosen, with_fitted(test, found, captures=False)),
+        }
+        for label, (data, hours) in cases.items():
+            glare = glare_of(data, hours)
+            cells = [f"{glare.dgp_mse:.1e}", f"{100.0 * glare.inside:.0f} %"]
+            cells += [f"{glare.directions_inside} of 10", f"{glare.decided} of 10"]
+            print("| " + " | ".join([name, label, *cells, str(glare.wrong)]) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
