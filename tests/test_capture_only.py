@@ -1,4 +1,4 @@
-"""A computer that only captures: its commands run where torch and pyradiance are not installed."""
+"""A computer that only captures: its commands run where torch, pyradiance and numba are not installed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 # An entry of None makes the import fail as if the package were not there.
 BLOCKED = """
 import sys
-for name in ("torch", "pyradiance"):
+for name in ("numba", "torch", "pyradiance"):
     sys.modules[name] = None
 sys.argv[0] = "fieldlum"
 from fieldlum.cli import main
@@ -78,7 +78,7 @@ def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_modules_of_the_page_import_without_them() -> None:
     code = (
-        "import sys\nfor n in ('torch', 'pyradiance'): sys.modules[n] = None\n"
+        "import sys\nfor n in ('numba', 'torch', 'pyradiance'): sys.modules[n] = None\n"
         "import fieldlum.web.server, fieldlum.devices.rpicam, fieldlum.capture.runner\n"
         "import fieldlum.capture.remote, fieldlum.capture.logger, fieldlum.doctor, fieldlum.plan\n"
         "import fieldlum.capture.import_card, fieldlum.cli.watch_, fieldlum.cli.log_"
@@ -89,5 +89,5 @@ def test_modules_of_the_page_import_without_them() -> None:
 @pytest.mark.skipif(shutil.which("dpkg") is None, reason="a check of the marker's word")
 def test_the_marker_names_the_small_computer() -> None:
     declared = (ROOT / "pyproject.toml").read_text("utf-8")
-    for name in ("torch>=2.6", "pyradiance>=1.2"):
+    for name in ("numba>=0.61", "torch>=2.6", "pyradiance>=1.2"):
         assert f"\"{name}; platform_machine != 'aarch64'\"" in declared

@@ -15,6 +15,7 @@ PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
     {"arrays", "errors", "records", "model_registry", "room_states", "version"},
     {
+        "compiled",
         "photometry",
         "plot_style",
         "projection",

@@ -17,8 +17,9 @@ from fieldlum.models import Fitted
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
 from fieldlum.models.transport.misalignment import moved
+from fieldlum.models.transport.patch_edges import edge_range, slip_variance
 from fieldlum.models.transport.setting_scan import Setting, SettingFinding, setting_scan
-from fieldlum.models.transport.uncertainty import edge_range, experience, slip_variance
+from fieldlum.models.transport.uncertainty import experience
 from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
 from fieldlum.train.setting import scan, settle, warnings_of, with_right_clock

@@ -12,7 +12,8 @@ from fieldlum.images import read_panorama, write_panorama
 from fieldlum.models.data import load_pairs
 from fieldlum.models.teaching import joined_counts, pixel_counts
 from fieldlum.models.transport import fit
-from fieldlum.models.transport.features import light_variance
+from fieldlum.models.transport.features import light_variance, training_arrays_of
+from fieldlum.models.transport.patch_edges import edge_weights
 from fieldlum.records import Flag, Panorama
 
 SHAPE = (4, 8)
@@ -41,6 +42,28 @@ def test_what_all_captures_share_cancels() -> None:
     never = np.zeros(SHAPE, np.float16)  # a luminaire that clips in most captures keeps its values
     mostly = joined_counts([never, never, None], seen)
     assert mostly is not None and (mostly[:2] > 0.0).all() and (mostly[:2] < 0.2).all()
+
+
+@pytest.mark.analytic
+def test_edges_of_a_fitted_scenes_patches_teach_little() -> None:
+    patch = np.zeros((3, 30, 60), np.float32)
+    patch[0, 10:20, 10:30] = 2000.0
+    luminance = np.full((3, 1800), 100.0, np.float32)
+    seen, total_lx = np.ones((30, 60), bool), np.array([5e4, 5e4, 1e4])
+    weights = edge_weights(patch, seen, luminance, total_lx).reshape(patch.shape)
+    assert (weights[1:] == 1.0).all() and (weights[0, 12:18, 12:28] == 1.0).all()
+    assert (weights[0, 9:11, 9:31] < 0.1).all()  # both sides of an edge
+    assert (weights[0, :9] == 1.0).all() and (weights[0, :, 32:] == 1.0).all()
+
+
+@pytest.mark.analytic
+def test_values_without_weight_do_not_correct_other_hours() -> None:
+    arrays = training_arrays_of(TRAIN, with_patch=False)
+    residual = np.ones(arrays.luminance.shape)
+    assert (arrays.taught(residual) == 1.0).all()
+    counts = np.where(np.arange(residual.shape[1]) % 2, 0.0, 0.5).astype(np.float16)
+    weighted = replace(arrays, counts=np.broadcast_to(counts, residual.shape))
+    assert np.array_equal(weighted.taught(residual)[0], counts)
 
 
 @pytest.mark.slow

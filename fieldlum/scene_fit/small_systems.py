@@ -7,21 +7,20 @@ thousands of 16 x 16 systems of `light_below`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
+from fieldlum.arrays import Floats32, Indices
+from fieldlum.compiled import compiled
 
 _CHUNK = 128  # systems in work at a time, so that their factors stay in the processor's cache
 
 
-def packed_index(terms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def packed_index(terms: int) -> tuple[Indices, Indices]:
     """Return row and column of each number of a packed lower triangle, [terms (terms + 1) / 2]."""
     return np.tril_indices(terms)
 
 
-@njit(cache=True, nogil=True)
-def solve_packed(matrix: Float32, right: Float32) -> Float32:
+@compiled
+def solve_packed(matrix: Floats32, right: Floats32) -> Floats32:
     """Return the solutions of m symmetric positive definite systems, [k, m].
 
     matrix: lower triangles, row by row [k (k + 1) / 2, m]; right: right-hand sides [k, m].

@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
-Indices = NDArray[np.intp]
+from fieldlum.arrays import Floats32, Indices
+from fieldlum.compiled import compiled
 
 _AHEAD_M = np.float32(1e-3)  # chosen: a surface does not shade itself, and no object is as thin
 _GRAZING = np.float32(1e-4)  # chosen: cosine of a sun 0.006 degrees above the glass
@@ -24,10 +23,10 @@ _INFINITE = np.float32(np.inf)
 _BLOCK = 32
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def shell_ends(
-    eye: Float32, direction: Float32, inverse: Float32, size: Float32
-) -> tuple[Float32, NDArray[np.int16]]:
+    eye: Floats32, direction: Floats32, inverse: Floats32, size: Floats32
+) -> tuple[Floats32, NDArray[np.int16]]:
     """Return the length of each ray to the shell of the room, m [r], and the surface there [r].
 
     eye [3]; direction, inverse [3, r]; size: of the room from the origin [3]. A surface is twice
@@ -47,10 +46,10 @@ def shell_ends(
     return nearest, surface
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def box_entries(
-    low: Float32, high: Float32, eye: Float32, inverse: Float32, nearest: Float32
-) -> tuple[Indices, Float32, NDArray[np.int8]]:
+    low: Floats32, high: Floats32, eye: Floats32, inverse: Floats32, nearest: Floats32
+) -> tuple[Indices, Floats32, NDArray[np.int8]]:
     """Return rays that enter a box before they are `nearest` [r] m long: index, length, face [k].
 
     low, high: corners [3]. A ray that starts within the box does not count.
@@ -75,10 +74,10 @@ def box_entries(
     return rows[:entered].copy(), lengths[:entered].copy(), faces[:entered].copy()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def end_points(
-    eye: Float32, direction: Float32, rows: Indices, length: Float32, face: NDArray[np.int8]
-) -> tuple[Float32, Float32]:
+    eye: Floats32, direction: Floats32, rows: Indices, length: Floats32, face: NDArray[np.int8]
+) -> tuple[Floats32, Floats32]:
     """Return where some rays end [k, 3], and the signs of the normals of their faces [k].
 
     rows: indices of the rays; length: to the end, m [k]; face: axis of the normal [k].
@@ -93,9 +92,9 @@ def end_points(
     return position, sign
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_shaded(
-    low: Float32, high: Float32, position: Float32, ray: int, inverse: Float32, hour: int
+    low: Floats32, high: Floats32, position: Floats32, ray: int, inverse: Floats32, hour: int
 ) -> bool:
     """Return whether a box is between a position [r, 3] and the sun; inverse: of suns [n, 3]."""
     enters, leaves = -_INFINITE, _INFINITE
@@ -104,12 +103,12 @@ def _is_shaded(
         extent = (high[axis] - low[axis]) * inverse[hour, axis]
         enters = max(enters, start + min(extent, _ZERO))
         leaves = min(leaves, start + max(extent, _ZERO))
-    return leaves > enters and leaves > _AHEAD_M and enters > -_AHEAD_M
+    return bool(leaves > enters and leaves > _AHEAD_M and enters > -_AHEAD_M)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def shaded(
-    low: Float32, high: Float32, position: Float32, suns: Float32, hour: Indices, ray: Indices
+    low: Floats32, high: Floats32, position: Floats32, suns: Floats32, hour: Indices, ray: Indices
 ) -> NDArray[np.bool_]:
     """Return whether a box is between position and sun, for k pairs of hour and ray, [k].
 
@@ -122,8 +121,8 @@ def shaded(
     return hidden
 
 
-@njit(cache=True, nogil=True)
-def _inverse(suns: Float32) -> Float32:
+@compiled
+def _inverse(suns: Floats32) -> Floats32:
     """Return one over each component, at most 10^9."""
     inverse = np.empty_like(suns)
     for hour in range(len(suns)):
@@ -133,7 +132,7 @@ def _inverse(suns: Float32) -> Float32:
     return inverse
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _passed(beyond: np.float32, spread: np.float32) -> np.float32:
     """Return the share of a ray's spread beyond an edge that its middle passes by so much."""
     reach = _HALF * spread
@@ -144,8 +143,8 @@ def _passed(beyond: np.float32, spread: np.float32) -> np.float32:
     return beyond / spread + _HALF
 
 
-@njit(cache=True, nogil=True)
-def _top(window: Float32, u: np.float32) -> np.float32:
+@compiled
+def _top(window: Floats32, u: np.float32) -> np.float32:
     """Return the height of a window's upper edge; see `guess.WindowRect.top_m`."""
     u0, u1, z1, arch, slant = window[3], window[4], window[6], window[7], window[8]
     x = min(max((u + u - u0 - u1) / (u1 - u0), -_ONE), _ONE)
@@ -153,10 +152,10 @@ def _top(window: Float32, u: np.float32) -> np.float32:
     return z1 - fallen - abs(slant) * (_ONE + np.sign(slant) * x) * _HALF
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _blocks(
-    position: Float32, axis: int, window: Float32, spread: Float32
-) -> tuple[Float32, Float32]:
+    position: Floats32, axis: int, window: Floats32, spread: Floats32
+) -> tuple[Floats32, Floats32]:
     """Return the least and the largest u, z, distance to the wall, and spread of blocks, [b, 4]."""
     inner, outward = window[0], window[1]
     count = (len(position) + _BLOCK - 1) // _BLOCK
@@ -171,11 +170,11 @@ def _blocks(
     return least, most
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lit_pairs(
-    axis: int, window: Float32, bars: Float32, solids: Float32, position: Float32,
-    face: NDArray[np.int8], spread: Float32, suns: Float32, glass: Float32,
-) -> tuple[Indices, Indices, Float32]:  # fmt: skip
+    axis: int, window: Floats32, bars: Floats32, solids: Floats32, position: Floats32,
+    face: NDArray[np.int8], spread: Floats32, suns: Floats32, glass: Floats32,
+) -> tuple[Indices, Indices, Floats32]:  # fmt: skip
     """Return the pairs of hour and ray that the sun reaches through one window, and its strength.
 
     axis: of the wall's normal, 0 or 1. window: inner face, outward (1 or -1), thickness of the
@@ -255,7 +254,7 @@ def lit_pairs(
     return hours[:count].copy(), rays[:count].copy(), strengths[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _longer(values: NDArray[Any], room: int) -> NDArray[Any]:
     """Return a copy with room for more values."""
     longer = np.empty(room, values.dtype)

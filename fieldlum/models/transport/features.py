@@ -20,6 +20,7 @@ from fieldlum.light import (
     one_facade,
 )
 from fieldlum.models.transport.open_sky import LEAST_CDM2, OpenSky, open_sky_from_captures
+from fieldlum.models.transport.patch_edges import edge_weights
 from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
 from fieldlum.room_states import ADDED, OFF, indicators, parse_state
 
@@ -203,7 +204,8 @@ class TrainingArrays:
     P] cd/m2, None if they are not used; sky: light of the sky through windows [n, P] cd/m2; filled:
     values without weight, where the sun's disc was removed, a blind may hide a patch, or merge
     flagged [n, P]; unsure: relative variance of the irradiance (`light_variance`) [n]; counts:
-    weight of each value by merge's flags and uncertainties [n, P], None if all are equal;
+    weight of each value by merge's flags and uncertainties, and by how near it is to the edge of a
+    fitted scene's sun patch [n, P], None if all are equal;
     perez_sky: `Features.sky` of Perez's skies [n, 2305], set if `features` has the skies that the
     windows showed; fitted_patches: whether the patches are from a fitted room, so that their edges
     are off by some centimetres; computed: light of the stated room, None if it is not used.
@@ -232,6 +234,10 @@ class TrainingArrays:
         """Weight of each value in a fit, 0 to 1, [n, P]."""
         trust = np.where(self.filled, 0.0, self.sureness[:, None])
         return trust if self.counts is None else trust * self.counts
+
+    def taught(self, residual: Array) -> Array:
+        """Return log residuals [n, P] times the weights of their values."""
+        return residual if self.counts is None else residual * self.counts
 
     def without_flagged(self, error: Array) -> Array:
         """Return errors [n, P] with zero at flagged values, which have no truth to compare with."""
@@ -282,6 +288,11 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
     filled = around_disc(data) | _patches_unknown(data)
     if data.counts is not None:
         filled |= data.counts == 0.0
+    counts = None if data.counts is None else data.counts[:, data.seen]
+    is_fitted = data.scene is not None
+    if is_fitted and patch is not None and data.patch_cdm2 is not None:
+        edges = edge_weights(data.patch_cdm2, data.seen, luminance, data.light.total_lx)
+        counts = edges if counts is None else counts * edges
     return TrainingArrays(
         data.light,
         features,
@@ -296,8 +307,8 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         patches,
         facades_seen(data) if with_patch else facades_of(data.setup.room),
         states,
-        None if data.counts is None else data.counts[:, data.seen],
-        fitted_patches=data.scene is not None,
+        counts,
+        fitted_patches=is_fitted,
     )
 
 

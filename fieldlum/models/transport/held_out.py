@@ -114,7 +114,7 @@ def hold_out(
     first = first or hold_out_first(arrays, basis, recipe)
     found = first.found
     if recipe.second:
-        residual = np.log(first.target / found)
+        residual = arrays.taught(np.log(first.target / found))
         own = second_own(arrays, recipe)
         found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, arrays.days))
     luminance = found * arrays.light.total_lx[:, None] * first.scale

@@ -297,7 +297,7 @@ def fit_pixels(
             found = with_patches(
                 found, arrays[part], arrays.light.total_lx[:, None] * scale, recipe
             )
-            out.second[:, part] = inverse @ np.log(fit.target / found)
+            out.second[:, part] = inverse @ some.taught(np.log(fit.target / found))
 
     for done in each_chunk(one, count):
         tick(done, count)

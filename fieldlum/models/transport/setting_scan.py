@@ -22,8 +22,8 @@ from fieldlum.models.transport.misalignment import (
     Evidence,
     evidence_of,
 )
+from fieldlum.models.transport.patch_edges import edge_range
 from fieldlum.models.transport.room_errors import RoomError, room_error
-from fieldlum.models.transport.uncertainty import edge_range
 from fieldlum.records import Progress, quiet
 
 Amount = tuple[float, ...]

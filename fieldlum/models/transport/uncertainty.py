@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +13,7 @@ from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.light import Light
 from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
 from fieldlum.models.transport.held_out import FLOOR_CDM2, HeldOutFit
+from fieldlum.models.transport.patch_edges import slip_variance
 from fieldlum.models.transport.pixel_fit import SECOND_NOISE, SECOND_SEASON, Recipe, second_own
 from fieldlum.models.transport.seasons import one_season, seasons
 from fieldlum.models.transport.selection import SelectedRecipe
@@ -162,39 +162,6 @@ class Uncertainty:
             variances[1] - variances[0], 1e-3
         )
         return np.exp(factors[0] + np.clip(new, 0.0, 1.0) * (factors[1] - factors[0]))
-
-
-def edge_range(patch: Floats32, slip_px: float) -> tuple[NDArray, NDArray, float]:
-    """Return the least and the largest patch luminance near each pixel, and a probability.
-
-    Both arrays are [n, H, W], over the square of pixels within `slip_px` (rounded up, at least 1)
-    in each direction. The third value is the probability that a pixel near a straight edge is on
-    its other side once the edge is displaced by `slip_px`, 0 to 0.5.
-    """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    reach = max(1, math.ceil(slip_px))
-    size = (1, 2 * reach + 1, 2 * reach + 1)
-    wide = np.pad(patch, ((0, 0), (0, 0), (reach, reach)), mode="wrap")
-    inner = (slice(None), slice(None), slice(reach, -reach))
-    low, high = (
-        minimum_filter(wide, size, mode="nearest"),
-        maximum_filter(wide, size, mode="nearest"),
-    )
-    return low[inner], high[inner], slip_px / (2.0 * reach)
-
-
-def slip_variance(
-    patch: Floats32, seen: Mask, gain: Floats32, dark: Floats, slip_px: float
-) -> Floats:
-    """Return the variance of ln L due to sun patches displaced by `slip_px`, [n, P].
-
-    patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; gain: factor
-    on the patch [P]; dark: luminance without the patch [n, P] cd/m2.
-    """
-    low, high, odds = edge_range(patch, slip_px)
-    span = np.log((dark + gain * high[:, seen]) / (dark + gain * low[:, seen]))
-    return np.float32(odds) * span**2
 
 
 def experience(

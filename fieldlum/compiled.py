@@ -1,0 +1,26 @@
+"""Compile numeric loops with numba, which NumPy's array operations would slow down several times.
+
+The first call compiles for some seconds; the result is stored next to the module, or in the user's
+cache folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Return a function compiled for the types of its arguments, as a decorator.
+
+    Division by zero gives inf or NaN, as in NumPy. Other threads can run meanwhile.
+    """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    try:
+        return cast(Function, njit(cache=True, **options)(function))
+    except RuntimeError:  # no folder that can be written: compile in each process
+        return cast(Function, njit(**options)(function))
