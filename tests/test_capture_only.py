@@ -1,4 +1,4 @@
-"""A computer that only captures: its commands run where torch, pyradiance and numba are not installed."""
+"""A computer that only captures: its commands run without torch, pyradiance and numba."""
 
 from __future__ import annotations
 

@@ -59,9 +59,9 @@ def test_edges_of_a_fitted_scenes_patches_teach_little() -> None:
 @pytest.mark.analytic
 def test_values_without_weight_do_not_correct_other_hours() -> None:
     arrays = training_arrays_of(TRAIN, with_patch=False)
-    residual = np.ones(arrays.luminance.shape)
+    residual = np.ones_like(arrays.luminance)
     assert (arrays.taught(residual) == 1.0).all()
-    counts = np.where(np.arange(residual.shape[1]) % 2, 0.0, 0.5).astype(np.float16)
+    counts = np.where(np.arange(len(arrays.weights)) % 2, 0.0, 0.5).astype(np.float16)
     weighted = replace(arrays, counts=np.broadcast_to(counts, residual.shape))
     assert np.array_equal(weighted.taught(residual)[0], counts)
 
