@@ -313,8 +313,8 @@ def run(
     page = stage("report", lambda p: report.run(session, progress=p))
     figures = _figures(session, scores, annual, troubled=troubles is not None)
     if troubles is not None:
-        given = troubles.seeded(seed - 1)
-        figures += _troubled_figures(session, model, given, how, year, scores["notes"])
+        seeded = troubles.seeded(seed - 1)
+        figures += _troubled_figures(session, model, seeded, how, year, scores["notes"])
     outcome = Outcome(page, seconds, figures)
     with replacing(folder / "demo.json", "w", encoding="utf-8") as file:
         json.dump(

@@ -352,17 +352,17 @@ def greedy_hours(
     cross, own = kernel(year, pool), kernel(pool, pool)
     prior = kernel.diagonal(year)
     if taken is not None and len(taken):
-        known = kernel(taken, taken) + noise * np.eye(len(taken))
+        covariance = kernel(taken, taken) + noise * np.eye(len(taken))
         towards = np.linalg.solve(
-            known, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1)
+            covariance, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1)
         )
         cross = cross - kernel(year, taken) @ towards[:, : len(pool)]
         own = own - kernel(pool, taken) @ towards[:, : len(pool)]
-        left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])
+        variance_left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])
     else:
-        left = prior.copy()
+        variance_left = prior.copy()
     total = float(w @ prior)
-    index, variance = [], [float(w @ left) / total]
+    index, variance = [], [float(w @ variance_left) / total]
     free = np.ones(len(pool), bool)
     for step in range(min(count, len(pool))):
         variances = np.maximum(np.diagonal(own), 0.0) + noise

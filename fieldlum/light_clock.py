@@ -51,9 +51,9 @@ def days_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[list[date
     at which the sun does not both set and rise by 5 degrees are omitted. t_unix_s, ghi_wm2: [n]
     rows in order of time; rows with NaN irradiance are ignored.
     """
-    known = np.isfinite(ghi_wm2)
+    finite = np.isfinite(ghi_wm2)
     middles = [
-        0.5 * (first + last) for first, last in complete_days(t_unix_s[known], ghi_wm2[known])
+        0.5 * (first + last) for first, last in complete_days(t_unix_s[finite], ghi_wm2[finite])
     ]
     times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
     at = sun.position(times, site)

@@ -17,7 +17,7 @@ Progress = Callable[[int, int, str], None]
 "Called as progress(done, total, text) by any work that takes over two seconds."
 
 
-def quiet(done: int, total: int, text: str) -> None:
+def quiet(finished: int, total: int, text: str) -> None:
     """Do nothing: the default where a progress function is expected."""
 
 

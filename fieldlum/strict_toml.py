@@ -26,16 +26,18 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     table gets the field's default. where: name of the file or table, for errors. Raises InputError
     for an unknown key, a missing key without a default, and a value of another type.
     """
-    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+    by_name = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(cls)
     for key in table:
-        if key not in known:
-            near = get_close_matches(key, known, n=1)
+        if key not in by_name:
+            near = get_close_matches(key, by_name, n=1)
             hint = (
-                f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(known))}"
+                f"did you mean '{near[0]}'?"
+                if near
+                else f"known keys: {', '.join(sorted(by_name))}"
             )
             raise InputError(where, f"unknown key '{key}'", remedy=hint)
-    for name, f in known.items():
+    for name, f in by_name.items():
         if name not in table and f.default is MISSING and f.default_factory is MISSING:
             raise InputError(
                 where, f"no '{name}'", f"a value for '{name}'", "add this key with its value"

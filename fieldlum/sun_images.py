@@ -114,7 +114,7 @@ def bright_spots(
         return []
     rays = equirect_rays(height, width, heading_deg)
     light = np.where(rays @ sun > np.cos(near_sun_rad(height)), np.float32(0.0), light)
-    found = []
+    spots = []
     for _ in range(_MOST_SPOTS):
         peak = np.unravel_index(int(np.argmax(light)), light.shape)
         if light[peak] <= limit:
@@ -123,10 +123,10 @@ def bright_spots(
         place = float(np.degrees(np.arcsin(up))), float(np.degrees(np.arctan2(east, north)) % 360.0)
         spot = find_disc(light, heading_deg, near_deg=place, dni_wm2=dni_wm2)
         if spot is not None:
-            found.append(SunImage(row, direction(spot.altitude_deg, spot.azimuth_deg), spot))
+            spots.append(SunImage(row, direction(spot.altitude_deg, spot.azimuth_deg), spot))
         around = rays @ rays[peak] > np.cos(near_sun_rad(height))
         light = np.where(around, np.float32(0.0), light)
-    return found
+    return spots
 
 
 def without_lamps(
@@ -164,7 +164,7 @@ def find_mirrors(
         places, rows = _places_of(rest)
         off = _angles(mirrored(suns[rows], mirror.normal), places)
         same = off <= _NEXT_MIRROR * tolerance_rad(height)
-        rest = [spot for spot, one in zip(rest, same, strict=True) if not one]
+        rest = [spot for spot, is_same in zip(rest, same, strict=True) if not is_same]
     return mirrors
 
 

@@ -52,10 +52,10 @@ def radiance_row(
         with octree(rad_text(scene), sky, sun) as tree:
             start, busy = time.monotonic(), os.times()
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)
-            done = os.times()
+            end_times = os.times()
             cpu_s.append(
-                done.children_user
-                + done.children_system
+                end_times.children_user
+                + end_times.children_system
                 - busy.children_user
                 - busy.children_system
             )

@@ -53,8 +53,8 @@ class BenchFiles:
 
         They are paths relative to `folder`, each once.
         """
-        found = [name for name in (self.pairs, self.test, self.pool) if name]
-        tables = [f"{name}/pairs.csv" if (self.folder / name).is_dir() else name for name in found]
+        paths = [name for name in (self.pairs, self.test, self.pool) if name]
+        tables = [f"{name}/pairs.csv" if (self.folder / name).is_dir() else name for name in paths]
         return tuple(dict.fromkeys(os.path.normpath(table) for table in tables))
 
 
@@ -179,7 +179,7 @@ def pieces_of(
     render_hours: int,
 ) -> list[Piece]:
     """Return all pieces that the data allow: scores, rendering, curves, periods, stress."""
-    found = score_pieces(models, seeds, budget_s, loaded.folder)
+    pieces = score_pieces(models, seeds, budget_s, loaded.folder)
     quick = [
         model
         for model in models
@@ -187,16 +187,16 @@ def pieces_of(
     ]
     room = loaded.data.setup.room
     if room is not None and room.kind == "box" and render_hours:
-        found.append(Piece("rendering", hours=render_hours))
+        pieces.append(Piece("rendering", hours=render_hours))
     for model in quick:
         if curve_data(loaded) is not None:
-            found += [Piece("random", model), Piece("greedy", model)]
+            pieces += [Piece("random", model), Piece("greedy", model)]
         if year.is_year(loaded.data):
-            found.append(Piece("periods", model))
+            pieces.append(Piece("periods", model))
     if with_stress and models:
         first = next((m for m in models if loaded.spec(m).name == "transport"), models[0])
-        found.append(Piece("stress", first))
-    return found
+        pieces.append(Piece("stress", first))
+    return pieces
 
 
 def score_pieces(
@@ -207,12 +207,12 @@ def score_pieces(
     A model without randomness, or a trained one, has only seed 0. folder: the folder to which paths
     of trained models are relative.
     """
-    found: list[Piece] = []
+    pieces: list[Piece] = []
     for model in models:
         (spec,) = parse_specs([model], folder)
         once = spec.folder is not None or MODELS[spec.name].baseline
-        found += [Piece("score", model, seed, budget_s) for seed in range(1 if once else seeds)]
-    return found
+        pieces += [Piece("score", model, seed, budget_s) for seed in range(1 if once else seeds)]
+    return pieces
 
 
 def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:

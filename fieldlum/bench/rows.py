@@ -95,10 +95,10 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
 
     Raises NotEnoughDataError if no hour remains.
     """
-    known = set(train.slots).union(
+    training_slots = set(train.slots).union(
         *(models.read_config(folder).training.slots for folder in folders)
     )
-    fresh = np.array([slot not in known for slot in test.slots])
+    fresh = np.array([slot not in training_slots for slot in test.slots])
     if not fresh.any():
         raise NotEnoughDataError(
             f"{test.source}: every test hour is also a training hour; use other test hours"

@@ -326,8 +326,10 @@ def _row(label: str, case: Case, scores: Scores, fit_cpu_s: float, warned: bool)
     bad = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
     wild = error > GROSS_MSE
     feared = warned | ~scores.trusted | (np.nan_to_num(expected) > REPORTED_SHARE * error)
-    known = np.isfinite(expected).all()
-    told = float(expected.mean()) > REPORTED_SHARE * float(error.mean()) if known else False
+    has_expectation = np.isfinite(expected).all()
+    told = (
+        float(expected.mean()) > REPORTED_SHARE * float(error.mean()) if has_expectation else False
+    )
     told = (
         told
         or warned
@@ -343,7 +345,7 @@ def _row(label: str, case: Case, scores: Scores, fit_cpu_s: float, warned: bool)
         float(error.mean()),
         float(np.median(error)),
         float(error.max()),
-        float(expected.mean()) if known else None,
+        float(expected.mean()) if has_expectation else None,
         float((~scores.trusted).mean()),
         warned,
         bool(told),

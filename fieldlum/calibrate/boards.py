@@ -51,10 +51,10 @@ def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
     """
     import cv2
 
-    found, corners = cv2.findChessboardCornersSB(
+    complete, corners = cv2.findChessboardCornersSB(
         grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    if not found:
+    if not complete:
         return None
     return np.asarray(corners, float).reshape(-1, 2) + 0.5  # OpenCV counts from a pixel's middle
 
@@ -106,8 +106,10 @@ def from_boards(
             f"at most {_MOST_MISS_PX:g} px",
             "take sharper pictures, with the board in more places and tilts",
         )
-    seen = np.concatenate([np.asarray(c, float) for c in corners])
-    targets = _model_rays(seen, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths))
+    corners_px = np.concatenate([np.asarray(c, float) for c in corners])
+    targets = _model_rays(
+        corners_px, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths)
+    )
     kept = np.ravel(used).astype(int)
     poses = np.concatenate([np.reshape(turns, (-1, 3)), np.reshape(shifts, (-1, 3))], axis=1)
     return Boards(np.stack([np.asarray(corners[i], float) for i in kept]), board[0], poses, targets)
@@ -126,12 +128,16 @@ def fit(boards: Boards, lens: Lens) -> LensFit:
     level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
     start = lenses.fit(boards.targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
-    found = start.lens
-    figures = [*found.centre_px, found.radius_px, *(found.coefficients[p - 1] for p in powers[1:])]
+    lens_fitted = start.lens
+    figures = [
+        *lens_fitted.centre_px,
+        lens_fitted.radius_px,
+        *(lens_fitted.coefficients[p - 1] for p in powers[1:]),
+    ]
 
     def shown(x: Array) -> LensGeometry:
         return lenses.geometry_of_figures(
-            level, x[: len(figures)], found.mapping, powers, pose=False
+            level, x[: len(figures)], lens_fitted.mapping, powers, pose=False
         )
 
     def misses(x: Array) -> Array:
@@ -144,11 +150,11 @@ def fit(boards: Boards, lens: Lens) -> LensFit:
     solved = least_squares(
         misses, [*figures, *boards.poses.ravel()], x_scale="jac", loss="soft_l1", max_nfev=60
     )
-    geometry, left = shown(solved.x), misses(solved.x).reshape(2, -1)
-    missed = np.hypot(*left)
+    geometry, residuals_px = shown(solved.x), misses(solved.x).reshape(2, -1)
+    missed = np.hypot(*residuals_px)
     rms = float(np.sqrt(np.mean(missed**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
-    new = lenses.with_mapping(found, geometry)
+    new = lenses.with_mapping(lens_fitted, geometry)
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {text}")
     per_px = lens.full_angle_deg / 2 / geometry.radius_px
@@ -164,7 +170,9 @@ def _directions(points: Array, pose: Array) -> Array:
     return at / np.linalg.norm(at, axis=1, keepdims=True)
 
 
-def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, ...]) -> Targets:
+def _model_rays(
+    corners_px: Array, k: Array, d: Array, xi: float, paths: tuple[Path, ...]
+) -> Targets:
     """Return directions that OpenCV's model gives for the part of the picture with corners.
 
     They are a fan of rays, projected by the model.
@@ -180,7 +188,7 @@ def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, .
     shown, *_ = cv2.omnidir.projectPoints(away.reshape(1, -1, 3), zero, zero, k, xi, d)
     at = np.asarray(shown).reshape(-1, 2) + 0.5
     centre = k[:2, 2] + 0.5
-    reach = np.percentile(np.linalg.norm(seen - centre, axis=1), 99.5)
+    reach = np.percentile(np.linalg.norm(corners_px - centre, axis=1), 99.5)
     radius = np.linalg.norm(at - centre, axis=1)
     near = radius <= reach
     # fieldlum's axes: x right (east), y forward (north), z up.

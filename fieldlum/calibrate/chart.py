@@ -108,15 +108,15 @@ def find_chart(frame: LinearFrame) -> tuple[Array, float]:
             side = np.linalg.norm(patches - np.roll(patches, 1, axis=1), axis=-1).min()
             return patches.mean(axis=1) * frame.step, 0.3 * float(side) * frame.step
         nearest = min(nearest, off)
-    found = "no colour chart found"
+    finding = "no colour chart found"
     if np.isfinite(nearest):
-        found = (
+        finding = (
             "no colour chart found: the best candidate has other colours, or the colours in "
             f"another order (misfit {100 * nearest:.0f} %)"
         )
     raise InputError(
         frame.path,
-        found,
+        finding,
         "a 24-patch chart, sharp and upright",
         "state the chart's corners with --corners",
     )

@@ -62,7 +62,7 @@ def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads
 def _quads(picture: NDArray[np.uint8]) -> Quads:
     import cv2
 
-    found: list[Floats] = []
+    corners: list[Floats] = []
     smooth = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX)
     for grey in (smooth.max(axis=2), *np.moveaxis(smooth, 2, 0)):
         for window in _WINDOWS_PX:
@@ -75,8 +75,8 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
                 _DARKER,
             )
             outlines, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-            found += [q for q in map(_four_corners, outlines) if q is not None]
-    quads = np.array(found).reshape(-1, 4, 2)
+            corners += [q for q in map(_four_corners, outlines) if q is not None]
+    quads = np.array(corners).reshape(-1, 4, 2)
     return _apart(quads[_areas(quads) < _MOST_AREA * picture.shape[0] * picture.shape[1]])
 
 
@@ -131,7 +131,7 @@ def _components(quads: Quads) -> list[tuple[list[int], Places]]:
     """Return groups of neighbouring quadrilaterals: indices, and places on a lattice."""
     centres, edges, areas = quads.mean(axis=1), _edges(quads), _areas(quads)
     inverse = np.linalg.inv(edges) if len(quads) else edges
-    found, taken = [], np.zeros(len(quads), bool)
+    components, taken = [], np.zeros(len(quads), bool)
     for seed in range(len(quads)):
         if taken[seed]:
             continue
@@ -158,8 +158,8 @@ def _components(quads: Quads) -> list[tuple[list[int], Places]]:
                     queue.append(j)
         members = list(place)
         taken[members] = True
-        found.append((members, np.array([place[m][0] for m in members])))
-    return found
+        components.append((members, np.array([place[m][0] for m in members])))
+    return components
 
 
 def _edges(quads: Quads) -> Floats:
@@ -248,11 +248,11 @@ def _laid_on(h: Floats, places: Places, rows: int, columns: int) -> Iterator[Qua
     ways = []
     for quarter in range(4):
         turn = np.linalg.matrix_power(_QUARTER, quarter)
-        shifts, seen = np.unique(
+        shifts, counts = np.unique(
             (places[:, None] - grid @ turn).reshape(-1, 2), axis=0, return_counts=True
         )
         for shift, count in zip(
-            shifts[seen >= _LEAST_SEEN], seen[seen >= _LEAST_SEEN], strict=True
+            shifts[counts >= _LEAST_SEEN], counts[counts >= _LEAST_SEEN], strict=True
         ):
             ways.append((-int(count), len(ways), (grid @ turn + shift)[:, None] + half @ turn))
     for _, _, patches in sorted(ways, key=lambda way: way[:2]):

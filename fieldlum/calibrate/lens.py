@@ -166,35 +166,35 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     choice = choose("lens", candidates, "px", 1.0)
     _, mapping, powers = models[choice.index]
     figures = _solve(kept, np.ones(len(kept.x_px), bool), start, mapping, powers)
-    found = geometry_of_figures(start, figures, mapping, powers, not targets.pose_known)
-    residual, angle = _misses(found, targets)
-    _check(found, residual[near], angle[near], targets)
-    new = with_mapping(lens, found)
+    geometry = geometry_of_figures(start, figures, mapping, powers, not targets.pose_known)
+    residual, angle = _misses(geometry, targets)
+    _check(geometry, residual[near], angle[near], targets)
+    new = with_mapping(lens, geometry)
     if not targets.pose_known:
-        azimuth = round(float(signed_angle_deg(found.azimuth_deg)), 4)
+        azimuth = round(float(signed_angle_deg(geometry.azimuth_deg)), 4)
         new = replace(
             new,
             azimuth_deg=azimuth,
-            tilt_deg=round(found.tilt_deg, 4),
-            roll_deg=round(found.roll_deg, 4),
+            tilt_deg=round(geometry.tilt_deg, 4),
+            roll_deg=round(geometry.roll_deg, 4),
         )
-    per_px = lens.full_angle_deg / 2 / found.radius_px
+    per_px = lens.full_angle_deg / 2 / geometry.radius_px
     doubts = _doubts(targets, residual, near, new, lens)
     widest_deg = float(np.degrees(angle[near].max()))
     return LensFit(new, choice.rms, choice.rms * per_px, residual, widest_deg, choice, doubts)
 
 
-def with_mapping(lens: Lens, found: LensGeometry) -> Lens:
-    """Return `lens` with the centre, radius and mapping of `found`, rounded for the profile.
+def with_mapping(lens: Lens, geometry: LensGeometry) -> Lens:
+    """Return `lens` with the centre, radius and mapping of `geometry`, rounded for the profile.
 
     Its full angle, pose and vignetting do not change.
     """
     return replace(
         lens,
-        centre_px=(round(found.centre_px[0], 3), round(found.centre_px[1], 3)),
-        radius_px=round(found.radius_px, 3),
-        mapping=found.mapping,
-        coefficients=tuple(round(c, 7) for c in found.coefficients),
+        centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
+        radius_px=round(geometry.radius_px, 3),
+        mapping=geometry.mapping,
+        coefficients=tuple(round(c, 7) for c in geometry.coefficients),
     )
 
 
@@ -220,12 +220,12 @@ def _doubts(
     return tuple(texts)
 
 
-def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
+def _misses(geometry: LensGeometry, targets: Targets) -> tuple[Array, Array]:
     """Return each target's distance from its place by the lens [px], and its angle [rad].
 
     The angle is that from the lens's axis.
     """
-    x, y, angle = lens_pixels(found, targets.rays)
+    x, y, angle = lens_pixels(geometry, targets.rays)
     return np.hypot(x - targets.x_px, y - targets.y_px), angle
 
 
@@ -245,12 +245,12 @@ def _near(
     return near if near.mean() >= 1 - MOST_FAR else every
 
 
-def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
+def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
     """Raise InputError for a lens that its own targets contradict."""
     wanted = (
         "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
     )
-    if np.median(missed) > MISS_RADIUS * found.radius_px:
+    if np.median(missed) > MISS_RADIUS * geometry.radius_px:
         raise InputError(
             targets.source,
             f"with the lens that fits the targets best, half of them are over "
@@ -258,14 +258,14 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
             wanted,
             "check the targets' signs and units, and the columns x_px and y_px",
         )
-    if angle.max() > BEYOND * found.half_angle_rad:
+    if angle.max() > BEYOND * geometry.half_angle_rad:
         past = (
             f"a target is {np.degrees(angle.max()):.0f} deg from the lens axis, and the lens ends "
             "at"
         )
         raise InputError(
             targets.source,
-            f"{past} {np.degrees(found.half_angle_rad):.0f} deg",
+            f"{past} {np.degrees(geometry.half_angle_rad):.0f} deg",
             wanted,
             "correct the targets, or --full-angle",
         )
@@ -277,13 +277,13 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
-    seen = lens_rays(
+    directions = lens_rays(
         replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0),
         targets.x_px,
         targets.y_px,
     )
     (miss, turn), (mirrored, _) = (
-        _turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
+        _turn(directions * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
     if mirrored < 0.5 * miss and miss > 0.1:
         raise InputError(
@@ -300,17 +300,17 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))
 
 
-def _turn(seen: Array, true: Array) -> tuple[float, Array]:
+def _turn(directions: Array, true: Array) -> tuple[float, Array]:
     """Return the median distance (chord) of directions [n, 3] after rotation, and the rotation.
 
     The rotation [3, 3] solves Wahba's problem (1965), with less weight for gross errors.
     """
     from scipy.spatial.transform import Rotation
 
-    weight, turn, off = np.ones(len(seen)), np.eye(3), np.zeros(len(seen))
+    weight, turn, off = np.ones(len(directions)), np.eye(3), np.zeros(len(directions))
     for _ in range(10):
-        turn = Rotation.align_vectors(true, seen, weights=weight)[0].as_matrix()
-        off = np.linalg.norm(true - seen @ turn.T, axis=1)
+        turn = Rotation.align_vectors(true, directions, weights=weight)[0].as_matrix()
+        off = np.linalg.norm(true - directions @ turn.T, axis=1)
         weight = 1.0 / np.maximum(off, 0.02)
     return float(np.median(off)), turn
 

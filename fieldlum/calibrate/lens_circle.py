@@ -154,15 +154,15 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
     return -float(right), -float(down)
 
 
-def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
+def circle_lens(lens: Lens, image_circle: Circle, full_angle_deg: float) -> Lens:
     """Return the lens with the circle's centre and radius, and with `full_angle_deg`.
 
     Its mapping and pose do not change.
     """
     return replace(
         lens,
-        centre_px=(round(found.centre_px[0], 2), round(found.centre_px[1], 2)),
-        radius_px=round(found.radius_px, 2),
+        centre_px=(round(image_circle.centre_px[0], 2), round(image_circle.centre_px[1], 2)),
+        radius_px=round(image_circle.radius_px, 2),
         full_angle_deg=full_angle_deg,
     )
 

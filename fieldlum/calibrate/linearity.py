@@ -130,7 +130,7 @@ def fit(levels: Levels) -> LinearityFit:
     times = np.unique(levels.seconds)
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
     if len(times) < FEWEST_TIMES or low > LOWEST or high < HIGHEST:
-        found = (
+        finding = (
             f"{len(times)} shutter times, with raw values of {100 * low:.0f} to {100 * high:.0f} "
             "% of white"
         )
@@ -138,7 +138,7 @@ def fit(levels: Levels) -> LinearityFit:
             f"expected at least {FEWEST_TIMES} shutter times, with values from under "
             f"{100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
-        raise NotEnoughDataError(f"{found}; {wanted}")
+        raise NotEnoughDataError(f"{finding}; {wanted}")
     candidates = [Candidate(f"order {order}", order, _held_out(levels, order)) for order in ORDERS]
     choice = choose("linearity", candidates, "% of light", negligible=_NEGLIGIBLE)
     solution, covariance = _solve(levels, np.ones(len(levels.seconds), bool), choice.index)
@@ -174,22 +174,22 @@ def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
     powers = [levels.share**k for k in range(1, order + 1)]
     solution, covariance = np.zeros(1 + order), np.zeros((1 + order, 1 + order))
     for _ in range(_STEPS):
-        left = _residuals(solution, levels, rows, rows)
+        residuals = _residuals(solution, levels, rows, rows)
         factor = linearity_factor(levels.share, tuple(solution[1:]))
         by_time = np.where(
             np.isfinite(levels.share), -unit / (levels.seconds + solution[0])[:, None], np.nan
         )
         slopes = [_centred(by_time, levels, rows)[rows]]
         slopes += [_centred(power / factor, levels, rows)[rows] for power in powers]
-        good = np.isfinite(left)
+        good = np.isfinite(residuals)
         root = np.sqrt(levels.weight[rows][good])
         design = np.stack([slope[good] * root for slope in slopes], axis=1)
-        step, *_ = np.linalg.lstsq(design, -left[good] * root, rcond=None)
+        step, *_ = np.linalg.lstsq(design, -residuals[good] * root, rcond=None)
         # exposure times must stay above zero
         step[0] = max(step[0] * unit, -0.5 * (unit + solution[0]))
         solution = solution + step
         freedom = max(len(root) - levels.share.shape[1] - 1 - order, 1)
-        noise = float(np.sum((left[good] * root) ** 2)) / freedom
+        noise = float(np.sum((residuals[good] * root) ** 2)) / freedom
         scale = np.r_[unit, np.ones(order)]
         covariance = np.linalg.pinv(design.T @ design) * noise * np.outer(scale, scale)
     return solution, covariance
@@ -205,9 +205,9 @@ def _held_out(levels: Levels, order: int) -> Floats:
     for seconds in np.unique(levels.seconds)[1:-1]:
         held = levels.seconds == seconds
         solution, _ = _solve(levels, ~held, order)
-        left = _residuals(solution, levels, ~held, held)
-        weight = np.where(np.isfinite(left), levels.weight[held], 0.0)
+        residuals = _residuals(solution, levels, ~held, held)
+        weight = np.where(np.isfinite(residuals), levels.weight[held], 0.0)
         total = weight.sum(axis=1)
-        square = (np.nan_to_num(left) ** 2 * weight).sum(axis=1)
+        square = (np.nan_to_num(residuals) ** 2 * weight).sum(axis=1)
         out[held] = np.divide(square, total, out=np.full(len(total), np.nan), where=total > 0)
     return out[np.isfinite(out)]

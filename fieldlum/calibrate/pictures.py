@@ -66,15 +66,15 @@ def _percent(axes: Any, x: Array, residual: Array, label: str) -> None:
     axes.set(xlabel=label, ylabel="reading less fit [%]")
 
 
-def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
+def of_response(places: response.Places, fit: response.ResponseFit) -> Figure:
     """Draw the response tables, and the residuals of the sampled places over the code.
 
     A residual is the light of a place by one frame less the mean by all frames [%].
     """
     figure, left, right = _two(
-        f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
+        f"JPEG response, {fit.response.kind}; held-out rms {100 * fit.response.u_rel:.2g} %"
     )
-    r = found.response
+    r = fit.response
     tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
     for c, (table, name) in enumerate(zip(tables, (RED, GREEN, BLUE), strict=True)):
         codes, counts = (
@@ -96,19 +96,19 @@ def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
 
 
 def of_vignette(
-    samples: vignette.Samples, found: vignette.VignettingFit, half_angle_deg: float
+    samples: vignette.Samples, fit: vignette.VignettingFit, half_angle_deg: float
 ) -> Figure:
     """Draw readings and fit of the transmission over the angle from the axis, and the residuals.
 
     half_angle_deg : half of the lens's full angle. Residuals are reading less fit [%].
     """
     figure, left, right = _two(
-        f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * found.u_rel:.2g} %"
+        f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * fit.u_rel:.2g} %"
     )
     r = np.linspace(0, 1, 200)
     left.plot(
         samples.r * half_angle_deg,
-        samples.value / found.level,
+        samples.value / fit.level,
         "o",
         color=RED,
         markersize=3.5,
@@ -116,7 +116,7 @@ def of_vignette(
     )
     left.plot(
         r * half_angle_deg,
-        vignetting_at(found.coefficients, r),
+        vignetting_at(fit.coefficients, r),
         color=BLUE,
         linewidth=1.4,
         label="fit",
@@ -127,18 +127,18 @@ def of_vignette(
         ylim=(0, 1.1),
     )
     left.legend(frameon=False, fontsize=8)
-    _percent(right, samples.r * half_angle_deg, found.residual_rel, "angle [deg]")
+    _percent(right, samples.r * half_angle_deg, fit.residual_rel, "angle [deg]")
     return figure
 
 
-def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> Figure:
+def of_scale(readings: list[scale.LuminanceReading], fit: scale.ScaleFit) -> Figure:
     """Draw the pictures' values, corrected by the fit, over the meter's readings, and residuals.
 
     A residual is the meter's reading less the corrected value of the picture [%].
     """
-    figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
+    figure, left, right = _two(f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %")
     meter = np.array([r.meter for r in readings])
-    image = np.array([r.image for r in readings]) * found.factor
+    image = np.array([r.image for r in readings]) * fit.factor
     for kind, mark in (("spot", "o"), ("illuminance", "s")):
         rows = np.array([r.kind == kind for r in readings])
         if rows.any():
@@ -156,17 +156,17 @@ def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> F
     left.set(xlabel="meter", ylabel="picture, corrected")
     _plain_log(left)
     left.legend(frameon=False, fontsize=8)
-    _percent(right, np.arange(1, len(readings) + 1), found.residual, "reading")
+    _percent(right, np.arange(1, len(readings) + 1), fit.residual, "reading")
     return figure
 
 
-def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
+def of_lens(targets: lens.Targets, fit: lens.LensFit) -> Figure:
     """Draw the targets in the image circle, and their distances from the fitted places."""
     figure, left, right = _two(
-        f"lens, {found.lens.mapping}; held-out rms {found.rms_px:.2g} px ({found.rms_deg:.2g} deg)"
+        f"lens, {fit.lens.mapping}; held-out rms {fit.rms_px:.2g} px ({fit.rms_deg:.2g} deg)"
     )
     turn = np.linspace(0, 2 * np.pi, 200)
-    (x, y), r = found.lens.centre_px, found.lens.radius_px
+    (x, y), r = fit.lens.centre_px, fit.lens.radius_px
     left.plot(x + r * np.cos(turn), y + r * np.sin(turn), color=BLUE, linewidth=1.2)
     left.plot([x], [y], "+", color=BLUE)
     left.scatter(targets.x_px, targets.y_px, s=10, color=RED, linewidths=0)
@@ -174,7 +174,7 @@ def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
     left.invert_yaxis()
     right.plot(
         np.hypot(targets.x_px - x, targets.y_px - y) / r,
-        found.residual_px,
+        fit.residual_px,
         "o",
         color=RED,
         markersize=3.5,
@@ -183,7 +183,7 @@ def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
     return figure
 
 
-def of_circle(picture: NDArray[np.uint8], found: lens_circle.Circle) -> Figure:
+def of_circle(picture: NDArray[np.uint8], image_circle: lens_circle.Circle) -> Figure:
     """Draw the image circle over the picture [h, w]."""
     from matplotlib.figure import Figure
 
@@ -191,21 +191,21 @@ def of_circle(picture: NDArray[np.uint8], found: lens_circle.Circle) -> Figure:
     axes = figure.add_subplot()
     axes.imshow(picture, cmap="gray")
     turn = np.linspace(0, 2 * np.pi, 400)
-    (x, y), r = found.centre_px, found.radius_px
+    (x, y), r = image_circle.centre_px, image_circle.radius_px
     axes.plot(x - 0.5 + r * np.cos(turn), y - 0.5 + r * np.sin(turn), color=RED, linewidth=1.2)
     axes.plot([x - 0.5], [y - 0.5], "+", color=RED)
     axes.set_title(
-        f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {found.u_px:.2f} px",
+        f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {image_circle.u_px:.2f} px",
         fontsize=9,
         loc="left",
     )
     return figure
 
 
-def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
+def of_colour(colours: colour.Colours, fit: colour.ColourFit) -> Figure:
     """Draw the fitted luminance (y) against the readings (x), and the residuals [%] by patch."""
-    figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
-    new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
+    figure, left, right = _two(f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %")
+    new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
     left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
     ends = np.array([colours.y.min() * 0.8, colours.y.max() * 1.25])
@@ -217,21 +217,21 @@ def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
         yscale="log",
     )
     _plain_log(left)
-    _percent(right, np.arange(1, len(new) + 1), -found.residual, "patch")
+    _percent(right, np.arange(1, len(new) + 1), -fit.residual, "patch")
     return figure
 
 
-def of_shutter(found: shutter.ShutterFit) -> Figure:
+def of_shutter(fit: shutter.ShutterFit) -> Figure:
     """Draw how much the fitted times differ from the nominal and from the assumed times [%].
 
     Positive where the true time is longer. The bars are two standard uncertainties long each way.
     """
     figure, left, right = _two(
-        f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
+        f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets", (1, 1)
     )
-    nominal = np.array([t.nominal_s for t in found.times])
-    true, assumed = np.array([t.true_s for t in found.times]), np.array(found.assumed_s)
-    u = np.array([t.u_rel for t in found.times])
+    nominal = np.array([t.nominal_s for t in fit.times])
+    true, assumed = np.array([t.true_s for t in fit.times]), np.array(fit.assumed_s)
+    u = np.array([t.u_rel for t in fit.times])
     for axes, against, label in (
         (left, nominal, "true over nominal [%]"),
         (right, assumed, "over assumed [%]"),
@@ -250,12 +250,12 @@ def of_shutter(found: shutter.ShutterFit) -> Figure:
     return figure
 
 
-def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
+def of_pixels(defects: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
     """Draw the bad pixels on the sensor, and a histogram of their distance from its middle."""
     figure, left, right = _two(
-        f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1)
+        f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views", (2, 1)
     )
-    x, y = np.array(found.bad_px, float).reshape(-1, 2).T
+    x, y = np.array(defects.bad_px, float).reshape(-1, 2).T
     left.plot(x, y, "o", color=RED, markersize=3)
     left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")
     right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=BLUE)
@@ -263,17 +263,17 @@ def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figu
     return figure
 
 
-def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Figure:
+def of_linearity(levels: linearity.Levels, fit: linearity.LinearityFit) -> Figure:
     """Draw light divided by exposure time of each frame and block, before and after the correction.
 
     Values are relative to the block's mean [%], over the share of the full scale.
     """
-    figure, left, right = _two(f"Linearity; held-out rms {100 * found.u_rel:.2g} %")
+    figure, left, right = _two(f"Linearity; held-out rms {100 * fit.u_rel:.2g} %")
     seconds = levels.seconds[:, None]
-    corrected = levels.share * linearity_factor(levels.share, found.coefficients)
+    corrected = levels.share * linearity_factor(levels.share, fit.coefficients)
     for axes, light, time_s in (
         (left, levels.share, seconds),
-        (right, corrected, seconds + found.offset_s),
+        (right, corrected, seconds + fit.offset_s),
     ):
         off = np.log(light / time_s)
         off -= np.nanmean(off, axis=0)
@@ -284,17 +284,17 @@ def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Fig
     return figure
 
 
-def of_stray(readings: Sequence[stray.StrayReading], found: stray.StrayFit) -> Figure:
+def of_stray(readings: Sequence[stray.StrayReading], fit: stray.StrayFit) -> Figure:
     """Draw the kernel over the angle, and the predicted over the recorded stray light."""
-    total = 100 * found.total_share
+    total = 100 * fit.total_share
     figure, left, right = _two(f"Stray light: {total:.2g} % of a source's light is spread")
     angle = np.geomspace(0.5, 180.0, 300)
-    nodes, values = np.asarray(found.kernel.angle_deg), np.asarray(found.kernel.per_sr)
+    nodes, values = np.asarray(fit.kernel.angle_deg), np.asarray(fit.kernel.per_sr)
     left.plot(angle, 100 * kernel_per_sr(np.radians(angle), nodes, values), color=BLUE)
     left.plot(nodes, 100 * values, "o", color=RED, ms=4)
     left.set(xlabel="angle from the source [deg]", ylabel="K [% per sr]", xscale="log")
     recorded = [r.stray_cdm2 for r in readings]
-    right.plot(recorded, found.predicted_cdm2, "o", color=RED, ms=4)
+    right.plot(recorded, fit.predicted_cdm2, "o", color=RED, ms=4)
     ends = [min(recorded), max(recorded)]
     right.plot(ends, ends, color=BLUE, lw=1)
     right.set(xlabel="recorded [cd/m²]", ylabel="by the kernel [cd/m²]")

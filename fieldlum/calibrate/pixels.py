@@ -109,8 +109,10 @@ def _decide(
         remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
     if len(views) < least:
         blank = f" ({counted(plain, 'frame')} with too little detail)" if plain else ""
-        found = counted(len(views), f"different {kind.removesuffix('s')}")
-        raise NotEnoughDataError(f"bad pixels: {found}{blank}; expected at least {least}; {remedy}")
+        views_text = counted(len(views), f"different {kind.removesuffix('s')}")
+        raise NotEnoughDataError(
+            f"bad pixels: {views_text}{blank}; expected at least {least}; {remedy}"
+        )
     count = np.zeros(views[0].shape, np.uint16)
     for view in views:
         count += view
@@ -236,12 +238,12 @@ def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
     return is_deviating
 
 
-def _isolated(plane: NDArray[np.uint16], middle: NDArray[np.uint16], found: Mask) -> Mask:
+def _isolated(plane: NDArray[np.uint16], middle: NDArray[np.uint16], deviating_px: Mask) -> Mask:
     """Return a mask of the pixels with at most two of eight neighbours like them.
 
     Pixels of a line of defects remain, those at a corner of an object do not.
     """
-    rows, columns = np.nonzero(found)
+    rows, columns = np.nonzero(deviating_px)
     own = plane[rows, columns].astype(np.int32) - middle[rows, columns]
     like = np.zeros(len(rows), np.int32)
     for down, across in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
@@ -252,8 +254,8 @@ def _isolated(plane: NDArray[np.uint16], middle: NDArray[np.uint16], found: Mask
         like += 2 * (plane[y, x].astype(np.int32) - middle[rows, columns]) * np.sign(own) > np.abs(
             own
         )
-    found[rows, columns] = like <= _LIKE
-    return found
+    deviating_px[rows, columns] = like <= _LIKE
+    return deviating_px
 
 
 def _inside_lenses(profile: CameraProfile) -> Mask:
@@ -323,8 +325,8 @@ class _View:
         Frames of one folder that cannot be compared (long and short) count as the same view:
         undercounting views is safe.
         """
-        for other, known in self.shown:
-            alike = _alike(detail, known)
+        for other, other_detail in self.shown:
+            alike = _alike(detail, other_detail)
             if other == source if alike is None else alike > _SAME_VIEW_CORRELATION:
                 return True
         return False

@@ -28,13 +28,13 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     mark = _separator(lines)
     rows = csv.DictReader(lines, delimiter=mark)
     names = [name.strip() for name in rows.fieldnames or []]
-    known = (*needed, *also)
-    expected = f"columns {', '.join(known)}"
+    columns = (*needed, *also)
+    expected = f"columns {', '.join(columns)}"
     if missing := [name for name in needed if name not in names]:
         raise InputError(
             path, f"no column {missing[0]}", expected, "name the columns in the first line"
         )
-    if unknown := [name for name in names if name not in known]:
+    if unknown := [name for name in names if name not in columns]:
         raise InputError(path, f"unknown column {unknown[0]}", expected, "remove or rename it")
     rows.fieldnames = names
     readings = []

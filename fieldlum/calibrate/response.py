@@ -152,10 +152,10 @@ def _pool(
     parts: Sequence[_Part], files: tuple[Path, ...], profile: CameraProfile, law: ShutterLaw
 ) -> Places:
     """Return the places of all brackets on one axis of exposures, under one shutter law."""
-    known = replace(profile, shutter_law=law.law)
+    with_law = replace(profile, shutter_law=law.law)
     exposures: list[Floats] = []
     for part in parts:
-        log_e = [np.log(true_shutter_s(e.shutter_s, known)[0] * e.iso) for e in part.exposures]
+        log_e = [np.log(true_shutter_s(e.shutter_s, with_law)[0] * e.iso) for e in part.exposures]
         count = len({round(e, 3) for e in log_e})
         if count < 3:
             raise InputError(
@@ -328,10 +328,10 @@ def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer], lo
             for c, t in enumerate(tables)
         ]
         stacked = np.stack(by_colour)
-        seen = np.isfinite(stacked)
+        finite = np.isfinite(stacked)
         errors[held] = np.where(
-            seen.any(axis=0),
-            np.where(seen, stacked, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1),
+            finite.any(axis=0),
+            np.where(finite, stacked, 0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1),
             np.nan,
         )
     valid = errors[np.isfinite(errors)]

@@ -144,15 +144,15 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
 
     Raises InputError if the picture was merged with another calibration.
     """
-    known, own = picture.attributes, calibration_mark(profile)
-    if known.get("calibration", own["calibration"]) != own["calibration"]:
+    attributes, own = picture.attributes, calibration_mark(profile)
+    if attributes.get("calibration", own["calibration"]) != own["calibration"]:
         raise InputError(
             file,
-            f"the picture was merged with another calibration ({known.get('camera', '?')})",
+            f"the picture was merged with another calibration ({attributes.get('camera', '?')})",
             f"the calibration of {profile.camera.name}",
             "merge it again with this profile (fieldlum merge)",
         )
-    stored = known.get("k", own["k"])
+    stored = attributes.get("k", own["k"])
     try:
         k = float(stored)
     except ValueError:
@@ -288,7 +288,7 @@ def fit(
     return ScaleFit(float(np.exp(centre)), u_rel, residual, far, line)
 
 
-def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
+def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
     """Return a text on each outlier with its ratio to the corrected picture.
 
     If the ratio is that of two units, or a factor of 10 or 1000 either way, the text names this as
@@ -296,8 +296,8 @@ def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
     """
     texts = []
     for reading in readings:
-        if reading.label in found.far:
-            ratio = reading.meter / (reading.image * found.factor)
+        if reading.label in scale_fit.far:
+            ratio = reading.meter / (reading.image * scale_fit.factor)
             texts.append(
                 f"{reading.label}: the reading of {reading.meter:g} is {ratio:.3g} times the "
                 f"picture's value{_slip(ratio)}"
@@ -311,13 +311,13 @@ def _slip(ratio: float) -> str:
     )
 
 
-def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
+def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
     """Return a warning if the fitted k times the sum of y_from_rgb is not 0.5 to 2, else "".
 
     Cameras are in this range. path: the csv of readings, for the error. Raises InputError if k also
     differs from the profile's k by more than a factor of ten, either way.
     """
-    level = profile.scale.k * found.factor * sum(profile.colour.y_from_rgb)
+    level = profile.scale.k * scale_fit.factor * sum(profile.colour.y_from_rgb)
     low, high = SENSIBLE_K
     if low <= level <= high:
         return ""
@@ -329,14 +329,14 @@ def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
         "check that readings are in cd/m2 and lx (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx "
         "= 1000 lx)"
     )
-    if not 1 / MOST_FACTOR <= found.factor <= MOST_FACTOR:
+    if not 1 / MOST_FACTOR <= scale_fit.factor <= MOST_FACTOR:
         remedy += (
             "; if a filter on the lens or white_dn causes this, first write a k near the new one "
             "under [scale] in the profile"
         )
         raise InputError(
             path,
-            f"{doubt}; this is {found.factor:.3g} times the profile's k",
+            f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k",
             "readings in cd/m2 and lx",
             remedy,
         )

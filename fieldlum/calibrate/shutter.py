@@ -237,9 +237,9 @@ def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePair
     rows = [(r.seconds, r.log_ratio - pooled[r.pair].median, r.u_log) for r in bracket if r.seconds]
     if len(rows) < 3:
         return 0.0
-    seconds, left, u = np.array(rows).T
+    seconds, residuals, u = np.array(rows).T
     weight = seconds / np.maximum(u, 1e-4) ** 2
-    return float((weight * left).sum() / (weight * seconds).sum())
+    return float((weight * residuals).sum() / (weight * seconds).sum())
 
 
 def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
@@ -335,10 +335,10 @@ def _held_out(brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]) ->
     """
     errors = []
     for out in folds(np.arange(len(brackets))):
-        known = pool([b for b, hidden in zip(brackets, out, strict=True) if not hidden])
+        taught = pool([b for b, hidden in zip(brackets, out, strict=True) if not hidden])
         for bracket, hidden in zip(brackets, out, strict=True):
-            shown = [r for r in bracket if hidden and r.pair in pairs and r.pair in known]
-            errors += [(r.log_ratio**2, (r.log_ratio - known[r.pair].median) ** 2) for r in shown]
+            shown = [r for r in bracket if hidden and r.pair in pairs and r.pair in taught]
+            errors += [(r.log_ratio**2, (r.log_ratio - taught[r.pair].median) ** 2) for r in shown]
     return np.array(errors).T
 
 
@@ -355,8 +355,8 @@ def _levelled(
         design[row, nominal.index(table.pair[1])] = 1.0
     weight = 1.0 / np.array([t.error for t in chain]) ** 2
     normal = design.T @ (weight[:, None] * design) + np.diag(u_prior**-2.0)
-    known = np.array([(t.median, t.seconds) for t in chain])
-    delta, seconds = np.linalg.solve(normal, design.T @ (weight[:, None] * known)).T
+    measured = np.array([(t.median, t.seconds) for t in chain])
+    delta, seconds = np.linalg.solve(normal, design.T @ (weight[:, None] * measured)).T
     share = u_prior**-2.0 / (u_prior**-2.0).sum()
     free = np.eye(len(nominal)) - share
     covariance = free @ np.linalg.inv(normal) @ free.T
@@ -365,11 +365,11 @@ def _levelled(
     )
 
 
-def with_times(profile: CameraProfile, found: ShutterFit) -> tuple[ShutterTime, ...]:
+def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[ShutterTime, ...]:
     """Return the profile's shutter times with the fitted ones added or replaced, longest first."""
     kept = [
         s
         for s in profile.shutter
-        if not any(abs(s.nominal_s / t.nominal_s - 1) < SAME_TIME for t in found.times)
+        if not any(abs(s.nominal_s / t.nominal_s - 1) < SAME_TIME for t in shutter_fit.times)
     ]
-    return tuple(sorted((*kept, *found.times), key=lambda t: -t.nominal_s))
+    return tuple(sorted((*kept, *shutter_fit.times), key=lambda t: -t.nominal_s))

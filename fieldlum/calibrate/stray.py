@@ -146,8 +146,8 @@ def reading(
             "an unclipped place inside the field",
             "check azimuth_deg and altitude_deg in its row of the csv",
         )
-    seen = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
-    use = seen & ~inside & (light > 0)
+    in_view = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
+    use = in_view & ~inside & (light > 0)
     flux, away = (light * solid)[use], angle[use]
     if picture.sun is not None:
         source = direction(picture.sun.altitude_deg, picture.sun.azimuth_deg)

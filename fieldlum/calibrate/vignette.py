@@ -158,16 +158,16 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
 
 def _rings(r: Array, value: Array, good: Mask) -> list[tuple[float, float, float]]:
     ring = np.minimum((r * BINS).astype(int), BINS - 1)
-    found = []
+    rings = []
     for number in range(BINS):
         inside = value[good & (ring == number)]
         if len(inside) >= 20:
             spread = robust_sigma(inside) / np.sqrt(len(inside))
             middle = float(np.median(inside))
-            found.append(
+            rings.append(
                 ((number + 0.5) / BINS, middle, float(np.hypot(1.25 * spread / middle, 0.001)))
             )
-    return found
+    return rings
 
 
 # ----------------------------------------------------------------------------------------------
@@ -195,7 +195,7 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
     if (slope @ theta).max() > 1e-9:
         hessian, gradient = a.T @ a, a.T @ b
         size = float(np.trace(hessian))
-        found = minimize(
+        solution = minimize(
             lambda t: 0.5 * (t @ hessian @ t - 2 * t @ gradient) / size,
             np.array([1.0] + [0.0] * (len(theta) - 1)),
             jac=lambda t: (hessian @ t - gradient) / size,
@@ -203,7 +203,7 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
             method="SLSQP",
             options={"maxiter": 400, "ftol": 1e-15},
         )
-        theta = found.x
+        theta = solution.x
     return theta * scale
 
 
@@ -313,10 +313,10 @@ def _refuse_rising(samples: Samples) -> None:
         )
 
 
-def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:
+def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
     """Return the lens with the fitted curve added; an older curve of this aperture is replaced."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     curve = Vignetting(
-        f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5)
+        f_number, tuple(round(c, 6) for c in vignetting.coefficients), round(vignetting.u_rel, 5)
     )
     return replace(lens, vignetting=tuple(sorted((*others, curve), key=lambda v: v.f_number)))

@@ -98,14 +98,14 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     from fieldlum.capture.status import status
     from fieldlum.predict import read_annual
 
-    found = status(session)
+    stage_status = status(session)
     pairs = PairsFile.find(session.pairs)
     years = [folder for folder in session.annual_folders() if folder.name == room.model]
     year = read_annual(years[0]).summary if years else PredictFile()
     return RoomOverview(
         room.session,
-        captured=found["capture"]["done"],
-        planned=found["plan"]["slots"],
+        captured=stage_status["capture"]["done"],
+        planned=stage_status["plan"]["slots"],
         to_do=_to_do(session, datetime.now(UTC)),
         usable=len(pairs.usable),
         failed=_failed(session, pairs),

@@ -111,13 +111,13 @@ def _plan(run: _Run, room: CampaignRoom) -> str:
 def _status(run: _Run, room: CampaignRoom) -> str:
     from fieldlum.capture.status import status
 
-    found = status(run.session(room))
-    capture, merge, pair = found["capture"], found["merge"], found["pair"]
-    models = ", ".join(entry["name"] for entry in found["train"]["models"]) or "no model"
+    stage_status = status(run.session(room))
+    capture, merge, pair = stage_status["capture"], stage_status["merge"], stage_status["pair"]
+    models = ", ".join(entry["name"] for entry in stage_status["train"]["models"]) or "no model"
     return (
         f"{capture['done']} captured, {capture['missed']} missed, {capture['aborted']} aborted, "
         f"{capture['owed']} to do; {merge['done']} merged; {pair['usable']} usable pairs; "
-        f"{models}; {counted(len(found['predict']['years']), 'predicted year')}"
+        f"{models}; {counted(len(stage_status['predict']['years']), 'predicted year')}"
     )
 
 
@@ -133,8 +133,8 @@ def _merge(run: _Run, room: CampaignRoom) -> str:
     pairs = pair.run(session, scheduler=scheduler, force=force, progress=progress)
     failed = [v.slot for v in verdicts if v.state == "failed"]
     bad = f", failed: {', '.join(failed[:5])}" if failed else ""
-    done = len(verdicts) - len(failed)
-    return f"{done} of {len(verdicts)} merged{bad}; {sum(p.ok for p in pairs)} usable pairs"
+    merged_count = len(verdicts) - len(failed)
+    return f"{merged_count} of {len(verdicts)} merged{bad}; {sum(p.ok for p in pairs)} usable pairs"
 
 
 def _train(

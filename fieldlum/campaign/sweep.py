@@ -84,6 +84,6 @@ def _units(
 def _with_rooms(rows: Mapping[str, list[BenchRow]], *, mean: bool) -> list[dict[str, object]]:
     return [
         {"room": room, **row}
-        for room, found in rows.items()
-        for row in (over_seeds(found) if mean else found)
+        for room, room_rows in rows.items()
+        for row in (over_seeds(room_rows) if mean else room_rows)
     ]

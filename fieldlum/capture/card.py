@@ -58,12 +58,12 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         for suffix, count in sorted(other.items())
     ]
     if not frames:
-        found = " and ".join(f"{count} {suffix}" for suffix, count in sorted(other.items()))
-        found = f", but {found} files" if other else ""
+        other_text = " and ".join(f"{count} {suffix}" for suffix, count in sorted(other.items()))
+        other_text = f", but {other_text} files" if other else ""
         remedy = "set the camera to record raw files" if other else "check the path of the card"
         raise InputError(
             folder,
-            f"no raw or JPEG frames in this folder{found}",
+            f"no raw or JPEG frames in this folder{other_text}",
             "a card's folder, such as DCIM",
             remedy,
         )
@@ -79,8 +79,8 @@ def read_card(
     """
     frames: list[CardFrame] = []
     left_out: list[str] = []
-    for done, path in enumerate(files, start=1):
-        progress(done, len(files), path.name)
+    for number, path in enumerate(files, start=1):
+        progress(number, len(files), path.name)
         try:
             info = read_exif(path, lens_f_number=lens_f_number)
         except InputError as error:
@@ -103,14 +103,14 @@ def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[s
 
     The first frame of each content remains. A copy would split its bracket in two.
     """
-    seen: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
+    by_likeness: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
     alike = Counter(_likeness(frame) for frame in frames)
     kept: list[CardFrame] = []
     copies: list[Path] = []
     for frame in frames:
         if alike[_likeness(frame)] > 1:
-            known = seen.setdefault(_likeness(frame), {})
-            if known.setdefault(sha256(frame.path), frame) is not frame:
+            by_digest = by_likeness.setdefault(_likeness(frame), {})
+            if by_digest.setdefault(sha256(frame.path), frame) is not frame:
                 copies.append(frame.path)
                 continue
         kept.append(frame)

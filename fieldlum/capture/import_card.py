@@ -100,12 +100,12 @@ def run(
         )
         if logger is None:
             return report
-        found = adopt_rows(session, logger, utc_offset_s, columns)
+        adopted = adopt_rows(session, logger, utc_offset_s, columns)
         return replace(
             report,
-            rows=found.rows,
-            withdrawn=found.withdrawn,
-            left_out=(*report.left_out, *found.left_out),
+            rows=adopted.rows,
+            withdrawn=adopted.withdrawn,
+            left_out=(*report.left_out, *adopted.left_out),
         )
 
 
@@ -141,9 +141,9 @@ def _adopt_card(
             whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
-        found, unmatched = match_groups(part, slots, offset)
+        matches, unmatched = match_groups(part, slots, offset)
         clocks.append((part, offset))
-        matched += [(match, offset) for match in found]
+        matched += [(match, offset) for match in matches]
         left_out += [
             f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})"
             for u in unmatched
@@ -212,7 +212,7 @@ def _one_a_slot(
             )
         else:
             best[match.slot.id] = match, offset
-    return sorted(best.values(), key=lambda one: one[0].slot.t_utc), left_out_notes
+    return sorted(best.values(), key=lambda pair: pair[0].slot.t_utc), left_out_notes
 
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
@@ -264,8 +264,8 @@ def _adopt_all(
     try:
         moved = withdraw(session, journal, read_ledger(session), matched)
         ledger = read_ledger(session)
-        for done, (match, offset) in enumerate(matched, start=1):
-            progress(done, len(matched), match.slot.id)
+        for number, (match, offset) in enumerate(matched, start=1):
+            progress(number, len(matched), match.slot.id)
             if ledger.state(match.slot.id).outcome != "done":
                 _adopt(session, setup, journal, match, offset)
                 new.append(match)

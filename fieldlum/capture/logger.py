@@ -154,9 +154,9 @@ def log(
         logger = Logger(keeper, recorder, steady, every_s)
         try:
             info = keeper.insist().info
-            known = session.table().get("devices", {})
+            devices = session.table().get("devices", {})
             with suppress(OSError):  # the next row reports a full disk
-                update_session(session, {"devices": {**known, "pyranometer": plain_info(info)}})
+                update_session(session, {"devices": {**devices, "pyranometer": plain_info(info)}})
             say(
                 f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every "
                 f"{every_s:g} s; stop with Ctrl-C"

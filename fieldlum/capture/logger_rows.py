@@ -56,16 +56,16 @@ def adopt_rows(
     be read.
     """
     table = _logger_table(path, utc_offset_s, columns)
-    found = _read(path, table)
+    logger_file = _read(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
     for other in before:
         if other != table and other["file"] == table["file"]:
             withdrawn += withdraw(session, _readable(path, other))
-    added = add_samples(session, found.samples)
+    added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
-    return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in found.left_out))
+    return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in logger_file.left_out))
 
 
 def check_rows(
@@ -113,17 +113,17 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:
         return 0
-    known: set[datetime] = set()
+    stored_utc: set[datetime] = set()
     days = {s.t_utc.strftime("%Y-%m-%d") for s in wanted}
     for path in day_files(session):
         if path.stem in days:
-            known |= {s.t_utc for s in read_day(path)[0]}
+            stored_utc |= {s.t_utc for s in read_day(path)[0]}
     added, log = 0, DayFiles(session, flush=False)
     last: IrradianceSample | None = None
     try:
         for sample in wanted:
             # a table that contains a copy of itself
-            if sample.t_utc not in known and sample != last:
+            if sample.t_utc not in stored_utc and sample != last:
                 log.append(sample)
                 added += 1
             last = sample

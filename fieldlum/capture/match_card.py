@@ -107,7 +107,7 @@ def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
 
     Number 9999 is followed by 0001 or 0000.
     """
-    found: list[CardFrame] = []
+    ordered: list[CardFrame] = []
     for _, same in groupby(sorted(frames, key=lambda f: f.t_camera), key=lambda f: f.t_camera):
         second = list(same)
         numbers = [_number(frame) for frame in second]
@@ -117,8 +117,8 @@ def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
             for number in numbers
         ]
         order = sorted(range(len(second)), key=lambda i: (lifted[i], second[i].path.name))
-        found += [second[i] for i in order]
-    return found
+        ordered += [second[i] for i in order]
+    return ordered
 
 
 def _number(frame: CardFrame) -> int:

@@ -48,11 +48,11 @@ def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> boo
     It must if the match gives its frames to another slot, or the corrected clock gives them another
     time.
     """
-    known = {frame.file: frame for frame in state.frames}
-    card = next((f for f in match.group.frames if f.path.name in known), None)
+    frames_by_file = {frame.file: frame for frame in state.frames}
+    card = next((f for f in match.group.frames if f.path.name in frames_by_file), None)
     if card is None:
         return False
-    frame = known[card.path.name]
+    frame = frames_by_file[card.path.name]
     apart_s = abs((true_time(card.t_camera, offset) - frame.t_utc).total_seconds())
     is_elsewhere = slot != match.slot.id or apart_s > SAME_TIME_S
     return is_elsewhere and frame.sha256 == sha256(card.path)

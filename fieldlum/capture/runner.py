@@ -175,8 +175,8 @@ class _Runner:
         for name, fields in self.clock.check():
             self.recorder.tell(name, **fields)
         try:
-            known = self.session.table().get("devices", {})
-            update_session(self.session, {"devices": {**known, **about}})
+            devices = self.session.table().get("devices", {})
+            update_session(self.session, {"devices": {**devices, **about}})
             store_grace(self.session, options.grace_s)
         except OSError as error:
             if not disk_is_full(error):
@@ -186,12 +186,12 @@ class _Runner:
 
     def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> DeviceTable:
         """Return the instrument's information; empty if it is away but answered before."""
-        known = self.session.table().get("devices", {})
+        devices = self.session.table().get("devices", {})
         try:
             return plain_info(keeper.insist().info)
         except Exception as error:
-            answered_before = keeper.name in known
-            if not answered_before or known.get("uris", {}).get(keeper.name) != uris[keeper.name]:
+            answered_before = keeper.name in devices
+            if not answered_before or devices.get("uris", {}).get(keeper.name) != uris[keeper.name]:
                 raise
             keeper.lost(error)
             return {}
@@ -275,10 +275,10 @@ class _Runner:
         try:
             return bracket.take(slot, state, deadline)
         except Exception as error:
-            known = state
+            latest = state
             with suppress(OSError):
-                known = read_ledger(self.session).slots.get(slot.id, state)
-            return bracket.abort(slot, known, error_text(error))
+                latest = read_ledger(self.session).slots.get(slot.id, state)
+            return bracket.abort(slot, latest, error_text(error))
 
     def _too_late(
         self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
@@ -323,18 +323,18 @@ class _Runner:
         while not self._plan_changed():
             for name, fields in self.clock.check():
                 self.recorder.tell(name, **fields)
-            left = (t_utc - self.clock.now()).total_seconds()
-            if left <= 0:
+            wait_s = (t_utc - self.clock.now()).total_seconds()
+            if wait_s <= 0:
                 return True
             if inline is not None:
                 inline.poll_if_due()
-                left = min(left, max(inline.due_in_s, 0.01))
+                wait_s = min(wait_s, max(inline.due_in_s, 0.01))
             if self.options.threaded:
-                left = min(left, 1.0)
+                wait_s = min(wait_s, 1.0)
                 self._show()
-            if self.camera is not None and left <= 60.0:
+            if self.camera is not None and wait_s <= 60.0:
                 self.camera.get()  # reopen a lost camera before its slot, if possible
-            self.clock.sleep(left)
+            self.clock.sleep(wait_s)
         return False
 
     def _between(self, frame: Frame | None) -> None:
@@ -359,8 +359,8 @@ class _Runner:
 
     def live(self) -> Live:
         outcomes = [state.outcome for state in self.states.values()]
-        done, missed, aborted = (outcomes.count(o) for o in ("done", "missed", "aborted"))
-        left = len(self.slots) - done - missed - aborted
+        done_count, missed, aborted = (outcomes.count(o) for o in ("done", "missed", "aborted"))
+        to_do = len(self.slots) - done_count - missed - aborted
         now = self.clock.now()
         upcoming = next((s for s in self.slots if s.id == self._next), None)
         sample = self.logger.last if self.logger else None
@@ -371,10 +371,10 @@ class _Runner:
             self._state,
             now,
             len(self.slots),
-            done,
+            done_count,
             missed,
             aborted,
-            left,
+            to_do,
             self._next,
             (upcoming.t_utc - now).total_seconds() if upcoming else None,
             self.last_frame,

@@ -41,9 +41,9 @@ def as_taken(path: Path, asked: Exposure) -> Exposure:
         info = read_exif(path, lens_f_number=asked.f_number)
     except InputError:
         return asked
-    found = info.exposure
-    known = found.shutter_s > 0 and found.f_number > 0 and found.iso > 0
-    return replace(found, nd=asked.nd) if known and wrong_settings(info, asked) else asked
+    taken = info.exposure
+    is_complete = taken.shutter_s > 0 and taken.f_number > 0 and taken.iso > 0
+    return replace(taken, nd=asked.nd) if is_complete and wrong_settings(info, asked) else asked
 
 
 def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
@@ -51,11 +51,11 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
 
     A setting that EXIF does not state is not compared.
     """
-    found = info.exposure
+    taken = info.exposure
     pairs = (
-        ("shutter", found.shutter_s, asked.shutter_s, 1.0),
-        ("f-number", found.f_number, asked.f_number, 2.0),
-        ("ISO", found.iso, asked.iso, 1.0),
+        ("shutter", taken.shutter_s, asked.shutter_s, 1.0),
+        ("f-number", taken.f_number, asked.f_number, 2.0),
+        ("ISO", taken.iso, asked.iso, 1.0),
     )
     differences = [
         f"{name} {is_:g} instead of {should:g}"

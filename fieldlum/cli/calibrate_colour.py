@@ -38,27 +38,27 @@ def command(source: Path, corners: str | None, refit: Refit) -> None:
         colours = colour.from_table(source, profile)
     else:
         colours = colour.from_chart(source, profile, _numbers(corners, 8) if corners else ())
-    found = colour.fit(colours, profile)
-    refit.draw(lambda: pictures.of_colour(colours, found))
-    if source.suffix.lower() == ".csv" and abs(found.scale - 1) > 0.03:
+    fitted = colour.fit(colours, profile)
+    refit.draw(lambda: pictures.of_colour(colours, fitted))
+    if source.suffix.lower() == ".csv" and abs(fitted.scale - 1) > 0.03:
         terminal.say(
-            f"note: the readings would multiply k by {found.scale:.3f}: run "
+            f"note: the readings would multiply k by {fitted.scale:.3f}: run "
             "fieldlum calibrate scale next"
         )
     figures = {
-        "y_from_rgb": list(found.y_from_rgb),
-        "u_rel": found.u_rel,
+        "y_from_rgb": list(fitted.y_from_rgb),
+        "u_rel": fitted.u_rel,
         "readings": len(colours.y),
     }
-    new = replace(profile.colour, y_from_rgb=found.y_from_rgb, u_rel=round(found.u_rel, 5))
-    refit.write(profile, [source, *colours.frames], [found.choice.line], figures, colour=new)
+    new = replace(profile.colour, y_from_rgb=fitted.y_from_rgb, u_rel=round(fitted.u_rel, 5))
+    refit.write(profile, [source, *colours.frames], [fitted.choice.line], figures, colour=new)
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:
     try:
-        found = tuple(float(part) for part in text.split(","))
+        numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
-        found = ()
-    if len(found) != count:
+        numbers = ()
+    if len(numbers) != count:
         raise click.UsageError(f"--corners needs {count} numbers, separated by commas")
-    return found
+    return numbers

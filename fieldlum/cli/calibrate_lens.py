@@ -134,11 +134,16 @@ def _edge(
             f"lens: shifted by {right:+.2f}, {down:+.2f} px",
             {"shift_px": [right, down]},
         )
-    found = lens_circle.circle(grey)
-    refit.draw(lambda: pictures.of_circle(grey, found))
-    line = f"lens: circle of radius {found.radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
-    figures = {"centre_px": list(found.centre_px), "radius_px": found.radius_px, "u_px": found.u_px}
-    return lens_circle.circle_lens(start, found, start.full_angle_deg), line, figures
+    image_circle = lens_circle.circle(grey)
+    refit.draw(lambda: pictures.of_circle(grey, image_circle))
+    radius_px, u_px = image_circle.radius_px, image_circle.u_px
+    line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {u_px:.2f} px"
+    figures = {
+        "centre_px": list(image_circle.centre_px),
+        "radius_px": image_circle.radius_px,
+        "u_px": image_circle.u_px,
+    }
+    return lens_circle.circle_lens(start, image_circle, start.full_angle_deg), line, figures
 
 
 def _mapping(
@@ -150,31 +155,31 @@ def _mapping(
 ) -> tuple[Lens, str, JsonTable]:
     from fieldlum.calibrate import boards, lens, pictures
 
-    seen = _boards(sources, chessboard, profile) if chessboard else None
-    targets = seen.targets if seen else lens.from_table(sources[0])
-    found = boards.fit(seen, start) if seen else lens.fit(targets, start)
-    refit.draw(lambda: pictures.of_lens(targets, found))
-    if found.widest_deg < 0.9 * start.full_angle_deg / 2:
+    board_corners = _boards(sources, chessboard, profile) if chessboard else None
+    targets = board_corners.targets if board_corners else lens.from_table(sources[0])
+    fitted = boards.fit(board_corners, start) if board_corners else lens.fit(targets, start)
+    refit.draw(lambda: pictures.of_lens(targets, fitted))
+    if fitted.widest_deg < 0.9 * start.full_angle_deg / 2:
         terminal.say(
-            f"note: no target beyond {found.widest_deg:.0f} deg from the axis: the mapping from "
+            f"note: no target beyond {fitted.widest_deg:.0f} deg from the axis: the mapping from "
             f"there to {start.full_angle_deg / 2:g} deg is extrapolated"
         )
-    for doubt in found.doubts:
+    for doubt in fitted.doubts:
         terminal.say(f"note: {doubt}")
-    line = "; CAUTION: ".join([found.choice.line, *found.doubts])
+    line = "; CAUTION: ".join([fitted.choice.line, *fitted.doubts])
     figures = {
-        "mapping": found.lens.mapping,
-        "centre_px": list(found.lens.centre_px),
-        "radius_px": found.lens.radius_px,
-        "coefficients": list(found.lens.coefficients),
-        "azimuth_deg": found.lens.azimuth_deg,
-        "tilt_deg": found.lens.tilt_deg,
-        "roll_deg": found.lens.roll_deg,
-        "rms_px": found.rms_px,
-        "rms_deg": found.rms_deg,
-        "widest_deg": found.widest_deg,
+        "mapping": fitted.lens.mapping,
+        "centre_px": list(fitted.lens.centre_px),
+        "radius_px": fitted.lens.radius_px,
+        "coefficients": list(fitted.lens.coefficients),
+        "azimuth_deg": fitted.lens.azimuth_deg,
+        "tilt_deg": fitted.lens.tilt_deg,
+        "roll_deg": fitted.lens.roll_deg,
+        "rms_px": fitted.rms_px,
+        "rms_deg": fitted.rms_deg,
+        "widest_deg": fitted.widest_deg,
     }
-    return found.lens, line, figures
+    return fitted.lens, line, figures
 
 
 def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) -> Boards:
@@ -187,10 +192,10 @@ def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) 
             "--chessboard needs the numbers of inner corners, across x down, like 9x6"
         ) from None
     say_time(sources, profile, boards=True)
-    found = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
-    seen = {path: corners for path, corners in found.items() if corners is not None}
+    corners_by_path = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
+    with_board = {path: corners for path, corners in corners_by_path.items() if corners is not None}
     for path in sources:
-        if path not in seen:
+        if path not in with_board:
             terminal.say(f"note: no {columns} x {rows} board found in {path}")
     size = (profile.camera.width_px, profile.camera.height_px)
-    return boards.from_boards(list(seen.values()), columns, rows, size, tuple(seen))
+    return boards.from_boards(list(with_board.values()), columns, rows, size, tuple(with_board))

@@ -35,18 +35,18 @@ def command(frames: tuple[Path, ...], refit: Refit) -> None:
     files = [file for path in frames for file in (folders[path] if path.is_dir() else [path])]
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
     levels = linearity.read_levels(files, plain)
-    found = linearity.fit(levels)
-    refit.draw(lambda: pictures.of_linearity(levels, found))
+    fitted = linearity.fit(levels)
+    refit.draw(lambda: pictures.of_linearity(levels, fitted))
     sensor = replace(
         profile.sensor,
-        linearity=found.coefficients,
-        linearity_u_rel=found.u_rel,
-        exposure_offset_s=found.offset_s,
+        linearity=fitted.coefficients,
+        linearity_u_rel=fitted.u_rel,
+        exposure_offset_s=fitted.offset_s,
     )
     figures = {
-        "linearity": list(found.coefficients),
-        "u_rel": found.u_rel,
-        "exposure_offset_s": found.offset_s,
-        "u_exposure_offset_s": found.u_offset_s,
+        "linearity": list(fitted.coefficients),
+        "u_rel": fitted.u_rel,
+        "exposure_offset_s": fitted.offset_s,
+        "u_exposure_offset_s": fitted.u_offset_s,
     }
-    refit.write(profile, levels.frames, [found.choice.line], figures, sensor=sensor)
+    refit.write(profile, levels.frames, [fitted.choice.line], figures, sensor=sensor)

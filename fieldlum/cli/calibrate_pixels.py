@@ -36,16 +36,18 @@ def command(
 
     profile = refit.profile()
     say_time(sources, profile)
-    found = pixels.find(sources, profile, dark=dark)
-    refit.draw(lambda: pictures.of_pixels(found, profile.camera.width_px, profile.camera.height_px))
-    known = tuple(sorted({*profile.sensor.bad_px, *found.bad_px}))
+    defects = pixels.find(sources, profile, dark=dark)
+    refit.draw(
+        lambda: pictures.of_pixels(defects, profile.camera.width_px, profile.camera.height_px)
+    )
+    bad_px = tuple(sorted({*profile.sensor.bad_px, *defects.bad_px}))
     figures: dict[str, Any] = {
-        "found": len(found.bad_px),
-        "new": len(known) - len(profile.sensor.bad_px),
-        "views": found.views,
-        "by_chance": found.by_chance,
+        "found": len(defects.bad_px),
+        "new": len(bad_px) - len(profile.sensor.bad_px),
+        "views": defects.views,
+        "by_chance": defects.by_chance,
     }
     if refit.as_json:
-        figures["bad_px"] = [list(place) for place in found.bad_px]
-    sensor = replace(profile.sensor, bad_px=known)
-    refit.write(profile, found.frames, [found.line], figures, sensor=sensor)
+        figures["bad_px"] = [list(place) for place in defects.bad_px]
+    sensor = replace(profile.sensor, bad_px=bad_px)
+    refit.write(profile, defects.frames, [defects.line], figures, sensor=sensor)

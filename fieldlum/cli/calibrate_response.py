@@ -29,22 +29,22 @@ def command(brackets: tuple[Path, ...], refit: Refit) -> None:
     profile = refit.profile()
     say_time(brackets, profile)
     places = response.sample(response.brackets_in(brackets), profile, np.random.default_rng(1))
-    found = response.fit(places)
-    refit.draw(lambda: pictures.of_response(places, found))
+    fitted = response.fit(places)
+    refit.draw(lambda: pictures.of_response(places, fitted))
     figures = {
-        "kind": found.response.kind,
-        "u_rel": found.response.u_rel,
-        "residual_rgb": list(found.residual),
+        "kind": fitted.response.kind,
+        "u_rel": fitted.response.u_rel,
+        "residual_rgb": list(fitted.residual),
         "shutter_law": places.law.law,
         "shutter_law_by": places.law.decided_by,
         "shutter_law_misfit_percent": places.law.misfit_percent,
     }
-    known = places.law.decided_by == "frames" or profile.shutter_law != "auto"
+    law_is_known = places.law.decided_by == "frames" or profile.shutter_law != "auto"
     refit.write(
         profile,
         places.frames,
-        [found.choice.line],
+        [fitted.choice.line],
         figures,
-        response=found.response,
-        shutter_law=places.law.law if known else profile.shutter_law,
+        response=fitted.response,
+        shutter_law=places.law.law if law_is_known else profile.shutter_law,
     )

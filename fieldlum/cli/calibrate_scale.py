@@ -40,19 +40,19 @@ def command(readings_csv: Path, meter_u: float, refit: Refit) -> None:
 
     profile = refit.profile()
     readings, frames, notes = scale.from_table(readings_csv, profile)
-    found = scale.fit(readings, meter_u, readings_csv)
-    doubt = scale.check_level(found, profile, readings_csv)
-    for note in [*notes, *scale.slips(readings, found), *([doubt] if doubt else [])]:
+    fitted = scale.fit(readings, meter_u, readings_csv)
+    doubt = scale.check_level(fitted, profile, readings_csv)
+    for note in [*notes, *scale.slips(readings, fitted), *([doubt] if doubt else [])]:
         terminal.say(f"note: {note}")
-    refit.draw(lambda: pictures.of_scale(readings, found))
+    refit.draw(lambda: pictures.of_scale(readings, fitted))
     points = [
         {
             "reading": r.label,
             "meter": r.meter,
-            "picture": r.image * found.factor,
+            "picture": r.image * fitted.factor,
             "off_percent": round(100 * float(off), 2),
         }
-        for r, off in zip(readings, found.residual, strict=True)
+        for r, off in zip(readings, fitted.residual, strict=True)
     ]
     for point in [] if refit.as_json else points:
         click.echo(
@@ -60,21 +60,21 @@ def command(readings_csv: Path, meter_u: float, refit: Refit) -> None:
             f"{point['picture']:9.4g}  {point['off_percent']:+6.2f} %"
         )
     gates = [
-        illuminance_verdict(r.image * found.factor, r.meter)
+        illuminance_verdict(r.image * fitted.factor, r.meter)
         for r in readings
         if r.kind == "illuminance"
     ]
-    k, u = round(profile.scale.k * found.factor, 5), round(found.u_rel, 4)
+    k, u = round(profile.scale.k * fitted.factor, 5), round(fitted.u_rel, 4)
     figures: dict[str, Any] = {
         "k": k,
         "u_rel": u,
-        "factor": found.factor,
-        "far": list(found.far),
+        "factor": fitted.factor,
+        "far": list(fitted.far),
         "illuminance": gates,
     }
     if refit.as_json:
         figures["points"] = points
-    line = f"{found.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
+    line = f"{fitted.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {doubt}" if doubt else ""
     new = replace(profile.scale, k=k, u_rel=u)

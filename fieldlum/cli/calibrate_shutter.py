@@ -34,19 +34,19 @@ def command(sessions: tuple[Path, ...], refit: Refit) -> None:
     read = [shutter.from_session(open_session(path), digest) for path in sessions]
     files = [file for _, sidecars in read for file in sidecars]
     profile = shutter.with_law_of(profile, files)
-    found = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
-    refit.draw(lambda: pictures.of_shutter(found))
-    for why in found.left_out:
+    fitted = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
+    refit.draw(lambda: pictures.of_shutter(fitted))
+    for why in fitted.left_out:
         terminal.say(f"note: not used: {why}")
     rows = [
         {
             "nominal_s": t.nominal_s,
             "true_s": t.true_s,
             "u_rel": t.u_rel,
-            "assumed_s": known,
+            "assumed_s": assumed_s,
             "brackets": n,
         }
-        for t, known, n in zip(found.times, found.assumed_s, found.brackets, strict=True)
+        for t, assumed_s, n in zip(fitted.times, fitted.assumed_s, fitted.brackets, strict=True)
     ]
     for row in [] if refit.as_json else rows:
         off, u = 100 * (row["true_s"] / row["assumed_s"] - 1), 100 * row["u_rel"]
@@ -55,5 +55,5 @@ def command(sessions: tuple[Path, ...], refit: Refit) -> None:
             f"profile, u {u:.2f} %, {row['brackets']} brackets"
         )
     figures: dict[str, Any] = {"times": rows} if refit.as_json else {"times": len(rows)}
-    times = shutter.with_times(profile, found)
-    refit.write(profile, files, [found.line], figures, shutter=times)
+    times = shutter.with_times(profile, fitted)
+    refit.write(profile, files, [fitted.line], figures, shutter=times)

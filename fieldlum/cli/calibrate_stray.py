@@ -30,20 +30,20 @@ def command(readings_csv: Path, refit: Refit) -> None:
 
     profile = refit.profile()
     readings = stray.from_table(readings_csv, profile)
-    found = stray.fit(readings, readings_csv)
-    refit.draw(lambda: pictures.of_stray(readings, found))
+    fitted = stray.fit(readings, readings_csv)
+    refit.draw(lambda: pictures.of_stray(readings, fitted))
     files = list(dict.fromkeys(r.picture for r in readings))
     figures = {
-        "angle_deg": list(found.kernel.angle_deg),
-        "per_sr": list(found.kernel.per_sr),
-        "u_rel": found.kernel.u_rel,
-        "total_share": round(found.total_share, 5),
+        "angle_deg": list(fitted.kernel.angle_deg),
+        "per_sr": list(fitted.kernel.per_sr),
+        "u_rel": fitted.kernel.u_rel,
+        "total_share": round(fitted.total_share, 5),
     }
     refit.write(
         profile,
         [readings_csv, *files],
-        [found.choice.line],
+        [fitted.choice.line],
         figures,
-        stray=found.kernel,
+        stray=fitted.kernel,
         glare_floor_rel=0.0,  # the kernel's u_rel replaces it
     )

@@ -47,13 +47,13 @@ def command(
     else:
         say_time(sources, profile)
         samples = vignette.from_uniform(sources, profile, index)
-    found, lens = vignette.fit(samples), profile.lens[samples.lens]
-    refit.draw(lambda: pictures.of_vignette(samples, found, lens.full_angle_deg / 2))
-    new = vignette.with_curve(lens, samples.f_number, found)
+    fitted, lens = vignette.fit(samples), profile.lens[samples.lens]
+    refit.draw(lambda: pictures.of_vignette(samples, fitted, lens.full_angle_deg / 2))
+    new = vignette.with_curve(lens, samples.f_number, fitted)
     figures = {
         "f_number": samples.f_number,
-        "coefficients": list(found.coefficients),
-        "u_rel": found.u_rel,
+        "coefficients": list(fitted.coefficients),
+        "u_rel": fitted.u_rel,
     }
     lenses = with_lens(profile, samples.lens, new)
-    refit.write(profile, samples.frames, [found.choice.line], figures, lens=lenses)
+    refit.write(profile, samples.frames, [fitted.choice.line], figures, lens=lenses)

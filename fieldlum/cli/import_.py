@@ -21,13 +21,13 @@ _SHOWN = 20  # lines of each kind; fits a terminal; chosen
 def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
     if text is None:
         return None
-    found = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
-    if not found or int(found[2]) > 14 or int(found[3]) > 59:
+    match = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
+    if not match or int(match[2]) > 14 or int(match[3]) > 59:
         raise click.BadParameter(
             f"{text} is not a UTC offset: write, for example, -08:00 (or +05:30:12 with seconds)"
         )
-    seconds = int(found[2]) * 3600 + int(found[3]) * 60 + int(found[4] or 0)
-    return float(-seconds if found[1] == "-" else seconds)
+    seconds = int(match[2]) * 3600 + int(match[3]) * 60 + int(match[4] or 0)
+    return float(-seconds if match[1] == "-" else seconds)
 
 
 def _columns(

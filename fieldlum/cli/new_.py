@@ -161,16 +161,16 @@ def _window(number: int, width: float, depth: float, height: float) -> Window:
 
     name = _ask(f"Window {number}: wall (south, west, north, east)", wall, default="south")
     length = width if name in ("south", "north") else depth
-    left = _ask(
+    left_m = _ask(
         "  left edge from the wall's left end, seen from inside",
         _number(0.0, length - 2 * _MIN_WINDOW_M),
     )
-    wide = _ask("  width", _number(_MIN_WINDOW_M, round(length - left, 6)))
+    wide = _ask("  width", _number(_MIN_WINDOW_M, round(length - left_m, 6)))
     sill = _ask("  sill above the floor", _number(0.0, height - 2 * _MIN_WINDOW_M), default="0.9")
     high = _ask("  height", _number(_MIN_WINDOW_M, round(height - sill, 6)))
     glass = _ask("  transmittance of the glass", _number(0.01, 0.92), default="0.8")
     panes = int(_ask("  panes side by side", _number(1, 50), default="1"))
-    return Window(name, left, wide, sill, high, glass, panes)
+    return Window(name, left_m, wide, sill, high, glass, panes)
 
 
 # ----------------------------------------------------------------------------------------------

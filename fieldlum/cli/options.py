@@ -95,10 +95,10 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
 
     given: the values of the three options; None takes the URI of the session's last capture.
     """
-    known = session.table().get("devices", {}).get("uris", {})
+    uris = session.table().get("devices", {}).get("uris", {})
     names = [name.removeprefix("--") for name, _ in _DEVICES]
     pairs = zip(names, given, strict=True)
-    return tuple(known.get(name, "") if uri is None else uri for name, uri in pairs)
+    return tuple(uris.get(name, "") if uri is None else uri for name, uri in pairs)
 
 
 json_option = click.option(

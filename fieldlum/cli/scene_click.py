@@ -79,16 +79,16 @@ def command(
     from fieldlum.scene.clicked import room_from_clicks
     from fieldlum.scene.clicks import read_clicks
 
-    found = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
-    table = click_room.clicked_table(found)
-    path, taken = click_room.save_room(session, found, replace_room=replace_room)
+    clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
+    table = click_room.clicked_table(clicked)
+    path, taken = click_room.save_room(session, clicked, replace_room=replace_room)
     if as_json:
         terminal.emit_json({**table, "file": str(path), "taken": taken})
         return
     for row in table["rows"]:
         click.echo(f"{row['name']:22} {row['value']:9.3f} +- {row['u']:.3f}")
-    click.echo(f"the south wall faces {table['faces']}; misfit {found.misfit_px:.2f} px rms")
-    for note in found.notes:
+    click.echo(f"the south wall faces {table['faces']}; misfit {clicked.misfit_px:.2f} px rms")
+    for note in clicked.notes:
         terminal.say(f"note: {note}")
     earlier = "the session still has its earlier room: use --replace to replace it"
     terminal.say(f"written: {path}; {'the session has this room now' if taken else earlier}")

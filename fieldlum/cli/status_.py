@@ -38,11 +38,11 @@ def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -
     if mark is not None:
         state = mark_slot(session, *mark)
         terminal.say(f"{mark[0]}: {state or 'as usual'}")
-    found = status(session)
+    stage_status = status(session)
     if as_json:
-        terminal.emit_json(found)
+        terminal.emit_json(stage_status)
         return
-    for line in _lines(found):
+    for line in _lines(stage_status):
         click.echo(line)
 
 

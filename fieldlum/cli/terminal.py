@@ -118,17 +118,21 @@ def _progress_lines(label: str) -> Progress:
     before = -1.0
     repeats = False  # work of several parts, such as a model after another, whose count is unknown
 
-    def show(done: int, total: int, text: str) -> None:
+    def show(finished: int, total: int, text: str) -> None:
         nonlocal last, before, repeats
         now = time.monotonic()
-        share = done / total if total > 0 else 0.0
+        share = finished / total if total > 0 else 0.0
         repeats, before = repeats or share < before, share
         if now - last < LINE_EVERY_S or total <= 0:
             return
         last = now
-        left = (now - started) * (total - done) / done if done > 0 and not repeats else None
-        more = f" ({text})" if left is None else f", {duration_text(left)} left"
-        say(f"{label}: {done} of {total}{more}")
+        left_s = (
+            (now - started) * (total - finished) / finished
+            if finished > 0 and not repeats
+            else None
+        )
+        more = f" ({text})" if left_s is None else f", {duration_text(left_s)} left"
+        say(f"{label}: {finished} of {total}{more}")
 
     return show
 
@@ -163,7 +167,7 @@ def progress(label: str) -> Iterator[Progress]:
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, text="")
 
-        def show(done: int, total: int, text: str) -> None:
-            bar.update(task, completed=done, total=total or None, text=text)
+        def show(finished: int, total: int, text: str) -> None:
+            bar.update(task, completed=finished, total=total or None, text=text)
 
         yield show

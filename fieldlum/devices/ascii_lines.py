@@ -96,9 +96,9 @@ def load_ascii_profile(name: str) -> AsciiProfile:
     folder = shipped("calibration") / "instruments" / "ascii"
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+        names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
         raise DeviceError(
-            f"no profile of text lines named '{name}'; expected one of {known}, or the path "
+            f"no profile of text lines named '{name}'; expected one of {names}, or the path "
             "of a TOML file; correct profile= in the URI"
         )
     profile = build(AsciiProfile, read_toml(path), str(path))
@@ -221,16 +221,16 @@ def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
 
 def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     """Return the values by key; every word must be key=value, and each key must occur once."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
         key, equals, value = word.partition("=")
-        if not equals or not key or key in found:
+        if not equals or not key or key in texts:
             raise DeviceError(
                 f"line {text[:60]!r}: {word!r} is not key=value, or its key occurs twice; "
                 f"{_CORRECT}"
             )
-        found[key] = value
-    return _having(profile, found, text)
+        texts[key] = value
+    return _having(profile, texts, text)
 
 
 def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
@@ -241,26 +241,26 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
 
     try:
         # Read numbers as text, so that their decimals can be counted.
-        found = json.loads(
+        parsed = json.loads(
             text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
         )
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        parsed = None
+    if not isinstance(parsed, dict):
         raise DeviceError(f"line {text[:60]!r} is not a JSON object; {_CORRECT}")
-    return _having(profile, found, text)
+    return _having(profile, parsed, text)
 
 
-def _having(profile: AsciiProfile, found: Mapping[str, object], text: str) -> Mapping[str, object]:
+def _having(profile: AsciiProfile, record: Mapping[str, object], text: str) -> Mapping[str, object]:
     keys = [e.key for e in profile.entry]
-    if missing := [key for key in keys if key not in found]:
+    if missing := [key for key in keys if key not in record]:
         raise DeviceError(f"line {text[:60]!r} has no key {', '.join(missing)}; {_CORRECT}")
-    if profile.only and list(found) != keys:
+    if profile.only and list(record) != keys:
         raise DeviceError(
-            f"line {text[:60]!r} has keys {', '.join(found)}; expected exactly "
+            f"line {text[:60]!r} has keys {', '.join(record)}; expected exactly "
             f"{', '.join(keys)}, in this order; {_CORRECT}"
         )
-    return found
+    return record
 
 
 def _number(value: object, entry: AsciiField, text: str) -> float:

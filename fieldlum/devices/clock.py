@@ -116,14 +116,14 @@ class FastClock:
         A suspend adds its own duration.
         """
         with self._lock:
-            left = max(seconds, 0.0)
-            while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=left):
+            rest_s = max(seconds, 0.0)
+            while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=rest_s):
                 fault = self._faults.pop(0)
                 wait = max((fault.at_utc - self._true).total_seconds(), 0.0)
                 self._pass(wait)
-                left -= wait
+                rest_s -= wait
                 self.step(fault.seconds) if fault.kind == "step" else self.suspend(fault.seconds)
-            self._pass(left)
+            self._pass(rest_s)
 
     def step(self, seconds: float) -> None:
         """Set the wall clock forward by `seconds` (or back, if negative)."""

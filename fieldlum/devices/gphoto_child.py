@@ -84,13 +84,13 @@ def serve(pipe: Connection) -> None:
 def _open(gp: Any, model: str) -> Any:
     camera = gp.Camera()
     if model:
-        found = [entry for entry in gp.Camera.autodetect() if model.lower() in entry[0].lower()]
-        if not found:
+        cameras = [entry for entry in gp.Camera.autodetect() if model.lower() in entry[0].lower()]
+        if not cameras:
             raise ValueError(
                 f"no camera named {model}; connected: "
                 f"{[e[0] for e in gp.Camera.autodetect()] or 'none'}"
             )
-        name, port = found[0]
+        name, port = cameras[0]
         abilities, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
         abilities.load()
         ports.load()
@@ -135,11 +135,11 @@ def _describe(gp: Any, camera: Any) -> GphotoDescription:
 
 def _patiently(gp: Any, work: Any) -> Any:
     """Call `work`; call it again while the camera reports that it is busy."""
-    for left in reversed(range(_TRIES)):
+    for tries_left in reversed(range(_TRIES)):
         try:
             return work()
         except gp.GPhoto2Error as error:
-            if error.code != _BUSY or not left:
+            if error.code != _BUSY or not tries_left:
                 raise
             time.sleep(0.5)
     return None

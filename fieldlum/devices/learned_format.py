@@ -75,23 +75,23 @@ class LineForm:
         reasons = (self._number(i, match) for i, match in enumerate(numbers))
         reason = next((text for text in reasons if text), "")
         for i, match in enumerate(numbers):
-            known = self.numbers.setdefault(i, _Number())
-            known.decimals.append(len(match["decimals"] or ""))
-            known.widths.append(len(match[0]))
-            known.blanks.append(len(match["blanks"]))
-            known.zero_padded.append(_PADDED.match(match["number"]) is not None)
+            number = self.numbers.setdefault(i, _Number())
+            number.decimals.append(len(match["decimals"] or ""))
+            number.widths.append(len(match[0]))
+            number.blanks.append(len(match["blanks"]))
+            number.zero_padded.append(_PADDED.match(match["number"]) is not None)
         return reason
 
     def _number(self, i: int, match: re.Match[str]) -> str:
-        known, decimals, width = self.numbers.get(i), len(match["decimals"] or ""), len(match[0])
-        if known is None:
+        number, decimals, width = self.numbers.get(i), len(match["decimals"] or ""), len(match[0])
+        if number is None:
             return ""
-        usual = constant(known.decimals)
+        usual = constant(number.decimals)
         if usual not in (None, decimals):
             return (
                 f"number {match['number']} has {decimals} decimals; in earlier lines it has {usual}"
             )
-        usual = constant(known.widths) if known.padded else None
+        usual = constant(number.widths) if number.padded else None
         if usual not in (None, width):
             return (
                 f"number {match[0]!r} fills {width} characters; in earlier lines it fills {usual}"

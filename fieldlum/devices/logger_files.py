@@ -59,23 +59,23 @@ def read_logger_file(
         if table.missing_records:
             left_out += (f"{table.missing_records} record numbers are missing",)
         about = f"TOA5 of {table.station}, {table.model} {table.serial}".strip()
-        found = LoggerFile(table.samples, left_out, about)
+        logger_file = LoggerFile(table.samples, left_out, about)
     elif text.startswith(",".join(DAY_COLUMNS)):
         samples, broken = read_day(path)
-        found = LoggerFile(
+        logger_file = LoggerFile(
             tuple(samples), (f"{broken} broken rows",) if broken else (), "a day file of fieldlum"
         )
     else:
-        found = _read_csv(path, text, utc_offset, columns)
-    if not found.samples:
-        why = found.left_out[0] if found.left_out else "it has no rows"
+        logger_file = _read_csv(path, text, utc_offset, columns)
+    if not logger_file.samples:
+        why = logger_file.left_out[0] if logger_file.left_out else "it has no rows"
         raise InputError(
             path,
             f"no row could be read: {why}",
             "rows of irradiance",
             "open the file and compare a row with docs/capture.md",
         )
-    return replace(found, samples=tuple(sorted(found.samples, key=lambda s: s.t_utc)))
+    return replace(logger_file, samples=tuple(sorted(logger_file.samples, key=lambda s: s.t_utc)))
 
 
 def _no_zone(path: Path) -> InputError:

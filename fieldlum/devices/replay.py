@@ -51,12 +51,12 @@ def _order(t_camera: datetime | None) -> datetime:
     )
 
 
-def fits(found: Exposure, asked: Exposure) -> bool:
+def fits(recorded: Exposure, asked: Exposure) -> bool:
     """Return whether two exposures agree: shutter, aperture and ISO within 1/6 EV each, and filter.
 
-    The filter is compared only if `found` states one.
+    The filter is compared only if `recorded` states one.
     """
-    return same_exposure(found, asked) and found.nd in ("", asked.nd)
+    return same_exposure(recorded, asked) and recorded.nd in ("", asked.nd)
 
 
 class ReplayCamera:

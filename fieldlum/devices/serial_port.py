@@ -36,8 +36,8 @@ def _cannot_open(port: str, error: DeviceError) -> str:
     if "[Errno 2]" in reason or "FileNotFoundError" in reason:
         from serial.tools.list_ports import comports
 
-        known = ", ".join(sorted(port.device for port in comports()))
-        return f"{port}: no such port; ports: {known or 'none, check cable and power'}"
+        ports = ", ".join(sorted(port.device for port in comports()))
+        return f"{port}: no such port; ports: {ports or 'none, check cable and power'}"
     if "[Errno 13]" in reason:
         return (
             f"{port}: no permission to open it; join the port's group (often dialout) and log in "
@@ -62,17 +62,17 @@ def resolve(place: str) -> str:
     from serial.tools.list_ports import comports
 
     wanted = place.removeprefix("usb=").lower().split(":")
-    found = []
+    ports = []
     for port in comports():
         if port.vid is None:
             continue
         name = [f"{port.vid:04x}", f"{port.pid:04x}", (port.serial_number or "").lower()]
         if name[: len(wanted)] == wanted:
             return port.device
-        found.append(":".join(part for part in name if part))
+        ports.append(":".join(part for part in name if part))
     raise DeviceError(
         f"{place}: not plugged in; plug it in, or name one of these USB ports: "
-        f"{', '.join(found) or 'none'}"
+        f"{', '.join(ports) or 'none'}"
     )
 
 

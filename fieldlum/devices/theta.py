@@ -73,7 +73,7 @@ class ThetaCamera:
             str(about.get("firmwareVersion", "")),
             battery=f"{100 * level:.0f} %" if isinstance(level, int | float) else "",
             clock_offset_s=self._clock_offset(options.get("dateTimeZone")),
-            frames_left=left if isinstance(left := options.get("remainingPictures"), int) else None,
+            frames_left=rest if isinstance(rest := options.get("remainingPictures"), int) else None,
         )
 
     def _clock_offset(self, text: Any) -> float | None:
@@ -211,8 +211,8 @@ class ThetaCamera:
 
     def _options(self, *names: str) -> Reply:
         results = self._command("camera.getOptions", {"optionNames": list(names)}, self._timeout_s)
-        found = results.get("options")
-        return found if isinstance(found, dict) else {}
+        answer = results.get("options")
+        return answer if isinstance(answer, dict) else {}
 
     def _command(self, name: str, parameters: Mapping[str, object], patience_s: float) -> Reply:
         """Execute a command, wait until it is complete, and return its results.

@@ -152,7 +152,7 @@ def _differing_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[i
         sizes: dict[int, list[int]] = {}
         for integer, _, decimals in parts.values():
             sizes.setdefault(len(integer), []).append(len(decimals))
-        usual = {size: constant(found) for size, found in sizes.items() if len(found) >= ENOUGH}
+        usual = {size: constant(counts) for size, counts in sizes.items() if len(counts) >= ENOUGH}
         everywhere = (
             next(iter(usual.values())) if len(usual) > 1 and len(set(usual.values())) == 1 else None
         )
@@ -198,7 +198,7 @@ def _columns(
 
     Raises InputError for missing or ambiguous columns.
     """
-    found: dict[str, int] = {}
+    columns: dict[str, int] = {}
     asked = asked or {}
     for quantity, usual in _USUAL.items():
         if quantity in asked:
@@ -218,15 +218,15 @@ def _columns(
                 f"choose it: --column {quantity}=NAME",
             )
         if matches:
-            found[quantity] = matches[0]
-    if lost := [name for q, name in asked.items() if q not in found]:
+            columns[quantity] = matches[0]
+    if lost := [name for q, name in asked.items() if q not in columns]:
         raise InputError(
             source,
             f"no column {', '.join(lost)}",
             f"one of {', '.join(names)}",
             "correct the name after --column",
         )
-    for quantity, i in found.items():
+    for quantity, i in columns.items():
         if quantity.endswith("_wm2") and units[i].upper().replace(" ", "") not in _UNITS:
             raise InputError(
                 source,
@@ -234,14 +234,14 @@ def _columns(
                 "W/m^2",
                 f"choose another column: --column {quantity}=NAME",
             )
-    if not any(q.endswith("_wm2") for q in found):
+    if not any(q.endswith("_wm2") for q in columns):
         raise InputError(
             source,
             f"no known column of irradiance among {', '.join(names)[:120]}",
             "a column of irradiance",
             "choose it: --column ghi_wm2=NAME",
         )
-    return found
+    return columns
 
 
 def _sample(

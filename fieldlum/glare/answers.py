@@ -180,9 +180,9 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
     InputError, which names `path`, if a seen pixel is not finite.
     """
     pixels = np.array(panorama.luminance_cdm2, np.float32)
-    seen = seen_pixels(panorama)
-    if seen is not None:
-        pixels[~seen] = 0.0
+    seen_mask = seen_pixels(panorama)
+    if seen_mask is not None:
+        pixels[~seen_mask] = 0.0
     bad = int((~np.isfinite(pixels)).sum())
     if bad:
         raise InputError(

@@ -122,9 +122,9 @@ class ViewRegions:
         width: int,
         heading_deg: float,
         azimuths_deg: Floats,
-        seen: Mask | None = None,
+        seen_mask: Mask | None = None,
     ) -> None:
-        """Compute the weights. seen: mask [H, W] of the pixels that a lens saw; None for all."""
+        """Compute the weights. seen_mask: pixels that a lens saw [H, W]; None for all."""
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
         omega = equirect_solid_angles(height, width).ravel()
         task, band, half = [], [], []
@@ -137,7 +137,7 @@ class ViewRegions:
         self.task = np.array(task, np.float32).T  # (H W, d)
         self.band = np.array(band, np.float32).T  # (H W, d)
         self.half = np.array(half, np.float32).T  # (H W, d)
-        self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
+        self._known = [_region_seen(part, seen_mask) for part in (self.task, self.band, self.half)]
 
     def ratios(self, luminance_cdm2: Floats) -> dict[str, Floats]:
         """Return three figures by name, [n, d] each, of n maps in d view directions.
@@ -167,8 +167,8 @@ class ViewRegions:
         }
 
 
-def _region_seen(weights: Floats32, seen: Mask | None) -> Mask:
+def _region_seen(weights: Floats32, seen_mask: Mask | None) -> Mask:
     """Return whether lenses saw the regions with these weights [H * W, d], [d]."""
-    if seen is None or seen.all():
+    if seen_mask is None or seen_mask.all():
         return np.ones(weights.shape[1], bool)
-    return seen.ravel() @ weights >= FULLY_SEEN_SHARE * weights.sum(axis=0)
+    return seen_mask.ravel() @ weights >= FULLY_SEEN_SHARE * weights.sum(axis=0)

@@ -103,11 +103,11 @@ def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: Ar
     frames = np.stack([view_frame(azimuth) for azimuth in azimuths])
     for i, frame in enumerate(frames):
         right, up, cosine = angles_from_view(rays, frame)
-        seen = omega * (cosine > 0)
-        illuminance[:, i] = seen * cosine
-        moments[:, 0, i] = seen
-        moments[:, 1, i] = seen * right
-        moments[:, 2, i] = seen * up
+        facing_sr = omega * (cosine > 0)
+        illuminance[:, i] = facing_sr * cosine
+        moments[:, 0, i] = facing_sr
+        moments[:, 1, i] = facing_sr * right
+        moments[:, 2, i] = facing_sr * up
     illuminance *= _cosine_closure(height, width)
     return Views(azimuths, frames, illuminance, moments, (height, width))
 

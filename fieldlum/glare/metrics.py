@@ -199,10 +199,10 @@ def _source_sums(flat: Floats, image: Floats, views: Views, ev: Floats) -> Float
         bright = flat[pixels]
         omega = weights[:, 0].sum(axis=0, dtype=float)
         power, right, up = np.tensordot(bright, weights, axes=1).astype(float)
-        seen = np.maximum(power, 1e-30)
+        least_power = np.maximum(power, 1e-30)
         means.append(power / np.maximum(omega, 1e-30))
         omegas.append(omega)
-        places.append((right / seen, up / seen))
+        places.append((right / least_power, up / least_power))
         illuminances.append(bright @ views.illuminance[pixels])
     right, up = np.moveaxis(np.array(places), 1, 0)  # [s, d] each
     return sums_of_sources(

@@ -72,14 +72,14 @@ def glare_of_pixels(
             np.array([ev]),
         )
     right, up, cosine, sun_lx = _sun_in_view(grid.view, sun)
-    one = np.ones((1, 1))
+    unit = np.ones((1, 1))
     figures = combine(
-        ev * one,
-        sun_lx * max(cosine, 0.0) * one,
+        ev * unit,
+        sun_lx * max(cosine, 0.0) * unit,
         sums[None],
-        sun_lx / SUN_SOLID_ANGLE_SR * (cosine > 0) * one,
-        right * one,
-        up * one,
+        sun_lx / SUN_SOLID_ANGLE_SR * (cosine > 0) * unit,
+        right * unit,
+        up * unit,
     )
     return {name: float(value[0, 0]) for name, value in figures.items()}, sources
 

@@ -159,12 +159,12 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     options = _options(text, source)
     kind = options.get("vt", "")
     if kind not in VIEW_TYPES:
-        known = "-vta, -vth, -vts or -vtv"
+        forms = "-vta, -vth, -vts or -vtv"
         if kind:
             raise InputError(
-                source, f"the view type -vt{kind}", known, "render the picture with -vta"
+                source, f"the view type -vt{kind}", forms, "render the picture with -vta"
             )
-        raise InputError(source, "a VIEW without a view type", known, HOW)
+        raise InputError(source, "a VIEW without a view type", forms, HOW)
     forward = direction(0.0, heading_deg)
     if "vd" in options:
         forward = _vector(options["vd"], "-vd", source)

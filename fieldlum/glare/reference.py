@@ -74,13 +74,13 @@ def reference_glare_of_file(path: Path) -> ReferenceGlare:
 
     Raises FieldlumError if evalglare prints no figures.
     """
-    done = subprocess.run(
+    process = subprocess.run(
         [radiance_program("evalglare"), *FLAGS, str(path)],
         capture_output=True,
         text=True,
         check=False,
     )
-    return _parse(done.stdout, f"{done.stderr.strip()} (exit {done.returncode})")
+    return _parse(process.stdout, f"{process.stderr.strip()} (exit {process.returncode})")
 
 
 def _parse(text: str, trouble: str) -> ReferenceGlare:

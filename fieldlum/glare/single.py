@@ -98,11 +98,11 @@ def _panorama_answer(
     azimuths = np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
     maps, warnings = valid_pixels(panorama, path)
     maps *= np.float32(factor)
-    seen = seen_pixels(panorama)
-    if seen is not None:
-        warnings.insert(0, _unseen_text(seen))
+    seen_mask = seen_pixels(panorama)
+    if seen_mask is not None:
+        warnings.insert(0, _unseen_text(seen_mask))
     maps, sun = take_out_sun(maps, panorama.heading_deg, scaled_sun(panorama.sun, factor))
-    views = _view_rows(maps, panorama.heading_deg, azimuths, sun, seen)
+    views = _view_rows(maps, panorama.heading_deg, azimuths, sun, seen_mask)
     for row in views:
         if reference and row["seen"] == SEEN:
             azimuth = row["azimuth_deg"]
@@ -118,18 +118,18 @@ def _view_rows(
     heading_deg: float,
     azimuths: np.ndarray,
     sun: SunSource | None,
-    seen: np.ndarray | None,
+    seen_mask: np.ndarray | None,
 ) -> list[ViewAnswer]:
     """Return the figures of each direction; seen [H, W], None if all pixels were seen."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     height, width = maps.shape
     grid = panorama_views(height, width, heading_deg, azimuths)
-    coverage = view_coverage(seen, grid)
+    coverage = view_coverage(seen_mask, grid)
     parts = glare_directions(maps[None], heading_deg, azimuths, rays, disc, views=grid)
     figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
-    figures |= ViewRegions(height, width, heading_deg, azimuths, seen).ratios(maps[None])
-    most = np.zeros(1) if seen is None else brightest_cdm2(maps[None], seen)
+    figures |= ViewRegions(height, width, heading_deg, azimuths, seen_mask).ratios(maps[None])
+    most = np.zeros(1) if seen_mask is None else brightest_cdm2(maps[None], seen_mask)
     low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)
     views = []
     for i, azimuth in enumerate(azimuths):
@@ -147,9 +147,9 @@ def _view_rows(
     return views
 
 
-def _unseen_text(seen: np.ndarray) -> str:
+def _unseen_text(seen_mask: np.ndarray) -> str:
     return (
-        f"no lens saw {100 * (~seen).mean():.0f} % of the panorama: view directions that are "
+        f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that are "
         "mostly unseen have no result; partly seen ones have two values of DGP, the lowest and the "
         "highest for an unseen part between black and the brightest 1 % of the seen part"
     )

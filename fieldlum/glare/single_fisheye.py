@@ -97,10 +97,10 @@ def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:
     """Return the weights of the pixels; 0 for pixels that no lens saw."""
     assert picture.view is not None
     grid = picture_grid(picture.view, height, width)
-    seen = seen_pixels(picture.panorama)
-    if seen is not None:
-        grid.solid_angle[~seen] = 0.0
-        grid.illuminance[~seen] = 0.0
+    seen_mask = seen_pixels(picture.panorama)
+    if seen_mask is not None:
+        grid.solid_angle[~seen_mask] = 0.0
+        grid.illuminance[~seen_mask] = 0.0
     return grid
 
 

@@ -35,9 +35,9 @@ def disturbed_share(dgp: Floats) -> Floats:
     that no lens saw; these do not count. The result is NaN for an hour in which no direction
     counts.
     """
-    known = np.isfinite(dgp)
-    over = (np.where(known, dgp, 0.0) > DISTURBING_DGP).sum(axis=1)
-    count = known.sum(axis=1)
+    has_dgp = np.isfinite(dgp)
+    over = (np.where(has_dgp, dgp, 0.0) > DISTURBING_DGP).sum(axis=1)
+    count = has_dgp.sum(axis=1)
     return np.divide(over, count, out=np.full(len(over), np.nan), where=count > 0)
 
 

@@ -64,15 +64,15 @@ class ViewCoverage:
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 
-def view_coverage(seen: Mask | None, views: Views) -> ViewCoverage:
+def view_coverage(seen_mask: Mask | None, views: Views) -> ViewCoverage:
     """Return how much of each view direction of `views` lenses saw.
 
     seen : mask [H, W] of the panorama, True for pixels that a lens saw; None if all were seen.
     """
     count = len(views.azimuths_deg)
-    if seen is None or seen.all():
+    if seen_mask is None or seen_mask.all():
         return ViewCoverage(np.ones(count), np.zeros(count), np.zeros(count))
-    blind = ~seen.ravel()
+    blind = ~seen_mask.ravel()
     missing = views.illuminance[blind].sum(axis=0, dtype=float)
     total = views.illuminance.sum(axis=0, dtype=float)
     omega, right, up = np.moveaxis(views.moments[blind].astype(float), 1, 0)  # [k, d] each
@@ -155,13 +155,13 @@ def brightest_cdm2(luminance_cdm2: Floats, seen: Mask) -> Floats:
 
     luminance_cdm2 : [n, H, W] of n maps; seen : mask [H, W], True for pixels that a lens saw.
     """
-    height, width = seen.shape
+    height, width = seen_mask.shape
     step = max(1, min(_THIN, height // 16))
     pick = (slice(None, None, step), slice(None, None, step))
-    weights = equirect_solid_angles(height, width)[pick][seen[pick]]
+    weights = equirect_solid_angles(height, width)[pick][seen_mask[pick]]
     out = np.empty(len(luminance_cdm2))
     for k, image in enumerate(luminance_cdm2):
-        out[k] = _brightest(image[pick][seen[pick]], weights)
+        out[k] = _brightest(image[pick][seen_mask[pick]], weights)
     return out
 
 

@@ -161,9 +161,9 @@ def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArr
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
-    known = np.isfinite(value)
-    count = np.bincount(row_minute[known], minlength=len(present))
-    total = np.bincount(row_minute[known], weights=value[known], minlength=len(present))
+    finite = np.isfinite(value)
+    count = np.bincount(row_minute[finite], minlength=len(present))
+    total = np.bincount(row_minute[finite], weights=value[finite], minlength=len(present))
     means = np.divide(total, count, out=np.full(len(present), np.nan), where=count > 0)
     breaks = np.flatnonzero(np.diff(present) * 60.0 > _SEGMENT_GAP_S)
     shift = np.searchsorted(breaks, np.arange(len(present)), side="left")
@@ -206,8 +206,8 @@ def _without_neighbours(value: Floats) -> Mask:
 
     DIRINT uses the change of the light, so it has no result there.
     """
-    known = np.r_[False, np.isfinite(value), False]
-    return known[1:-1] & ~known[:-2] & ~known[2:]
+    finite = np.r_[False, np.isfinite(value), False]
+    return finite[1:-1] & ~finite[:-2] & ~finite[2:]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -246,30 +246,30 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         return from_json(Health, table)
     raw, broken = _read(files, progress)
     if len(raw) == 0:
-        found = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
+        cause = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
         raise NotEnoughDataError(
-            f"{session.irradiance}: {found}; run fieldlum log {session.root}, or fieldlum import "
+            f"{session.irradiance}: {cause}; run fieldlum log {session.root}, or fieldlum import "
             f"{session.root} --irradiance FILE"
         )
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)
     checked.marks[:] |= doubts(checked, altitude, top, site)
     series = derive(checked, altitude, site)
-    found = health(raw, series, altitude, top, broken, site)
+    quality = health(raw, series, altitude, top, broken, site)
     clean_of(series).write(clean)
-    write_object(note, {**asdict(found), "inputs": inputs})
-    return found
+    write_object(note, {**asdict(quality), "inputs": inputs})
+    return quality
 
 
 def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
     """Read all day files; only the samples of one day at a time are Python objects."""
     days, broken = [], 0
-    for done, path in enumerate(files, start=1):
+    for number, path in enumerate(files, start=1):
         samples, harmed = read_day(path)
         broken += harmed
         if samples:
             days.append(series_of(samples))
-        progress(done, len(files), path.stem)
+        progress(number, len(files), path.stem)
     days = days or [series_of([])]
     return Series(
         np.concatenate([day.t_unix_s for day in days]),

@@ -49,8 +49,8 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
         _draw_day(axes, day, clean, site, [t for t in captured if t.date().toordinal() == day])
     for axes in grid[len(shown) :]:
         axes.set_axis_off()
-    left = len(np.unique(dates)) - len(shown)
-    more = f"; {left} more days are not shown" if left else ""
+    not_shown = len(np.unique(dates)) - len(shown)
+    more = f"; {not_shown} more days are not shown" if not_shown else ""
     figure.suptitle(
         f"{site.name}: GHI (orange), DNI (blue), DHI (green), clear-sky GHI (dashed) in W/m²; red: "
         f"flagged; lines: brackets; hours of {site.timezone}{more}",

@@ -142,12 +142,12 @@ def _of_clock(raw: Series, off_s: float | None, site: Site) -> list[str]:
     return warnings
 
 
-def _of_sensitivity(found: SensitivitySteps) -> list[str]:
+def _of_sensitivity(steps: SensitivitySteps) -> list[str]:
     return [
         f"from {day:%Y-%m-%d} on, the ratio of global to diffuse + direct differs by "
         f"{100 * change:+.1f} % from that of the days before: an instrument or its sensitivity "
         "changed; check the logger's sensitivities and calibration dates"
-        for day, change in found.steps
+        for day, change in steps.steps
     ]
 
 

@@ -42,12 +42,12 @@ def odd_pixels(flags: NDArray[np.uint8]) -> Indices:
     """
     import cv2
 
-    found = [np.empty((0, 2), np.intp)]
+    pixels = [np.empty((0, 2), np.intp)]
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         moved = ((flags[row::2, column::2] & Flag.MOTION) > 0).view(np.uint8)
         if moved.any():
             around = cv2.boxFilter(
                 moved, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
             )
-            found.append(2 * np.argwhere((moved > 0) & (np.asarray(around) == 1)) + (row, column))
-    return np.concatenate(found)
+            pixels.append(2 * np.argwhere((moved > 0) & (np.asarray(around) == 1)) + (row, column))
+    return np.concatenate(pixels)

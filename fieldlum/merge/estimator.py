@@ -127,10 +127,10 @@ def _predict(
             )
         tick()
     for a, b in _strips(shape):
-        seen = exposure[a:b] > 0
-        np.divide(total[a:b], exposure[a:b], out=total[a:b], where=seen)
+        exposed = exposure[a:b] > 0
+        np.divide(total[a:b], exposure[a:b], out=total[a:b], where=exposed)
         np.maximum(total[a:b], 0.0, out=total[a:b])
-        total[a:b][~seen] = np.inf
+        total[a:b][~exposed] = np.inf
     return total, through_nd
 
 
@@ -210,10 +210,10 @@ def merge_signals(
     """
     if resident:
         return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)
-    done, total = count(1), len(frames) * (passes + 1)
+    steps, total = count(1), len(frames) * (passes + 1)
 
     def tick() -> None:
-        progress(next(done), total, "frames")
+        progress(next(steps), total, "frames")
 
     value, nd = _predict(frames, shape, tick)
     variance, flags = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
@@ -283,23 +283,25 @@ def _settle(
     In the last pass also variance and flags.
     """
     information = sums.information[at]
-    seen = information > 0
-    mean = np.divide(sums.value[at], information, out=np.full_like(information, np.inf), where=seen)
+    informed = information > 0
+    mean = np.divide(
+        sums.value[at], information, out=np.full_like(information, np.inf), where=informed
+    )
     if not last:
         value[at] = np.maximum(mean, 0.0)
         return
-    np.divide(1.0, information, out=variance[at], where=seen)
+    np.divide(1.0, information, out=variance[at], where=informed)
     if sums.chi2 is not None:
-        shift = np.where(seen, mean - np.where(np.isfinite(value[at]), value[at], 0.0), 0.0)
+        shift = np.where(informed, mean - np.where(np.isfinite(value[at]), value[at], 0.0), 0.0)
         chi2 = sums.chi2[at] - information * shift * shift
         freedom = frames - 1
-        tolerated = (u_ratio * np.where(seen, mean, 0.0)) ** 2 * information * freedom
-        moved = seen & (chi2 > motion_sigma**2 + (freedom + tolerated))
+        tolerated = (u_ratio * np.where(informed, mean, 0.0)) ** 2 * information * freedom
+        moved = informed & (chi2 > motion_sigma**2 + (freedom + tolerated))
         flags[at][moved] |= np.uint8(Flag.MOTION)
         # Frames that disagree make the mean at least this uncertain.
         variance[at][moved] *= chi2[moved] / freedom
     if sums.unfiltered is not None:
-        flags[at][seen & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
+        flags[at][informed & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
     value[at] = mean
 
 

@@ -48,10 +48,10 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
     """
     if profile.camera.kind == "jpeg":
         return FirstLook({})
-    found: dict[float, Plateau] = {}
+    plateaus: dict[float, Plateau] = {}
     off = 0.0
     for shot in shots:
-        if shot.exposure.iso in found:
+        if shot.exposure.iso in plateaus:
             continue
         mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
         step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
@@ -61,14 +61,14 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
         red, green_1, green_2, blue = (
             saturation_plateau(plane, mosaic.white_dn) for plane in planes
         )
-        found[shot.exposure.iso] = red, green_1, green_2, blue
+        plateaus[shot.exposure.iso] = red, green_1, green_2, blue
         if any(profile.sensor.black_dn):
             each = [
                 file - own
                 for file, own in zip(mosaic.black_dn, profile.sensor.black_dn, strict=True)
             ]
             off = max([off, *each], key=abs)
-    return FirstLook(found, off)
+    return FirstLook(plateaus, off)
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:

@@ -88,8 +88,8 @@ def with_seen_noise(
 
 def _bands_of(signal: Signal, merged: Merged, edge: int, stride: int) -> _Bands:
     height, width = (n // edge * edge for n in merged.value_cdm2.shape[:2])
-    found = [_band(signal, merged, first, edge, width) for first in range(0, height, edge * stride)]
-    light, variance, good = (np.stack(part) for part in zip(*found, strict=True))
+    bands = [_band(signal, merged, first, edge, width) for first in range(0, height, edge * stride)]
+    light, variance, good = (np.stack(part) for part in zip(*bands, strict=True))
     return _Bands(light, variance, good)
 
 
@@ -134,8 +134,8 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: Floats) -> Floats:
     share = y_from_rgb * a
     share /= share.sum(axis=1, keepdims=True)
     variance = (share**2 * (u2_a / a**2 + u2_b / b**2)).sum(axis=1)
-    found = (share * apart).sum(axis=1) ** 2 / variance
-    pull2[enough] = np.minimum(found, (_FAR * MAD_TO_SIGMA) ** 2 * np.median(found))
+    squares = (share * apart).sum(axis=1) ** 2 / variance
+    pull2[enough] = np.minimum(squares, (_FAR * MAD_TO_SIGMA) ** 2 * np.median(squares))
     return pull2
 
 
@@ -168,7 +168,7 @@ def _neighbourhood(total: Floats, count: Floats, sigma_cells: tuple[float, float
     down, across = sigma_cells
     # Effective number of equally weighted cells.
     area = np.prod(np.maximum(2 * np.sqrt(np.pi) * np.array(sigma_cells), 1.0))
-    near, seen = (
+    near, near_count = (
         area * cv2.GaussianBlur(v, (0, 0), sigmaX=across, sigmaY=down) for v in (total, count)
     )
-    return (near + _PRIOR_CELLS * total.sum() / count.sum()) / (seen + _PRIOR_CELLS)
+    return (near + _PRIOR_CELLS * total.sum() / count.sum()) / (near_count + _PRIOR_CELLS)

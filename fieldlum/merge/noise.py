@@ -60,15 +60,15 @@ def seen_noise(
     for pair in pairs:
         if pair.short == pair.long + 1:
             ratio = float(np.exp(np.log(correction[pair.short]) - np.log(correction[pair.long])))
-            for shot, read, found in _steps(samples[pair.long], samples[pair.short], ratio):
+            for shot, read, measured in _steps(samples[pair.long], samples[pair.short], ratio):
                 # divide by the measured variance, so that all steps have equal weight
-                rows.append((shot / found, read / found))
+                rows.append((shot / measured, read / measured))
     if len(rows) < 4:
         return SeenNoise()
     table = np.array(rows)
     shot, read = _factors(table)
-    left = table @ (shot, read) - 1.0
-    u_shot, u_read = np.sqrt(np.diag(np.linalg.pinv(table.T @ table)) * np.mean(left**2))
+    residuals = table @ (shot, read) - 1.0
+    u_shot, u_read = np.sqrt(np.diag(np.linalg.pinv(table.T @ table)) * np.mean(residuals**2))
     sure = shot > max(_TOLD, 1 + _SURE_SIGMA * u_shot), read > max(_TOLD, 1 + _SURE_SIGMA * u_read)
     return SeenNoise(shot if sure[0] else 1.0, read if sure[1] else 1.0)
 
@@ -100,7 +100,7 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     # Where noise is about one count, a median of integers would jump between counts: spread the
     # counts evenly over their width first.
     dither = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
-    found = []
+    steps = []
     for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):
         if len(step) < _IN_A_STEP:
             continue
@@ -110,5 +110,5 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
         spread = robust_sigma(off)
         shot = float(np.median(r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn))
         read = float(np.median(b.noise_dn2 + r**2 * a.noise_dn2))
-        found.append((shot, read, max(spread**2 - _ROUNDED_DN2, _ROUNDED_DN2)))
-    return found
+        steps.append((shot, read, max(spread**2 - _ROUNDED_DN2, _ROUNDED_DN2)))
+    return steps

@@ -82,8 +82,8 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
             var.append(square @ (variance * valid) / share**2)
     flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
     if valid is not None:  # a pixel without a good sensor pixel of some colour has no value
-        left = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
-        flags[(left < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
+        valid_share = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
+        flags[(valid_share < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
     raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
     present = int(np.bitwise_or.reduce(raised, axis=None))
     for flag, least in _SHARE.items():
@@ -139,12 +139,14 @@ def view_through(
     )
 
 
-def _stray_of_lens(light: Floats, seen: Mask, profile: CameraProfile, target: Target) -> Floats:
+def _stray_of_lens(
+    light: Floats, seen_mask: Mask, profile: CameraProfile, target: Target
+) -> Floats:
     """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
     kernel = profile.stray
     rows, columns = (np.arange(count) + 0.5 for count in target.shape)
     return stray_cdm2(
-        np.where(seen, light, 0.0),
+        np.where(seen_mask, light, 0.0),
         target.solid_angles().ravel(),
         target.rays(rows, columns).reshape(-1, 3),
         np.asarray(kernel.angle_deg),
@@ -162,18 +164,18 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     """
     coverage = np.stack([v.coverage for v in views])
     luminance = np.stack([v.luminance for v in views])
-    seen = coverage > 0
+    covered = coverage > 0
     common = np.divide(
         (coverage * luminance).sum(0),
         coverage.sum(0),
         out=np.zeros(coverage.shape[1]),
-        where=seen.any(0),
+        where=covered.any(0),
     )
     variance = np.stack([v.variance for v in views])
     spread = np.stack([v.u_vignetting for v in views]) * common
     edge = np.stack([v.edge for v in views])
     weight = np.where(
-        seen, coverage * edge / (variance + spread**2 + (1e-4 * common) ** 2 + 1e-12), 0.0
+        covered, coverage * edge / (variance + spread**2 + (1e-4 * common) ** 2 + 1e-12), 0.0
     )
     spoilt = np.stack([(v.flags & _SPOILT) > 0 for v in views])
     weight = np.where(spoilt, weight * 1e-6, weight)
@@ -225,20 +227,20 @@ def finish(
     bench/merge_scene.py compares the part for edges with a scene.
     """
     p, light = profile, view.luminance
-    seen = (view.flags & Flag.OUTSIDE_LENS) == 0
+    in_lens = (view.flags & Flag.OUTSIDE_LENS) == 0
     response = curve_u_rel(p)
     relative = (
         view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
     )
-    solid = target.solid_angles().ravel() * seen
+    solid = target.solid_angles().ravel() * in_lens
     floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
     shape = target.shape
-    edges = u_of_edges(light.reshape(shape), seen.reshape(shape), target, profile).ravel()
+    edges = u_of_edges(light.reshape(shape), in_lens.reshape(shape), target, profile).ravel()
     u = np.sqrt(view.variance + light**2 * relative + floor**2 + view.u_stray**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
     quiet = (view.flags & Flag.MOTION) == 0  # the variance of disagreeing frames is not noise
-    flags[seen & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
+    flags[in_lens & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
     return Panorama(
@@ -253,7 +255,7 @@ def finish(
     )
 
 
-def u_of_edges(light: Floats, seen: Mask, target: Target, profile: CameraProfile) -> Floats:
+def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraProfile) -> Floats:
     """Return the uncertainty of a pixel due to light leaking from its neighbours, [H, W] cd/m2.
 
     light: luminance [H, W]; seen [H, W]: True where a lens sees the pixel. Sensor pixels are not
@@ -265,19 +267,19 @@ def u_of_edges(light: Floats, seen: Mask, target: Target, profile: CameraProfile
     """
     width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)
-    down = _second_difference(light, seen)
+    down = _second_difference(light, seen_mask)
     if not isinstance(target, Equirect):
-        return share * np.hypot(down, _second_difference(light.T, seen.T).T)
+        return share * np.hypot(down, _second_difference(light.T, seen_mask.T).T)
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
     # target pixels narrow towards the zenith
     narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]
-    around = _second_difference(wrapped(light).T, wrapped(seen).T).T[:, 1:-1]
+    around = _second_difference(wrapped(light).T, wrapped(seen_mask).T).T[:, 1:-1]
     return np.hypot(share * down, narrow * around)
 
 
-def _second_difference(light: Floats, seen: Mask) -> Floats:
+def _second_difference(light: Floats, seen_mask: Mask) -> Floats:
     """Return the second difference of the luminance along the columns, [H, W]."""
-    step = np.pad(np.diff(light, axis=0) * (seen[1:] & seen[:-1]), ((1, 1), (0, 0)))
+    step = np.pad(np.diff(light, axis=0) * (seen_mask[1:] & seen_mask[:-1]), ((1, 1), (0, 0)))
     return np.diff(step, axis=0)
 
 

@@ -35,10 +35,10 @@ def report_of(
     sees; residual_percent is the largest of all neighbouring frames, None without any.
     """
     solid = target.solid_angles()
-    seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
+    seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
 
     def share(flag: Flag) -> float:
-        return float(100 * (seen * ((flags & flag) > 0)).sum() / max(seen.sum(), 1e-12))
+        return float(100 * (seen_sr * ((flags & flag) > 0)).sum() / max(seen_sr.sum(), 1e-12))
 
     pairs = [n for part in parts for n in part.trust.neighbours]
     turns = [turn for part in parts for turn in _shifts(part)]
@@ -54,7 +54,7 @@ def report_of(
         bloom_percent=share(Flag.BLOOM),
         motion_percent=share(Flag.MOTION),
         below_noise_percent=share(Flag.BELOW_NOISE),
-        outside_percent=float(100 * (1 - seen.sum() / max(solid.sum(), 1e-12))),
+        outside_percent=float(100 * (1 - seen_sr.sum() / max(solid.sum(), 1e-12))),
         exposure_span_percent=max(p.trust.deviations.span_percent for p in parts),
         deviations=tuple(p.trust.deviations.text for p in parts if p.trust.deviations.beyond_prior),
         noise_over_profile=max(p.noise.larger for p in parts),

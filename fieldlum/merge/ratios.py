@@ -77,11 +77,11 @@ def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
     w_long, w_short = long.signal.weight(light), short.signal.weight(light)
     snr_long, snr_short = light * np.sqrt(w_long * e_long), light * np.sqrt(w_short * e_short)
-    seen = (snr_long > _SNR_LONG) & ~long.full & ~short.full
+    well_exposed = (snr_long > _SNR_LONG) & ~long.full & ~short.full
     usable = (
-        _brightest(seen, snr_short)
+        _brightest(well_exposed, snr_short)
         if isinstance(long.signal, RawSignal)
-        else seen & (snr_short > _SNR_SHORT[-1])
+        else well_exposed & (snr_short > _SNR_SHORT[-1])
     )
     with np.errstate(divide="ignore"):
         return pair_ratio(
@@ -96,12 +96,12 @@ def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
         )
 
 
-def _brightest(seen: Mask, snr: Floats) -> Mask:
+def _brightest(well_exposed: Mask, snr: Floats) -> Mask:
     for least in _SNR_SHORT[:-1]:
-        usable = seen & (snr > least)
+        usable = well_exposed & (snr > least)
         if usable.sum() >= _ENOUGH:
             return usable
-    return seen & (snr > _SNR_SHORT[-1])
+    return well_exposed & (snr > _SNR_SHORT[-1])
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
@@ -110,12 +110,12 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
     samples: one for each frame, most exposed first. Frames of a pair are at most three apart in
     that order. Empty without such pairs.
     """
-    found = [
+    pairs = [
         compare(samples[i], samples[j], i, j)
         for i in range(len(samples))
         for j in range(i + 1, min(i + 1 + _REACH, len(samples)))
     ]
-    return [pair for pair in found if pair is not None]
+    return [pair for pair in pairs if pair is not None]
 
 
 def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:
@@ -139,18 +139,18 @@ def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQual
     ]
 
 
-def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
+def unexplained(disagreements: Sequence[NeighbourQuality], explained: float) -> float:
     """Return the relative uncertainty of a frame's exposure that its known causes do not explain.
 
-    left: disagreement of neighbouring frames. explained: the known relative uncertainty of one
+    disagreements: of neighbouring frames. explained: the known relative uncertainty of one
     frame. The variance of the disagreement, less that of the measured ratios' noise, is halved for
     one of the two frames; less the square of `explained`, it is the square of the result. Return 0
-    if nothing remains, or if `left` is empty.
+    if nothing remains, or if `disagreements` is empty.
     """
-    if not left:
+    if not disagreements:
         return 0.0
-    apart = robust_sigma([n.residual_percent for n in left], 0.0) / 100
-    noise = float(np.median([n.u_percent for n in left])) / 100
+    apart = robust_sigma([n.residual_percent for n in disagreements], 0.0) / 100
+    noise = float(np.median([n.u_percent for n in disagreements])) / 100
     return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
 
 
@@ -172,12 +172,12 @@ def beyond(free: RatioFit, explained: float) -> float:
     corrections, reduced by `explained` (the known relative uncertainty) and by the noise of the
     measured pairs. Return 0 if nothing remains, or without pairs.
     """
-    seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
-    if not seen:
+    frames = sorted({i for p in free.pairs for i in (p.long, p.short)})
+    if not frames:
         return 0.0
-    centred = np.eye(len(seen)) - 1.0 / len(seen)
-    noise2 = float(np.mean(np.diag(centred @ free.covariance[np.ix_(seen, seen)] @ centred)))
-    return float(np.sqrt(max(np.var(np.log(free.correction[seen])) - noise2 - explained**2, 0.0)))
+    centred = np.eye(len(frames)) - 1.0 / len(frames)
+    noise2 = float(np.mean(np.diag(centred @ free.covariance[np.ix_(frames, frames)] @ centred)))
+    return float(np.sqrt(max(np.var(np.log(free.correction[frames])) - noise2 - explained**2, 0.0)))
 
 
 def ratio_curve(samples: Sequence[Sample], covariance: Floats, extra: float = 0.0) -> RatioCurve:
@@ -199,11 +199,11 @@ def ratio_curve(samples: Sequence[Sample], covariance: Floats, extra: float = 0.
         w = s.weight(np.broadcast_to(levels[:, None, None], (_LEVELS, *cell)).astype(np.float32))
         information.append((w * s.per_cdm2).astype(np.float64).sum(axis=(1, 2)))
     total = np.sum(information, axis=0)
-    seen = total > 0
-    if not seen.any():
+    populated = total > 0
+    if not populated.any():
         return RatioCurve(
             np.ones(1), np.full(1, np.hypot(np.sqrt(np.diag(covariance).max()), extra))
         )
-    share = np.stack(information, axis=1)[seen] / total[seen, None]
+    share = np.stack(information, axis=1)[populated] / total[populated, None]
     variance = np.einsum("li,ij,lj->l", share, covariance, share)
-    return RatioCurve(levels[seen], np.sqrt(variance + extra**2))
+    return RatioCurve(levels[populated], np.sqrt(variance + extra**2))

@@ -69,10 +69,10 @@ class Moved:
         return max(self.shift_px - 3.0 * self.u_px, 0.0)
 
 
-def reduced(signal: Floats32, seen: Mask, least: float, cell: int = 1) -> Small:
+def reduced(signal: Floats32, seen_mask: Mask, least: float, cell: int = 1) -> Small:
     """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
 
-    signal: [h, w], linear in light with black at 0, in any unit; seen: mask [h, w], False for
+    signal: [h, w], linear in light with black at 0, in any unit; seen_mask: mask [h, w], False for
     pixels to ignore. A block counts as seen if all its pixels are seen and its mean is above
     `least`, which must not be negative. cell: a block's side is a multiple of this number of pixels
     (2 for a mosaic).
@@ -85,7 +85,7 @@ def reduced(signal: Floats32, seen: Mask, least: float, cell: int = 1) -> Small:
     part = np.s_[: size[1] * by, : size[0] * by]
     mean = cv2.resize(signal[part], size, interpolation=cv2.INTER_AREA)
     share = cv2.resize(
-        seen[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA
+        seen_mask[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA
     )
     complete = (share == 255) & (mean > least)
     return Small(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
@@ -106,15 +106,15 @@ def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Move
         flows.append(np.ascontiguousarray(0.5 * flows[-1][:, ::2, ::2], np.float32))
     lens = lenses[0]
     px_per_rad = float(lens.radius_px * radius_of_angle(lens, _TINY_RAD) / _TINY_RAD)
-    found = []
+    turns = []
     for i in range(len(frames) - 1):
         turn = _turn(pyramids[i], pyramids[i + 1], flows)
         if turn is not None:
             angle, u = turn
-            found.append(
+            turns.append(
                 Moved(i, i + 1, float(np.degrees(angle)), angle * px_per_rad, u * px_per_rad)
             )
-    return found
+    return turns
 
 
 @lru_cache(maxsize=2)
@@ -146,12 +146,14 @@ def _pyramid(small: Small) -> list[tuple[Floats32, Mask]]:
 
     levels = [(small.log_light, small.seen)]
     while len(levels) < _LEVELS and min(levels[-1][0].shape) >= 64:
-        light, seen = levels[-1]
+        light, seen_mask = levels[-1]
         size = (light.shape[1] // 2, light.shape[0] // 2)
         part = np.s_[: 2 * size[1], : 2 * size[0]]
-        weight = cv2.resize(seen[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        weight = cv2.resize(seen_mask[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
         mean = cv2.resize(
-            np.where(seen, light, 0.0)[part].astype(np.float32), size, interpolation=cv2.INTER_AREA
+            np.where(seen_mask, light, 0.0)[part].astype(np.float32),
+            size,
+            interpolation=cv2.INTER_AREA,
         )
         levels.append(
             (np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0), weight > 0.99)
@@ -169,11 +171,11 @@ def _turn(
     turn, covariance = np.zeros(3), None
     for level in range(len(flows) - 1, -1, -1):
         for _ in range(_STEPS):
-            found = _step(first[level], second[level], flows[level], turn)
-            if found is None:
+            step = _step(first[level], second[level], flows[level], turn)
+            if step is None:
                 break  # too few edges at this size; a finer size may have more
-            turn, covariance = turn + found[0], found[1]
-            if np.abs(found[0]).max() * np.abs(flows[level]).max() < 0.02:
+            turn, covariance = turn + step[0], step[1]
+            if np.abs(step[0]).max() * np.abs(flows[level]).max() < 0.02:
                 break
     if covariance is None:
         return None
@@ -194,12 +196,12 @@ def _step(
         x += np.float32(turn[k]) * flow[2 * k, :h, :w]
         y += np.float32(turn[k]) * flow[2 * k + 1, :h, :w]
     moved = cv2.remap(b[0], x, y, cv2.INTER_LINEAR)
-    seen = cv2.remap(b[1].astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
+    in_view = cv2.remap(b[1].astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
     near = np.ones((5, 5), np.uint8)
-    both = cv2.erode((seen & a[1]).view(np.uint8), near, borderValue=0)
-    one, other = (cv2.GaussianBlur(v * both, (3, 3), 0.8) for v in (a[0], moved))
+    both = cv2.erode((in_view & a[1]).view(np.uint8), near, borderValue=0)
+    still, other = (cv2.GaussianBlur(v * both, (3, 3), 0.8) for v in (a[0], moved))
     both = cv2.erode(both, near, borderValue=0).view(np.bool_)
-    mean = 0.5 * (one + other)
+    mean = 0.5 * (still + other)
     down, right = np.gradient(mean, axis=0), np.gradient(mean, axis=1)
     flat = max(_FLAT, _SMOOTH_PER_RAD / max(float(np.abs(flow).max()), 1e-6))
     rows, columns = np.nonzero(both & (down**2 + right**2 > flat**2))
@@ -213,7 +215,7 @@ def _step(
         [*slopes, np.ones_like(level), level - level.mean()], axis=1, dtype=np.float64
     )
     block = rows * _BLOCKS // h * _BLOCKS + columns * _BLOCKS // w
-    return _solve(design, (one - other)[at].astype(np.float64), block)
+    return _solve(design, (still - other)[at].astype(np.float64), block)
 
 
 def _solve(design: Floats, target: Floats, block: Indices) -> tuple[Floats, Floats] | None:
@@ -228,8 +230,10 @@ def _solve(design: Floats, target: Floats, block: Indices) -> tuple[Floats, Floa
         if np.linalg.cond(normal) > 1e6:
             return None
         x = np.linalg.solve(normal, design.T @ (weight * target))
-        left = np.abs(target - design @ x)
-        weight = np.minimum(1.0, 1.5 * MAD_TO_SIGMA * np.median(left) / np.maximum(left, 1e-9))
+        residual = np.abs(target - design @ x)
+        weight = np.minimum(
+            1.0, 1.5 * MAD_TO_SIGMA * np.median(residual) / np.maximum(residual, 1e-9)
+        )
     weighed = design * weight[:, None]
     names = np.unique(block)
     parts = [block == name for name in names]

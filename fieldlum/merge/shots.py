@@ -92,27 +92,27 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
         raise InputError(
             "merge", "no frames", "at least one raw or JPEG file", "name the frames of one bracket"
         )
-    found, known = [], set()
+    shots, resolved = [], set()
     for path in files:
         if not path.is_file():
             raise InputError(path, "no such file", "a raw or JPEG frame", "check the path")
-        if (real := path.resolve()) in known:
+        if (real := path.resolve()) in resolved:
             raise InputError(
                 path,
                 "this frame is listed twice and would count twice",
                 "each frame once",
                 "remove the repetition",
             )
-        known.add(real)
-        if (first := _same_content(path, [shot.path for shot in found])) is not None:
+        resolved.add(real)
+        if (first := _same_content(path, [shot.path for shot in shots])) is not None:
             raise InputError(
                 path,
                 f"the same content as {first.name}: this frame would count twice",
                 "each frame once",
                 "leave the copy out",
             )
-        found.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
-    return found
+        shots.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
+    return shots
 
 
 def _same_content(path: Path, others: Sequence[Path]) -> Path | None:
@@ -127,13 +127,13 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     a raw camera or the reverse, for an aperture for which the profile's k is not calibrated, and if
     the frames have different apertures.
     """
-    known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
+    factors = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
     for shot in shots:
-        if shot.exposure.nd and shot.exposure.nd not in known:
+        if shot.exposure.nd and shot.exposure.nd not in factors:
             raise InputError(
                 shot.path,
                 f"the filter '{shot.exposure.nd}' is not in the profile",
-                f"one of its filters: {', '.join(known) or 'none'}",
+                f"one of its filters: {', '.join(factors) or 'none'}",
                 "add the filter as [[nd]] to the profile, or correct its name",
             )
     kinds = {is_jpeg(s.path) for s in shots}
@@ -170,7 +170,7 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
 
     def collected(shot: Shot) -> float:
         e = shot.exposure
-        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (known[e.nd] if e.nd else 1.0)
+        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (factors[e.nd] if e.nd else 1.0)
 
     return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
 

@@ -189,10 +189,10 @@ def load(folder: Path) -> Fitted:
         state = ModelState(config.state, read_arrays(path))
         return importlib.import_module(MODELS[config.model].module).from_state(state)
     except (OSError, *_BROKEN, zipfile.BadZipFile) as error:
-        found = f"weights that cannot be used ({error})".replace("\n", " ")
+        finding = f"weights that cannot be used ({error})".replace("\n", " ")
         raise InputError(
             path,
-            found,
+            finding,
             "the arrays that config.json describes",
             "train the model again (fieldlum train)",
         ) from None

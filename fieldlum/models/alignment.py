@@ -65,8 +65,8 @@ def find_turns(
             np.array([(r.u_heading_deg, r.u_tilt_deg, r.u_roll_deg) for r in rows]),
             np.array([r.aligned for r in rows]),
         )
-    seen = has_value.mean(axis=0) > _LEAST_SEEN
-    turns = camera_turns(np.nan_to_num(maps), seen, heading_deg, progress=progress)
+    compared = has_value.mean(axis=0) > _LEAST_SEEN
+    turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, progress=progress)
     if len(maps) >= LEAST_CAPTURES and maps.shape[1] >= LEAST_ROWS:
         table = [
             AlignmentRow(name, digest, *angles, *u, aligned=bool(aligned))

@@ -204,10 +204,10 @@ class _Solved:
 class _RoomEdges:
     """The room's edges at the pixels where they are strongest, and how a turn changes them."""
 
-    def __init__(self, edges: Array, seen: Mask, motion_px: Array) -> None:
-        height, width = seen.shape
+    def __init__(self, edges: Array, seen_mask: Mask, motion_px: Array) -> None:
+        height, width = seen_mask.shape
         strength = np.hypot(edges[0], edges[1])
-        inside = seen & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
+        inside = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
         pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - _EDGES)))
         self.pixels = pixels[:: -(-len(pixels) // _MOST_PIXELS)]  # [m]
         self.values = self.at_pixels(edges)  # [2 m]
@@ -262,35 +262,36 @@ class _RoomEdges:
         return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
 
 
-def _smaller(logs: Floats32, seen: Mask) -> tuple[Floats32, Mask]:
+def _smaller(logs: Floats32, seen_mask: Mask) -> tuple[Floats32, Mask]:
     """Return maps [n, h, w] and seen pixels [h, w] at the working size."""
     step = max(1, logs.shape[1] // _WORKING_ROWS)
     if step == 1:
-        return logs, seen
+        return logs, seen_mask
     height, width = logs.shape[1] // step, logs.shape[2] // step
     if logs.shape[1] % step or logs.shape[2] % step:
-        return logs, seen
+        return logs, seen_mask
     blocks = logs.reshape(len(logs), height, step, width, step).mean(axis=(2, 4))
-    return blocks, np.asarray(seen.reshape(height, step, width, step).all(axis=(1, 3)))
+    return blocks, np.asarray(seen_mask.reshape(height, step, width, step).all(axis=(1, 3)))
 
 
 def camera_turns(
-    luminance_cdm2: Floats, seen: Mask, heading_deg: float, *, progress: Progress = quiet
+    luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float, *, progress: Progress = quiet
 ) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
-    luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen: True for pixels
-    with a value [H, W]; heading_deg: azimuth of the centre column. Consecutive captures of one pose
-    get their median turn; a turn too small to be certain is zero. With fewer than 5 captures or 40
-    rows of pixels, or if nothing was seen, all turns are zero and all captures count as aligned.
+    luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
+    pixels with a value [H, W]; heading_deg: azimuth of the centre column. Consecutive captures of
+    one pose get their median turn; a turn too small to be certain is zero. With fewer than 5
+    captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all captures count
+    as aligned.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))
-    if count < LEAST_CAPTURES or height < LEAST_ROWS or not seen.any():
+    if count < LEAST_CAPTURES or height < LEAST_ROWS or not seen_mask.any():
         return still
     logs = np.log(np.maximum(luminance_cdm2, _FLOOR_CDM2)).astype(np.float32)
-    logs, seen = _smaller(logs, seen)
-    motion_px = _motion_px(seen.shape, heading_deg)
+    logs, seen_mask = _smaller(logs, seen_mask)
+    motion_px = _motion_px(seen_mask.shape, heading_deg)
     angles, u_deg, likeness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
     for k, smooth_px in enumerate(_SMOOTH_PX):
         progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
@@ -298,12 +299,12 @@ def camera_turns(
             _edges_of(turned_back(m, heading_deg, a) if a.any() else m, smooth_px)
             for m, a in zip(logs, angles, strict=True)
         ]
-        room = _RoomEdges(np.median(np.stack(edges), axis=0), seen, motion_px)
+        room = _RoomEdges(np.median(np.stack(edges), axis=0), seen_mask, motion_px)
         for i, edge in enumerate(edges):
             turn, u_deg[i], likeness[i] = room.turn(edge)
             angles[i] += turn
         angles -= np.median(angles, axis=0)
-    pixel_deg = 180.0 / seen.shape[0]
+    pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     aligned = (likeness >= LEAST_LIKENESS) & (np.abs(angles).max(axis=1) < MOST_TURN_PX * pixel_deg)
     poses = _poses(angles, aligned, pixel_deg)

@@ -51,9 +51,9 @@ def check_plausible(path: Path, rows: Stated, site: Site) -> None:
     _check_once(
         path, rows.lines, [picture.resolve() for picture in rows.panorama], "have the same panorama"
     )
-    found = sun.position(rows.t_utc, site)
-    _check_sun(path, rows, found, site)
-    _check_irradiance(path, rows, found.altitude_deg)
+    position = sun.position(rows.t_utc, site)
+    _check_sun(path, rows, position, site)
+    _check_irradiance(path, rows, position.altitude_deg)
 
 
 def _check_once(
@@ -71,10 +71,10 @@ def _check_once(
         first[value] = line
 
 
-def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> None:
+def _check_sun(path: Path, rows: Stated, position: sun.SunPosition, site: Site) -> None:
     cosine = (
         sun.direction(rows.altitude_deg, rows.azimuth_deg)
-        * sun.direction(found.altitude_deg, found.azimuth_deg)
+        * sun.direction(position.altitude_deg, position.azimuth_deg)
     ).sum(axis=1)
     apart = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     # Angles absent from the csv are NaN and compare False.
@@ -85,8 +85,8 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
         path,
         f"line {rows.lines[k]}: sun at altitude {rows.altitude_deg[k]:.1f}, azimuth "
         f"{rows.azimuth_deg[k]:.1f} deg",
-        f"altitude {found.altitude_deg[k]:.1f}, azimuth {found.azimuth_deg[k]:.1f} deg, computed "
-        f"from t_utc and the place of {site.name}",
+        f"altitude {position.altitude_deg[k]:.1f}, azimuth {position.azimuth_deg[k]:.1f} deg, "
+        f"computed from t_utc and the place of {site.name}",
         "check t_utc, the sign of the site's longitude and the order of the rows, or empty "
         "both sun columns",
     )

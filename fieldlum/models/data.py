@@ -241,14 +241,16 @@ def _assemble(
     days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
     days = np.array(days, "datetime64[D]")
     notes += turn_notes(turns, days, alignment_path(path).name)
-    seen, filled = fill_gaps(pictures.maps, pictures.has_value)
+    seen_mask, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
         notes.append(
             f"filled {counted(filled, 'missing value')} of pixels that have values in most maps, "
             "with the median of the pixel over the maps that have one"
         )
-    if not seen.all():
-        notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")
+    if not seen_mask.all():
+        notes.append(
+            f"{100 * (1 - seen_mask.mean()):.0f} % of the pixels were not seen by the camera"
+        )
     times = [row.t_utc for row in rows]
     data = Dataset(
         light=Light(
@@ -267,7 +269,7 @@ def _assemble(
         days=days,
         slots=tuple(slot_id(t) for t in times),
         setup=setup,
-        seen=seen,
+        seen=seen_mask,
         steadiness=np.array([row.steadiness for row in rows]),
         source=str(path),
         notes=tuple(notes),
@@ -330,8 +332,8 @@ def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
     azimuth = np.array([row.sun_azimuth_deg for row in rows])
     blank = np.isnan(altitude) | np.isnan(azimuth)
     if blank.any():
-        found = sun.position(
+        position = sun.position(
             [row.t_utc for row, b in zip(rows, blank, strict=True) if b], setup.site
         )
-        altitude[blank], azimuth[blank] = found.altitude_deg, found.azimuth_deg
+        altitude[blank], azimuth[blank] = position.altitude_deg, position.azimuth_deg
     return altitude, azimuth

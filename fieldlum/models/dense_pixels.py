@@ -61,23 +61,23 @@ def pixels_of(
     base: inputs of the pixels that do not depend on the hour, by `canvas`. shape: its curve and
     sky_map are used. patch: with "none" sun patches are left out, otherwise they are used in cd/m2.
     """
-    seen = np.flatnonzero(data.seen)
+    seen_index = np.flatnonzero(data.seen)
 
     def flat(maps: Floats32) -> Tensor:
-        rows = [torch.from_numpy(encode(m.reshape(-1)[seen], shape.curve)) for m in maps]
+        rows = [torch.from_numpy(encode(m.reshape(-1)[seen_index], shape.curve)) for m in maps]
         return torch.stack(rows).to(device)
 
     use_patch = patch != "none" and data.patch_cdm2 is not None
-    weight = torch.from_numpy(data.weights.reshape(-1)[seen].astype(np.float32))
+    weight = torch.from_numpy(data.weights.reshape(-1)[seen_index].astype(np.float32))
     counts = None
     if data.counts is not None:
-        counts = torch.from_numpy(data.counts.reshape(len(data), -1)[:, seen]).to(device)
+        counts = torch.from_numpy(data.counts.reshape(len(data), -1)[:, seen_index]).to(device)
     return PixelSampler(
         base.to(device),
         hours(data.light, shape).to(device),
         flat(data.luminance_cdm2),
         flat(data.patch_cdm2) if use_patch and data.patch_cdm2 is not None else None,
         weight.to(device),
-        torch.from_numpy(seen).to(device),
+        torch.from_numpy(seen_index).to(device),
         counts,
     )

@@ -162,8 +162,8 @@ def short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
     used, whichever is larger; budget_s None: no limit.
     """
     warm = min(1.0, (run.step + 1) / (_WARM_SHARE * plan.steps + 1))
-    done = min(_done_share(plan, run, budget_s), 1.0)
-    return run.rate * warm * 0.5 * (1.0 + math.cos(math.pi * done))
+    share = min(_done_share(plan, run, budget_s), 1.0)
+    return run.rate * warm * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
 def update_paper_rate(run: Run, improved: bool) -> None:
@@ -217,5 +217,5 @@ def _done_share(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
     May exceed 1.
     """
     short = plan.schedule == "short"
-    done = run.step / max(plan.steps, 1) if short else run.epoch / max(plan.epochs, 1)
-    return max(done, run.elapsed_s / budget_s) if budget_s else done
+    share = run.step / max(plan.steps, 1) if short else run.epoch / max(plan.epochs, 1)
+    return max(share, run.elapsed_s / budget_s) if budget_s else share

@@ -124,11 +124,11 @@ def _checked(
     setup: SiteFile,
     remedy: str,
 ) -> Panorama:
-    found = panorama.luminance_cdm2.shape
-    if found != shape:
+    size = panorama.luminance_cdm2.shape
+    if size != shape:
         raise InputError(
             path,
-            f"{found[1]} x {found[0]} pixels",
+            f"{size[1]} x {size[0]} pixels",
             f"{shape[1]} x {shape[0]} pixels, as the panorama of the first row",
             remedy,
         )
@@ -155,15 +155,15 @@ def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
     used: it is False in the mask [H, W] and 0 in all maps. Negative values become 0. count: number
     of filled values. Raises NotEnoughDataError if no pixel is used.
     """
-    seen = has_value.mean(axis=0) > 0.8
-    if not seen.any():
+    seen_mask = has_value.mean(axis=0) > 0.8
+    if not seen_mask.any():
         raise NotEnoughDataError(
             "no pixel has a value in over 80 % of the panoramas; check that "
             "all panoramas are from one camera position"
         )
-    gaps = ~has_value & seen
+    gaps = ~has_value & seen_mask
     for i, j in np.argwhere(gaps.any(axis=0)):
         maps[gaps[:, i, j], i, j] = np.median(maps[has_value[:, i, j], i, j])
-    maps[:, ~seen] = 0.0
+    maps[:, ~seen_mask] = 0.0
     np.maximum(maps, 0.0, out=maps)
-    return seen, int(gaps.sum())
+    return seen_mask, int(gaps.sum())

@@ -203,14 +203,14 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map has values that are not finite")
-    seen = data.seen
+    seen_mask = data.seen
     target = _log10(data.luminance_cdm2, data)
-    error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen].astype(np.float64)
-    t2, e2, w = target[:, seen].astype(np.float64) ** 2, error**2, weights[seen]
+    error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen_mask].astype(np.float64)
+    t2, e2, w = target[:, seen_mask].astype(np.float64) ** 2, error**2, weights[seen_mask]
     blank = np.full(len(data), np.nan)
     in_band = blank.copy()
     if prediction.log10_sd is not None:
-        in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen]).mean(axis=1)
+        in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
     return Scores(
         mse_weighted=e2 @ w / w.sum(),
         mse=e2.mean(axis=1),
@@ -240,14 +240,14 @@ def _glare_errors(
     if not asked.any():
         return
     some, maps = part.take(asked), prediction.luminance_cdm2[asked]
-    found = _glare(maps, some, test.views)
-    difference = found["dgp"] - test.dgp[rows[asked]]
+    glare = _glare(maps, some, test.views)
+    difference = glare["dgp"] - test.dgp[rows[asked]]
     own_lx = (
         guessed_disc_lx(maps, some.light, some.heading_deg)
         if test.room_disc_lx is None
         else test.room_disc_lx[rows[asked]]
     )
-    in_use = dgp_with_disc(found, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
+    in_use = dgp_with_disc(glare, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
     scores.dgp_mse_own_disc[asked] = ((in_use - test.dgp[rows[asked]]) ** 2).mean(axis=1)
     scores.dgp_mse[asked] = (difference**2).mean(axis=1)
     scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)
@@ -268,7 +268,7 @@ def _glare_errors(
         some.light.sun_azimuth_deg,
         scores.mse_weighted[asked],
         test.dgp[rows[asked]],
-        found["dgp"],
+        glare["dgp"],
         true_contrast,
         contrast,
         measured,
@@ -291,8 +291,8 @@ def by_day(values: Floats, days: NDArray[np.datetime64]) -> tuple[Array, Floats]
 
 
 def _mean(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else None
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None
 
 
 def summary(scores: Scores) -> ScoreFigures:

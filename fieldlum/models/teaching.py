@@ -56,7 +56,7 @@ def joined_counts(
     if all(counts is None for counts in each) and has_value.all():
         return None
     ones = np.ones(has_value.shape[1:], np.float16)
-    counts = np.stack([ones if one is None else one for one in each])
+    counts = np.stack([ones if weights is None else weights for weights in each])
     counts[~has_value] = 0.0
     largest = counts.max(axis=0)
     counts /= np.where(largest > 0.0, largest, np.float16(1.0))

@@ -238,7 +238,7 @@ def _with_suns(
         [p.sun_altitude_deg for p in usable],
         [p.taken.t_utc for p in usable],
     )
-    seen = seen_and_patches(
+    views = seen_and_patches(
         session,
         setup,
         [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable],
@@ -249,7 +249,7 @@ def _with_suns(
     )
     completed: dict[str, Pair] = {}
     suns: list[SunRow] = []
-    for pair, normal_lx, (glimpse, patch) in zip(usable, full_lx, seen, strict=True):
+    for pair, normal_lx, (glimpse, patch) in zip(usable, full_lx, views, strict=True):
         row, caution = _complete(session, pair.taken, float(normal_lx), glimpse)
         suns += [row] if row is not None else []
         caution = _joined(pair.caution, caution)

@@ -54,11 +54,11 @@ def seen_and_patches(
         _recipe(setup.room, setup, height, heading, *at, float(lx))
         for at, lx in zip(angles, full_normal_lx, strict=True)
     ]
-    known = [
+    stored = [
         None if force else _known(session, item[0], r)
         for item, r in zip(items, recipes, strict=True)
     ]
-    owed = [i for i, seen in enumerate(known) if seen is None]
+    owed = [i for i, view in enumerate(stored) if view is None]
     jobs = [
         _PatchJob(
             tuple(items[i][0] for i in rows),
@@ -73,12 +73,12 @@ def seen_and_patches(
     ]
     units = [_unit(session, job) for job in jobs]
     run_each(units, scheduler, UnitOutcome.result, progress)
-    seen = [
+    views = [
         s or _known(session, item[0], r) or Seen()
-        for s, item, r in zip(known, items, recipes, strict=True)
+        for s, item, r in zip(stored, items, recipes, strict=True)
     ]
     paths = [session.sunpatch(slot).relative_to(session.root).as_posix() for slot, _, _ in items]
-    return list(zip(seen, paths, strict=True))
+    return list(zip(views, paths, strict=True))
 
 
 def _recipe(
@@ -138,7 +138,7 @@ def trace_patches(root: Path, job: _PatchJob) -> None:
     setup = session.site_file()
     assert setup.room is not None
     altitude_deg, azimuth_deg = np.array(job.angles_deg).T
-    done = 0
+    finished = 0
     for part in iter_sun_patches(
         setup.room,
         setup,
@@ -152,9 +152,9 @@ def trace_patches(root: Path, job: _PatchJob) -> None:
                 "visible_fraction": float(part.visible_fraction[k]),
                 "disc_transmittance": float(part.disc_transmittance[k]),
             }
-            patch = Panorama(part.luminance_cdm2[k], job.heading_deg, t_utc=job.t_utc[done])
-            _write(session, job.slots[done], patch, job.recipes[done], sight)
-            done += 1
+            patch = Panorama(part.luminance_cdm2[k], job.heading_deg, t_utc=job.t_utc[finished])
+            _write(session, job.slots[finished], patch, job.recipes[finished], sight)
+            finished += 1
 
 
 def _unit(session: Session, job: _PatchJob) -> WorkUnit:

@@ -30,7 +30,7 @@ class Seen:
 
 
 def complete_sun(
-    panorama: Panorama, full_normal_lx: float, seen: Seen, meter_lx: float | None
+    panorama: Panorama, full_normal_lx: float, view: Seen, meter_lx: float | None
 ) -> tuple[SunSource | None, str]:
     """Return the picture's sun with its illuminance at the lens (None: no sun), and a caution.
 
@@ -40,36 +40,36 @@ def complete_sun(
     hides it or if DNI gives less than the clipped picture shows. A sun that the picture does not
     show is not added.
     """
-    found = panorama.sun
-    if found is None:
-        hidden = seen.known and seen.visible_fraction > 0.5 and full_normal_lx > 20_000.0
+    stated = panorama.sun
+    if stated is None:
+        hidden = view.known and view.visible_fraction > 0.5 and full_normal_lx > 20_000.0
         return (
             None,
             "the sun is in view by the room's geometry, but not in the picture" if hidden else "",
         )
-    if found.origin in MEASURED_ORIGINS:
-        brighter = found.normal_illuminance_lx > MOST_OVER_DNI * full_normal_lx + FAINT_SUN_LX
-        return found, "the picture's sun is brighter than DNI allows" if brighter else ""
-    bound_lx = found.normal_illuminance_lx if found.origin == CLIPPED_SUN else 0.0
-    if seen.known and seen.visible_fraction == 0.0:
-        return found, "the sun is in the picture, but hidden by the room's geometry"
-    expected_lx = full_normal_lx * seen.visible_fraction * seen.transmittance
-    by_meter = _by_meter(panorama, found, meter_lx)
+    if stated.origin in MEASURED_ORIGINS:
+        brighter = stated.normal_illuminance_lx > MOST_OVER_DNI * full_normal_lx + FAINT_SUN_LX
+        return stated, "the picture's sun is brighter than DNI allows" if brighter else ""
+    bound_lx = stated.normal_illuminance_lx if stated.origin == CLIPPED_SUN else 0.0
+    if view.known and view.visible_fraction == 0.0:
+        return stated, "the sun is in the picture, but hidden by the room's geometry"
+    expected_lx = full_normal_lx * view.visible_fraction * view.transmittance
+    by_meter = _by_meter(panorama, stated, meter_lx)
     if by_meter is not None and bound_lx <= by_meter <= 1.5 * full_normal_lx:
         normal_lx, origin = by_meter, METER
     elif expected_lx >= bound_lx:
         normal_lx, origin = expected_lx, DNI
     else:
-        return found, "DNI gives a weaker sun than the clipped picture shows"
+        return stated, "DNI gives a weaker sun than the clipped picture shows"
     caution = (
         ""
-        if seen.known or origin == METER
+        if view.known or origin == METER
         else "the sun was computed from DNI without the glazing, because the site has no [room]"
     )
     source = replace(
-        found,
+        stated,
         normal_illuminance_lx=normal_lx,
-        visible_fraction=seen.visible_fraction,
+        visible_fraction=view.visible_fraction,
         origin=origin,
     )
     return source, caution

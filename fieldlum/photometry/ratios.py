@@ -144,9 +144,9 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: Floats) -> RatioFit:
     # The noise of a short frame is in all pairs with that frame, so these pairs together count as
     # one.
     shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])
-    known = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
+    information = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
     wider = prior_covariance + np.eye(frames) * _surplus(delta, prior, prior_covariance, design)
-    covariance = np.asarray(np.linalg.inv(known + np.linalg.inv(wider)), np.float64)
+    covariance = np.asarray(np.linalg.inv(information + np.linalg.inv(wider)), np.float64)
     return RatioFit(np.exp(delta), covariance, tuple(pairs))
 
 

@@ -109,11 +109,11 @@ def law_of_frames(
         tells = np.abs(apart) > clear
         if not tells.any():
             continue
-        left = measured - expected[best] - step * _stretch(measured, step, tells)
-        if (~tells).sum() > 1 and np.std(left[~tells]) > _NEAR * np.abs(apart[tells]).mean():
+        residual = measured - expected[best] - step * _stretch(measured, step, tells)
+        if (~tells).sum() > 1 and np.std(residual[~tells]) > _NEAR * np.abs(apart[tells]).mean():
             continue  # pairs for which the laws agree scatter as much, so the response is wrong
         decided = True
-        if abs(float(np.median(left[tells] / apart[tells])) - 1.0) < _NEAR:
+        if abs(float(np.median(residual[tells] / apart[tells])) - 1.0) < _NEAR:
             best = law
     misfit = {
         law: round(100.0 * float(np.sqrt(np.mean((measured - values) ** 2))), 2)

@@ -65,15 +65,17 @@ def make_plan(
     profile = load_camera_profile(setup.camera.profile)
     bracket = profile.bracket
     blind = coverage_text(profile, setup.camera)
-    left = choose.variance_left(task, choose.features_at(chosen, task)[1]) if task else None
+    variance_left = (
+        choose.variance_left(task, choose.features_at(chosen, task)[1]) if task else None
+    )
     return Plan(
         make_slots(chosen, setup, bracket_exposures(bracket)),
         tuple(days),
         *cost_of(bracket, setup),
         coverage(chosen, site, weather),
-        left,
-        _months(task, len(days), days[0].year, left)
-        if task and left and request.set == "month"
+        variance_left,
+        _months(task, len(days), days[0].year, variance_left)
+        if task and variance_left and request.set == "month"
         else None,
         (
             *([blind] if blind else []),
@@ -105,12 +107,12 @@ def _chosen(
     return hours
 
 
-def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
+def _months(task: choose.Learning, days: int, year: int, variance_left: float) -> Months:
     windows = [daylight_hours(window, task.site) for window in choose.month_windows(year, days)]
     costs = [choose.variance_left(task, choose.features_at(hours, task)[1]) for hours in windows]
-    least = min(*costs, left)
+    least = min(*costs, variance_left)
     best = f"{date(year, int(np.argmin(costs)) + 1, 1):%B}"
-    return Months(best, left / least, tuple(cost / least for cost in costs))
+    return Months(best, variance_left / least, tuple(cost / least for cost in costs))
 
 
 # ----------------------------------------------------------------------------------------------

@@ -83,11 +83,11 @@ def even(
     if weather is None:
         return space_filling(suns, count, rng)
     sky_now = weather.at(hours.t_utc)
-    known = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
+    with_weather = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
     sky = np.stack([sky_now.dni_wm2 / DNI_FULL_WM2, sky_now.dhi_wm2 / DHI_FULL_WM2], axis=-1)
     # Halve the direction, so that each of its axes has a range of one, as the irradiances have.
     points = np.concatenate([suns / 2, sky], axis=1)  # (n, 5)
-    return known[medoids(points[known], count, rng)]
+    return with_weather[medoids(points[with_weather], count, rng)]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -132,9 +132,11 @@ def features_under(
     sky: sun.Irradiance, hours: DaylightHours, task: Learning
 ) -> tuple[Indices, Features]:
     """Return what `features_at` returns, for a given sky [n] at the n hours."""
-    known = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
-    times = hours[known].t_utc
-    return known, light_features(light_at(times, task.site, sky.dni_wm2[known], sky.dhi_wm2[known]))
+    with_light = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
+    times = hours[with_light].t_utc
+    return with_light, light_features(
+        light_at(times, task.site, sky.dni_wm2[with_light], sky.dhi_wm2[with_light])
+    )
 
 
 def variance_left(task: Learning, captured: Features) -> float:
@@ -144,8 +146,8 @@ def variance_left(task: Learning, captured: Features) -> float:
     """
     if not len(captured):
         return 1.0
-    known = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
-    factor = np.linalg.cholesky(known)
+    covariance = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
+    factor = np.linalg.cholesky(covariance)
     towards = np.linalg.solve(factor, task.kernel(captured, task.year))
     prior = task.kernel.diagonal(task.year)
     return float((prior - (towards**2).sum(axis=0)).clip(0).sum() / prior.sum())
@@ -157,15 +159,15 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
     The variance is summed over the year. The choice is greedy, among at most 2200 hours with
     daylight in the weather; the result is empty without such hours.
     """
-    known, features = features_at(hours, task)
-    if not len(known):
-        return known
-    stride = -(-len(known) // POOL_HOURS)
-    pool = np.arange(0, len(known), stride)
+    hours_known, features = features_at(hours, task)
+    if not len(hours_known):
+        return hours_known
+    stride = -(-len(hours_known) // POOL_HOURS)
+    pool = np.arange(0, len(hours_known), stride)
     ranked = greedy_hours(
         task.kernel, task.year, features[pool], count, noise=NOISE, progress=progress
     )
-    return np.sort(known[pool[ranked.index]])
+    return np.sort(hours_known[pool[ranked.index]])
 
 
 def month_windows(year: int, days: int) -> list[list[date]]:

@@ -109,8 +109,8 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
     irradiance of the weather year, and is omitted if that has none then.
     """
     times, dni, dhi = _paired(session)
-    known = {slot_id(t) for t in times}
-    captured = captured_ids(session) - known
+    paired_ids = {slot_id(t) for t in times}
+    captured = captured_ids(session) - paired_ids
     others = [slot.t_utc for slot in session.slots() if slot.id in captured]
     if others:
         typical = task.weather.at(others)
@@ -154,8 +154,8 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
     kernel = task.kernel
     cross, own = kernel(task.year, pool), kernel.diagonal(pool)
     if len(captured):
-        known = kernel(captured, captured) + choose.NOISE * np.eye(len(captured))
-        towards = np.linalg.solve(known, kernel(captured, pool))
+        covariance = kernel(captured, captured) + choose.NOISE * np.eye(len(captured))
+        towards = np.linalg.solve(covariance, kernel(captured, pool))
         cross = cross - kernel(task.year, captured) @ towards
         own = own - np.einsum("ij,ij->j", kernel(captured, pool), towards)
     gain = (cross**2).sum(axis=0) / (np.maximum(own, 0) + choose.NOISE)
@@ -201,7 +201,7 @@ def run(
         BATCH,
         taken=captured,
         noise=choose.NOISE,
-        progress=lambda done, total, text: progress(SKIES + done, SKIES + total, text),
+        progress=lambda finished, total, text: progress(SKIES + finished, SKIES + total, text),
     ).variance
     gained = float(1.0 - more[-1] / more[0])
     model = trained[1] if trained else ""
@@ -238,9 +238,11 @@ def as_table(answer: RankedHours) -> JsonTable:
 def sentences(answer: RankedHours, site: Site) -> list[str]:
     """Return the ranking as lines to print, with the hours in the local time of `site`."""
     zone = ZoneInfo(site.timezone)
-    left = f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
+    share_left = (
+        f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
+    )
     texts = [
-        f"{answer.captured} captures leave {left} of the uncertainty about the year"
+        f"{answer.captured} captures leave {share_left} of the uncertainty about the year"
         + (f" (model {answer.model})" if answer.model else "")
     ]
     for hour in answer.hours:

@@ -106,14 +106,14 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
     at = sun.position(weather.t_utc, site)
     lit = (at.altitude_deg > 0) & (weather.dhi_wm2 > 0)
     _, planned_dni, planned_dhi = weather.at(hours.t_utc)
-    known = np.isfinite(planned_dni)
-    seen = np.isin(
+    has_weather = np.isfinite(planned_dni)
+    captured = np.isin(
         _cells(weather.dni_wm2[lit], weather.dhi_wm2[lit]),
-        _cells(planned_dni[known], planned_dhi[known]),
+        _cells(planned_dni[has_weather], planned_dhi[has_weather]),
     )
     suns = sun.direction(at.altitude_deg[lit], at.azimuth_deg[lit])
     near = _near(suns, sun.direction(hours.altitude_deg, hours.azimuth_deg))
-    return Coverage(band, 100.0 * float(seen.mean()), 100.0 * float((seen & near).mean()))
+    return Coverage(band, 100.0 * float(captured.mean()), 100.0 * float((captured & near).mean()))
 
 
 # ----------------------------------------------------------------------------------------------

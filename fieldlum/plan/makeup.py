@@ -64,13 +64,13 @@ def captured_ids(session: Session) -> set[str]:
 
 
 def missed_slots(
-    slots: Sequence[Slot], done: set[str], now_utc: datetime, grace: timedelta
+    slots: Sequence[Slot], captured: set[str], now_utc: datetime, grace: timedelta
 ) -> list[Slot]:
-    """Return the slots that are not in `done` and can no longer start.
+    """Return the slots that are not in `captured` and can no longer start.
 
-    done: ids of captured slots; grace: time after a slot in which its bracket may start.
+    captured: ids of captured slots; grace: time after a slot in which its bracket may start.
     """
-    return [slot for slot in slots if slot.id not in done and slot.t_utc + grace < now_utc]
+    return [slot for slot in slots if slot.id not in captured and slot.t_utc + grace < now_utc]
 
 
 def make_up(
@@ -160,15 +160,15 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
-    setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
+    setup, slots, captured = session.site_file(), session.slots(), captured_ids(session)
     grace = session.grace
     makeups = made_up_for(slots)
     makeup_ids = {makeup.id for several in makeups.values() for makeup in several}
     missed = [
-        slot for slot in missed_slots(slots, done, now_utc, grace) if slot.id not in makeup_ids
+        slot for slot in missed_slots(slots, captured, now_utc, grace) if slot.id not in makeup_ids
     ]
     recovered = [
-        slot for slot in missed if any(makeup.id in done for makeup in makeups.get(slot.id, ()))
+        slot for slot in missed if any(makeup.id in captured for makeup in makeups.get(slot.id, ()))
     ]
     missed = [slot for slot in missed if slot not in recovered]
     owed = [
@@ -179,8 +179,8 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     added, pairs, lost = make_up(owed, slots, setup, now_utc)
     if added:
         about = _store_and_write(session, [*slots, *added], about, setup)
-    left = [slot for slot in slots if slot.id in done or slot.t_utc + grace >= now_utc]
-    versions = {"planned": slots, "without": left, "with": [*left, *added]}
+    remaining = [slot for slot in slots if slot.id in captured or slot.t_utc + grace >= now_utc]
+    versions = {"planned": slots, "without": remaining, "with": [*remaining, *added]}
     band = {
         name: round(coverage(hours_of(some), setup.site).sun_band_percent, 1)
         for name, some in versions.items()

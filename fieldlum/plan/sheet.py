@@ -157,12 +157,14 @@ def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
 
 def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
     """Return an SVG line through the points, with a gap at each NaN; "" without points."""
-    known = np.isfinite(altitude_deg)
-    begins = known & ~np.concatenate(([False], known[:-1]))
+    finite = np.isfinite(altitude_deg)
+    begins = finite & ~np.concatenate(([False], finite[:-1]))
     words = (
         f"{'M' if first else 'L'}{x:.1f} {y:.1f}"
-        for (x, y), first, seen in zip(_xy(altitude_deg, azimuth_deg), begins, known, strict=True)
-        if seen
+        for (x, y), first, is_finite in zip(
+            _xy(altitude_deg, azimuth_deg), begins, finite, strict=True
+        )
+        if is_finite
     )
     line = "".join(words)
     return f'<path d="{line}" fill="none" {style}/>' if line else ""

@@ -117,13 +117,13 @@ def read_pictures(folder: Path) -> Pictures:
     """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return Pictures(
-                tuple(str(kind) for kind in found["kinds"]),
-                found["rows"],
-                found["luminance_cdm2"],
-                found["disc_lx"],
-                float(found["heading_deg"]),
+                tuple(str(kind) for kind in stored["kinds"]),
+                stored["rows"],
+                stored["luminance_cdm2"],
+                stored["disc_lx"],
+                float(stored["heading_deg"]),
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(

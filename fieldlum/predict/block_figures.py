@@ -19,18 +19,18 @@ U_DISC = 0.05
 
 
 def unseen_bounds(
-    block: HourBlock, room: ModelRoom, coverage: ViewCoverage, found: dict[str, Floats]
+    block: HourBlock, room: ModelRoom, coverage: ViewCoverage, figures: dict[str, Floats]
 ) -> tuple[Floats, Floats]:
     """Return the least and the largest DGP that unseen parts of the views allow, [k, d] each.
 
     An unseen part gets one luminance between 0 and the larger of the sky's mean luminance and the
     luminance exceeded in the brightest hundredth of the seen solid angle. For views without unseen
-    pixels both results are the DGP itself. found: the result of `view_figures`.
+    pixels both results are the DGP itself. figures: the result of `view_figures`.
     """
     most = block.light.diffuse_lx / np.pi
     if room.seen is not None and coverage.partly.any():
         most = np.maximum(most, brightest_cdm2(block.prediction.luminance_cdm2, room.seen))
-    return unseen_dgp_bounds(coverage, found["ev_lx"], found["contrast"], most)
+    return unseen_dgp_bounds(coverage, figures["ev_lx"], figures["contrast"], most)
 
 
 def hour_figures(block: HourBlock) -> dict[str, Array]:
@@ -60,7 +60,7 @@ def view_figures(
     disc's illuminance. All further keys of `glare_directions` are included.
     """
     maps = block.prediction.luminance_cdm2
-    found = glare_directions(
+    figures = glare_directions(
         maps,
         room.heading_deg,
         views.azimuths_deg,
@@ -68,29 +68,29 @@ def view_figures(
         np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
         views=views,
     )
-    found["u_dgp"] = dgp_uncertainty(
-        found["ev_lx"], found["contrast"], *relative_uncertainty(block, views, found)
+    figures["u_dgp"] = dgp_uncertainty(
+        figures["ev_lx"], figures["contrast"], *relative_uncertainty(block, views, figures)
     )
-    found["melanopic_edi_lx_estimate"] = melanopic_edi_lx(found["ev_lx"])
-    return found | regions.ratios(maps)
+    figures["melanopic_edi_lx_estimate"] = melanopic_edi_lx(figures["ev_lx"])
+    return figures | regions.ratios(maps)
 
 
 def relative_uncertainty(
-    block: HourBlock, views: Views, found: dict[str, Floats]
+    block: HourBlock, views: Views, figures: dict[str, Floats]
 ) -> tuple[Floats, Floats]:
     """Return the relative standard uncertainty of Ev and of the sources' luminance, [k, d] each.
 
     They are NaN where the model does not state its error. Errors of the pixels of one picture count
     as fully correlated, because a model is often too bright or too dark on a complete wall. The
-    disc has 5 %. found: the result of `glare_directions`.
+    disc has 5 %. figures: the result of `glare_directions`.
     """
     map_ev, map_source = _relative_of_map(block, views)
-    share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)
+    share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
     share = np.divide(
-        found["sun_contrast"],
-        found["contrast"],
+        figures["sun_contrast"],
+        figures["contrast"],
         out=np.zeros_like(share_ev),
-        where=found["contrast"] > 0,
+        where=figures["contrast"] > 0,
     )
     return (
         np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),

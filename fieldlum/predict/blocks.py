@@ -126,11 +126,11 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
             "a site with [room], or a model without sun patches",
             "add [room] to the site and train again, or train with --patch none",
         )
-    seen = seen_of(folder)
-    if seen is not None and seen.shape != (height, width):
-        seen = None  # `blocks` rejects the maps of such a model
+    seen_mask = seen_of(folder)
+    if seen_mask is not None and seen_mask.shape != (height, width):
+        seen_mask = None  # `blocks` rejects the maps of such a model
     mirrors = read_mirrors(folder, config)
-    return ModelRoom(setup, height, width, heading, wants_patch(config), seen, mirrors)
+    return ModelRoom(setup, height, width, heading, wants_patch(config), seen_mask, mirrors)
 
 
 def blocks(
@@ -184,7 +184,7 @@ def _patches(
         assert disc is not None
         yield from ((None, disc[rows], rows) for rows in starts)
     else:
-        found = iter_sun_patches(
+        patches = iter_sun_patches(
             space,
             room.setup,
             light.shown_sun_direction,
@@ -193,5 +193,5 @@ def _patches(
             heading_deg=room.heading_deg,
             chunk=BLOCK,
         )
-        for part, rows in zip(found, starts, strict=True):
+        for part, rows in zip(patches, starts, strict=True):
             yield part.luminance_cdm2, part.disc_lx, rows

@@ -166,7 +166,7 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     note, maps = folder / "predict.json", folder / "maps.zarr"
     more = [] if inputs["maps"] else [{**inputs, "maps": True}]
     tables = (made_from(note, wanted, [folder / "hourly.csv"]) for wanted in (inputs, *more))
-    table = next((found for found in tables if found is not None), None)
+    table = next((candidate for candidate in tables if candidate is not None), None)
     if table is None or table.get("software", {}).get("fieldlum") != __version__:
         return None
     if inputs["maps"] and not maps.is_dir():

@@ -61,25 +61,25 @@ def judge(
     """
     used = annual.occupied
     u_dgp = u_of_maps[used]
-    known = u_dgp if np.isfinite(u_dgp[:, annual.judged]).all() else None
+    u_values = u_dgp if np.isfinite(u_dgp[:, annual.judged]).all() else None
     rng = np.random.default_rng(seed)
     dgp = annual.views["dgp"][used]
-    return protection(dgp, known, occupied_hours, annual.azimuths_deg, rng, doubt.hours(used))
+    return protection(dgp, u_values, occupied_hours, annual.azimuths_deg, rng, doubt.hours(used))
 
 
-def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[SkyToCapture]:
+def hours_to_settle(annual: Annual, protection: Protection, zone: str) -> list[SkyToCapture]:
     """Return up to twelve occupied hours whose uncertainty keeps a class open, most useful first.
 
     Each day has at most one hour. Only fully seen directions count: captures with the same lens
     cannot settle the others. The list is empty if all these are settled or the model states no
-    uncertainty. found: the result of `judge`; zone: time zone of the dates and hours.
+    uncertainty. protection: the result of `judge`; zone: time zone of the dates and hours.
     """
-    undecided = ~found.certain & np.array([word == SEEN for word in found.seen])
-    if found.low is None or not undecided.any():
+    undecided = ~protection.certain & np.array([word == SEEN for word in protection.seen])
+    if protection.low is None or not undecided.any():
         return []
     used = np.flatnonzero(annual.occupied)
     dgp, u = annual.views["dgp"][used], annual.views["u_dgp"][used]
-    worth = hours_to_capture(dgp, u, undecided, nearest_limits(found))
+    worth = hours_to_capture(dgp, u, undecided, nearest_limits(protection))
     named, days = [], set()
     for k in np.argsort(worth)[::-1]:
         local = annual.t_utc[used[k]].astimezone(ZoneInfo(zone))
@@ -107,12 +107,12 @@ def summary_of_year(
     inputs: Mapping[str, Any],
     occupancy: Occupancy,
     annual: Annual,
-    found: Protection,
+    protection: Protection,
     days: int,
 ) -> PredictFile:
     """Return the content of predict.json: settings, classes, notes and hours to capture.
 
-    inputs: the result of `inputs_of`, and further options; found: the result of `judge`; days:
+    inputs: the result of `inputs_of`, and further options; protection: the result of `judge`; days:
     number of days in the weather file.
     """
     used = annual.occupied
@@ -131,17 +131,19 @@ def summary_of_year(
         days=days,
         first=utc_text(annual.t_utc[0]),
         last=utc_text(annual.t_utc[-1]),
-        occupancy=YearOccupancy(occupancy.text, found.occupied_hours, int(used.sum()), untrusted),
+        occupancy=YearOccupancy(
+            occupancy.text, protection.occupied_hours, int(used.sum()), untrusted
+        ),
         disc_from=room.disc_from,
         seen_share=() if room.seen is None else tuple(_shares(room, annual)),
         model_warnings=tuple(config.state.get("warnings", ())),
         notes=(
             *_notes(weather, room, untrusted, days),
-            *_unseen_notes(found),
+            *_unseen_notes(protection),
             *_disc_note(annual),
         ),
-        protection=protection_of(found),
-        capture_next=tuple(hours_to_settle(annual, found, room.setup.site.timezone)),
+        protection=protection_of(protection),
+        capture_next=tuple(hours_to_settle(annual, protection, room.setup.site.timezone)),
     )
 
 
@@ -156,7 +158,7 @@ def _shares(room: ModelRoom, annual: Annual) -> list[float]:
     return [round(float(share), 3) for share in shares]
 
 
-def _unseen_notes(found: Protection) -> list[str]:
+def _unseen_notes(protection: Protection) -> list[str]:
     """Return a note on directions without a result, and a note on directions with bounds only."""
     notes = []
     for word, meaning in (
@@ -168,7 +170,11 @@ def _unseen_notes(found: Protection) -> list[str]:
             "the seen pixels",
         ),
     ):
-        of = [a for a, seen in zip(found.azimuths_deg, found.seen, strict=True) if seen == word]
+        of = [
+            a
+            for a, view_word in zip(protection.azimuths_deg, protection.seen, strict=True)
+            if view_word == word
+        ]
         if of:
             named = ", ".join(f"{a:.0f}° ({compass_name(a)})" for a in of)
             notes.append(f"the view directions {named} {meaning}")
@@ -217,29 +223,31 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
     return notes
 
 
-def protection_of(found: Protection) -> tuple[DirectionYear, ...]:
-    """Return one record for each direction, in the order of `found`.
+def protection_of(protection: Protection) -> tuple[DirectionYear, ...]:
+    """Return one record for each direction, in the order of `protection`.
 
     The DGP and the hours of an unseen direction are None, and so is an interval without
     uncertainty.
     """
     rows = []
-    for i, over in enumerate(found.hours_over):
-        judged = bool(found.judged[i])
-        low, high = (None if ends is None else ends[i] for ends in (found.low, found.high))
+    for i, over in enumerate(protection.hours_over):
+        judged = bool(protection.judged[i])
+        low, high = (
+            None if ends is None else ends[i] for ends in (protection.low, protection.high)
+        )
         hours = zip(("0.35", "0.40", "0.45"), over, strict=True)
         rows.append(
             DirectionYear(
-                float(found.azimuths_deg[i]),
-                found.classes[i],
-                bool(found.certain[i]),
-                found.seen[i],
-                float(found.dgp_exceeded[i]) if judged else None,
+                float(protection.azimuths_deg[i]),
+                protection.classes[i],
+                bool(protection.certain[i]),
+                protection.seen[i],
+                float(protection.dgp_exceeded[i]) if judged else None,
                 float(low) if judged and low is not None else None,
                 float(high) if judged and high is not None else None,
                 EXCEEDED_SHARE,
                 {name: int(count) if judged else None for name, count in hours},
-                found.sentence(i),
+                protection.sentence(i),
             )
         )
     return tuple(rows)

@@ -114,19 +114,19 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     room = ready.room
     (block,) = blocks(ready.fitted, room, job.light)
-    found = view_figures(block, room, ready.views, ready.regions)
-    least, most = unseen_bounds(block, room, ready.coverage, found)
+    figures = view_figures(block, room, ready.views, ready.regions)
+    least, most = unseen_bounds(block, room, ready.coverage, figures)
     maps = block.prediction.luminance_cdm2
     discs = job.discs_lx
     if discs is None:
         discs = guessed_disc_lx(maps, block.light, room.heading_deg, job.turns_deg)
     per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)
-    drawn = dgp_with_disc(found, per_lx, discs, drawn_images(block, ready.views, len(discs)))
+    drawn = dgp_with_disc(figures, per_lx, discs, drawn_images(block, ready.views, len(discs)))
     if job.maps:
         pictures = block.pictures_cdm2(room.heading_deg)
         write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, pictures)
     rows = (job.start, job.start + len(job.light))
-    return HourFigures(rows, hour_figures(block), found, least, most, drawn.astype(np.float32))
+    return HourFigures(rows, hour_figures(block), figures, least, most, drawn.astype(np.float32))
 
 
 def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:

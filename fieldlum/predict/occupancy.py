@@ -127,15 +127,15 @@ def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
 
 
 def _days(text: str) -> list[int]:
-    found: list[int] = []
+    days: list[int] = []
     for part in text.lower().split():
         first, dash, last = part.partition("-")
         ends = [name[:3] for name in (first, last if dash else first)]
         if any(name not in DAYS for name in ends):
             raise ValueError(f"unknown days '{text}'")
         a, b = (DAYS.index(name) for name in ends)
-        found += [(a + k) % 7 for k in range((b - a) % 7 + 1)]
-    return found
+        days += [(a + k) % 7 for k in range((b - a) % 7 + 1)]
+    return days
 
 
 def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occupancy:
@@ -170,8 +170,8 @@ def occupied_hours(
     days = sorted({standard_date(t, zone) for t in times_utc})
     starts = [datetime.combine(day, time(), UTC) - standard_offset(zone, day.year) for day in days]
     hours = [start + timedelta(hours=k) for start in starts for k in range(24)]
-    known = {(t - starts[0]) // _HOUR for t in times_utc}
-    blank = np.array([(t - starts[0]) // _HOUR not in known for t in hours])
+    hour_numbers = {(t - starts[0]) // _HOUR for t in times_utc}
+    blank = np.array([(t - starts[0]) // _HOUR not in hour_numbers for t in hours])
     middles = [t + _HOUR / 2 for t in hours]
     used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
     if not used.any():

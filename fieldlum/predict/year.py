@@ -94,8 +94,8 @@ def run(
         check_url(maps_to, "--maps-to", "use --maps")
         inputs["maps_to"] = maps_to
     inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
-    if not force and (done := already(folder, inputs)) is not None:
-        return PredictedYear(done, new=False)
+    if not force and (existing := already(folder, inputs)) is not None:
+        return PredictedYear(existing, new=False)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     hours = weather.daylight()
     if len(hours) == 0:
@@ -123,8 +123,8 @@ def run(
     )
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
-    found = judge(annual, doubt, u_of_maps, hours_used, seed)
-    summary = summary_of_year(room, config, weather, inputs, occupancy, annual, found, days)
+    protection = judge(annual, doubt, u_of_maps, hours_used, seed)
+    summary = summary_of_year(room, config, weather, inputs, occupancy, annual, protection, days)
     annual = replace(annual, summary=summary)
     rows = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
     rows.write(folder, zone)

@@ -47,8 +47,8 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
     if not text:
         return ""
     opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
-    seen = seen_by_lenses(lenses, [heading - setup.heading_deg for heading in opposite])
-    if judged_text(seen, setup.heading_deg):
+    shares_seen = seen_by_lenses(lenses, [heading - setup.heading_deg for heading in opposite])
+    if judged_text(shares_seen, setup.heading_deg):
         return f"{text}; use a lens that sees more, or turn the camera to several headings"
     named = ", ".join(f"{heading:g}" for heading in opposite)
     return f"{text}; for all directions write headings = [{named}] under [camera] in SITE.toml"
@@ -71,11 +71,11 @@ def find_camera_profile(name: str) -> Path:
     ):
         if candidate.is_file():
             return candidate
-    known = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
+    names = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
     raise InputError(
         name,
         "no such camera profile",
-        f"a TOML file or one of: {known}",
+        f"a TOML file or one of: {names}",
         "correct profile under [camera], or --camera",
     )
 

@@ -133,7 +133,7 @@ def _check_mapping(lens: Lens, where: str) -> None:
     """Raise InputError unless the radius increases with the angle up to the edge, where it is 1."""
     if lens.mapping != "polynomial":
         return
-    found = (
+    finding = (
         f"lens '{lens.name}': polynomial of "
         f"{', '.join(f'{c:g}' for c in lens.coefficients) or 'no coefficients'}"
     )
@@ -142,12 +142,12 @@ def _check_mapping(lens: Lens, where: str) -> None:
         angle_of_radius(lens.geometry, 1.0)
     except ValueError as error:
         raise InputError(
-            where, f"{found} ({error})", "a polynomial that rises up to the edge", remedy
+            where, f"{finding} ({error})", "a polynomial that rises up to the edge", remedy
         ) from None
     if abs(sum(lens.coefficients) - 1.0) > 0.02:
         raise InputError(
             where,
-            f"{found}, with the sum {sum(lens.coefficients):g}",
+            f"{finding}, with the sum {sum(lens.coefficients):g}",
             "coefficients that sum to 1",
             remedy,
         )

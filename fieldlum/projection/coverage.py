@@ -27,18 +27,18 @@ PARTLY_SEEN = "partly seen"
 NOT_SEEN = "not seen"
 
 
-def seen_shares(seen: Mask, heading_deg: float, azimuths_deg: ArrayLike) -> Floats:
+def seen_shares(seen_mask: Mask, heading_deg: float, azimuths_deg: ArrayLike) -> Floats:
     """Return the share, 0 to 1, of a uniform field's vertical illuminance that was seen, [d].
 
     seen : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the panorama's
     middle; azimuths_deg : [d], horizontal view directions, clockwise from north.
     """
-    height, width = seen.shape
+    height, width = seen_mask.shape
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
     ahead = direction(0.0, np.atleast_1d(np.asarray(azimuths_deg, float)))  # (d, 3)
     solid_angles = equirect_solid_angles(height, width).reshape(-1, 1)  # (H W, 1)
     cosine = np.clip(rays @ ahead.T, 0.0, None) * solid_angles  # (H W, d)
-    return np.clip(seen.ravel() @ cosine / cosine.sum(axis=0), 0.0, 1.0)
+    return np.clip(seen_mask.ravel() @ cosine / cosine.sum(axis=0), 0.0, 1.0)
 
 
 def seen_words(shares: Floats) -> tuple[str, ...]:
@@ -67,7 +67,7 @@ def seen_by_lenses(
     return out
 
 
-def judged_text(seen: Mask, heading_deg: float) -> str:
+def judged_text(seen_mask: Mask, heading_deg: float) -> str:
     """Return one sentence on which views can be judged from these pixels; empty if all can.
 
     Directions are rounded to degrees, clockwise from north, with points of the compass.
@@ -75,11 +75,11 @@ def judged_text(seen: Mask, heading_deg: float) -> str:
     seen : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of its middle.
     """
     azimuths = np.arange(360.0)
-    words = seen_words(seen_shares(seen, heading_deg, azimuths))
+    words = seen_words(seen_shares(seen_mask, heading_deg, azimuths))
     if all(word == SEEN for word in words):
         return ""
-    weights = equirect_solid_angles(*seen.shape)
-    share = float(weights[seen].sum() / weights.sum())
+    weights = equirect_solid_angles(*seen_mask.shape)
+    share = float(weights[seen_mask].sum() / weights.sum())
     fully = _arcs_text([word == SEEN for word in words])
     bounds = _arcs_text([word not in (SEEN, NOT_SEEN) for word in words])
     nothing = NOT_SEEN in words

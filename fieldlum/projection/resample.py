@@ -179,10 +179,10 @@ def _between(
     if hidden is not None:
         a[hidden] = b[hidden] = np.nan
     along = down.astype(np.float32)[:, None, None]
-    left = a[:, None] + (c - a)[:, None] * along
+    start = a[:, None] + (c - a)[:, None] * along
     right = b[:, None] + (d - b)[:, None] * along
-    values = np.multiply((right - left)[..., None, :], across[:, None], dtype=np.float32)
-    values += left[..., None, :]
+    values = np.multiply((right - start)[..., None, :], across[:, None], dtype=np.float32)
+    values += start[..., None, :]
     return values
 
 
@@ -236,18 +236,24 @@ def resampler(
         pixel = nodes.row * width + nodes.column
         for sub in sorted(set(subs.values())):
             counts = _counts(target, first, last, sub)
-            seen = _seen(lens, sensor_shape, _samples(target, nodes, *counts), 1.5 if cfa else 0.75)
+            samples = _seen(
+                lens, sensor_shape, _samples(target, nodes, *counts), 1.5 if cfa else 0.75
+            )
             for colour in (c for c in colours if subs[c] == sub):
                 rows[colour].append(
                     _rows(
-                        seen, _lattice(cfa, colour), sensor_shape[1], pixel, (last - first) * width
+                        samples,
+                        _lattice(cfa, colour),
+                        sensor_shape[1],
+                        pixel,
+                        (last - first) * width,
                     )
                 )
             full = _full_weight(target, first, last)[pixel] * counts[0] * counts[1]
             at = first * width + pixel
             # A pixel is covered as far as all colours see it.
-            coverage[at] = np.minimum(coverage[at], seen.total / np.maximum(full, 1e-30))
-            angle[at] = seen.angle_rad
+            coverage[at] = np.minimum(coverage[at], samples.total / np.maximum(full, 1e-30))
+            angle[at] = samples.angle_rad
         hidden = np.setdiff1d(np.arange((last - first) * width), pixel, assume_unique=True)
         coverage[first * width + hidden] = 0.0
     matrices = {colour: _csr(rows.pop(colour), sensor_shape) for colour in colours}
@@ -282,17 +288,17 @@ def _seen(
     x, y, weight = samples
     sensor_h, sensor_w = sensor_shape
     r2 = (x - np.float32(lens.centre_px[0])) ** 2 + (y - np.float32(lens.centre_px[1])) ** 2
-    seen = (r2 <= (lens.radius_px - margin) ** 2) & (weight > 0)
-    seen &= (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
-    if not seen.all():
+    inside = (r2 <= (lens.radius_px - margin) ** 2) & (weight > 0)
+    inside &= (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
+    if not inside.all():
         # Move samples that are not seen to a seen sample of their pixel, with weight 0: the window
         # of the pixel stays small.
-        weight = weight * seen
+        weight = weight * inside
         x, y = (
-            np.where(seen, v, np.where(seen, v, np.float32(np.inf)).min(axis=(0, 1)))
+            np.where(inside, v, np.where(inside, v, np.float32(np.inf)).min(axis=(0, 1)))
             for v in (x, y)
         )
-        r2 = np.where(seen, r2, np.float32(0))
+        r2 = np.where(inside, r2, np.float32(0))
     total = weight.sum(axis=(0, 1), dtype=np.float64)
     share = np.divide(weight, np.maximum(total, 1e-30).astype(np.float32), order="C")
     angle = angle_of_radius(lens, np.sqrt(r2) / np.float32(lens.radius_px))
@@ -303,19 +309,21 @@ def _seen(
 _Rows = tuple[Floats32, NDArray[np.int32], Indices]
 
 
-def _rows(seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: Indices, pixels: int) -> _Rows:
+def _rows(
+    samples: _Seen, lattice: _Lattice, sensor_width: int, pixel: Indices, pixels: int
+) -> _Rows:
     """Return the rows of the matrix of one colour: samples distributed bilinearly over four pixels.
 
     The shares are summed in a small dense window of the lattice around each target pixel, which
     needs no sorting.
     """
-    keep = np.flatnonzero(seen.total > 0)
+    keep = np.flatnonzero(samples.total > 0)
     counts = np.zeros(pixels, np.intp)
     if not keep.size:
         return np.zeros(0, np.float32), np.zeros(0, np.int32), counts
     x, y, share = (
-        v if keep.size == len(seen.total) else np.take(v, keep, axis=-1)
-        for v in (seen.x, seen.y, seen.share)
+        v if keep.size == len(samples.total) else np.take(v, keep, axis=-1)
+        for v in (samples.x, samples.y, samples.share)
     )
     p, q = lattice.places(x, y)
     i, j = np.floor(p), np.floor(q)

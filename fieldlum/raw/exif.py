@@ -170,13 +170,13 @@ def roll_deg_of(path: Path) -> float | None:
     return _ROLL_DEG.get(int(tag[0])) if tag else None
 
 
-def same_model(found: str, wanted: str) -> bool:
+def same_model(model: str, wanted: str) -> bool:
     """Return whether two camera names are equal, or one is a sequence of words in the other.
 
     Case and spaces do not count; an empty name equals no other. The second rule exists because a
     frame may state the maker's name in front of the model.
     """
-    a, b = (f" {' '.join(name.split())} ".casefold() for name in (found, wanted))
+    a, b = (f" {' '.join(name.split())} ".casefold() for name in (model, wanted))
     return bool(a.strip() and b.strip()) and (a in b or b in a)
 
 

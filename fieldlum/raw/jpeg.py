@@ -48,13 +48,13 @@ def read_jpeg(path: Path) -> JpegFrame:
             with Image.open(path, formats=("JPEG",)) as image:
                 codes = np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
-        found = (
+        finding = (
             "the file is no JPEG"
             if type(error).__name__ == "UnidentifiedImageError"
             else str(error).splitlines()[0]
         )
         raise InputError(
-            path, found, "a complete JPEG", "copy the file from the card again"
+            path, finding, "a complete JPEG", "copy the file from the card again"
         ) from None
     return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
 

@@ -259,9 +259,9 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
 
 def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> Floats | None:
     """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
-    known = np.asarray(raw.rgb_xyz_matrix, float)[:3]
-    if np.any(known):
-        return known
+    xyz_matrix = np.asarray(raw.rgb_xyz_matrix, float)[:3]
+    if np.any(xyz_matrix):
+        return xyz_matrix
     values = numbers(
         tags, "Image ColorMatrix2", "Image Tag 0xC622", "Image ColorMatrix1", "Image Tag 0xC621"
     )

@@ -58,15 +58,15 @@ def find(session: Session) -> SessionArtefacts:
     return SessionArtefacts(newest, read_config(newest), ScoresFile.find(newest), annual)
 
 
-def _settings(session: Session, found: SessionArtefacts) -> Section:
+def _settings(session: Session, artefacts: SessionArtefacts) -> Section:
     from fieldlum.report.page import Table
 
     groups: list[tuple[str, Any]] = list(session.table().items())
-    if found.annual is not None:
-        groups.append(("prediction", found.annual.summary.inputs))
-        groups.append(("weather", found.annual.about["weather"]))
+    if artefacts.annual is not None:
+        groups.append(("prediction", artefacts.annual.summary.inputs))
+        groups.append(("weather", artefacts.annual.about["weather"]))
     keep = ("model", "patch", "seed", "software", "training")
-    config = found.config.state if found.config else {}
+    config = artefacts.config.state if artefacts.config else {}
     groups.append(("model", {key: value for key, value in config.items() if key in keep}))
     settings = [
         (f"{group}: {key}", _text(value))
@@ -106,24 +106,24 @@ def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
     ]
 
 
-def _page(session: Session, found: SessionArtefacts) -> Page:
+def _page(session: Session, artefacts: SessionArtefacts) -> Page:
     from fieldlum.predict import read_pictures
     from fieldlum.report import annual, captured, evidence
 
     setup = session.site_file()
     zone = setup.site.timezone
     pairs = PairsFile.read(session.pairs)
-    year = found.annual
+    year = artefacts.annual
     sections: list[Section] = []
     if year is not None:
         sections += [annual.directions_section(year), annual.when_section(year, zone)]
         sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
-    if found.model is not None:
-        held, names = HeldOutMaps.find(found.model), _slot_names(pairs)
-        sections.append(evidence.section(held, found.scores, names))
+    if artefacts.model is not None:
+        held, names = HeldOutMaps.find(artefacts.model), _slot_names(pairs)
+        sections.append(evidence.section(held, artefacts.scores, names))
     hours = year.hours if year else {"dni_wm2": np.empty(0), "dhi_wm2": np.empty(0)}
     captures = captured.section(session, setup.site, pairs, hours["dni_wm2"], hours["dhi_wm2"])
-    sections += [captures, _settings(session, found)]
+    sections += [captures, _settings(session, artefacts)]
     answer = "No year has been predicted yet."
     why = "Train a model and run fieldlum predict to get the answer here."
     if year is not None:
@@ -132,7 +132,7 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
         title=setup.site.name,
         answer=answer,
         why=why,
-        facts=_facts(session, found, pairs),
+        facts=_facts(session, artefacts, pairs),
         sections=tuple(sections),
         footer=f"Written by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
         "against evalglare; see docs/accuracy.md. This page needs no network.",
@@ -142,20 +142,20 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
 
 
 def _facts(
-    session: Session, found: SessionArtefacts, pairs: PairsFile
+    session: Session, artefacts: SessionArtefacts, pairs: PairsFile
 ) -> tuple[tuple[str, str], ...]:
     site = session.site_file().site
     captures = len(pairs.usable)
-    if found.config is not None and found.config.training.slots:
-        captures = len(found.config.training.slots)  # training leaves out what it cannot use
+    if artefacts.config is not None and artefacts.config.training.slots:
+        captures = len(artefacts.config.training.slots)  # training leaves out what it cannot use
     facts = [
         ("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"),
         ("captures used", f"{captures}"),
     ]
-    if found.config is not None:
-        facts.append(("model", found.config.model))
-    if found.annual is not None:
-        summary = found.annual.summary
+    if artefacts.config is not None:
+        facts.append(("model", artefacts.config.model))
+    if artefacts.annual is not None:
+        summary = artefacts.annual.summary
         trusted = 100 * (1 - summary.occupancy.untrusted_share)
         facts += [
             ("hours predicted", f"{summary.hours}"),
@@ -194,20 +194,20 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
             f"{session.root}: no pairs.csv, because no bracket was paired yet; run fieldlum merge "
             "and fieldlum pair first"
         )
-    found = find(session)
+    artefacts = find(session)
     folder = out or session.report
     page = folder / "index.html"
     progress(0, 1, "page")
-    text = render(_page(session, found))
+    text = render(_page(session, artefacts))
     progress(1, 1, "")
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(text)
     summary = {
         "site": session.site_file().site.name,
         "fieldlum": __version__,
-        "model": found.model.name if found.model else None,
-        "scores": found.scores.table() if found.scores else {},
-        "annual": found.annual.about if found.annual else None,
+        "model": artefacts.model.name if artefacts.model else None,
+        "scores": artefacts.scores.table() if artefacts.scores else {},
+        "annual": artefacts.annual.about if artefacts.annual else None,
     }
     with replacing(folder / "report.json", "w", encoding="utf-8") as file:
         json.dump(summary, file, indent=1, ensure_ascii=False, default=str)

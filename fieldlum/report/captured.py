@@ -28,9 +28,9 @@ def year_of_sun(site: Site, year: int) -> sun.SunPosition:
     from datetime import UTC, datetime, timedelta
 
     start = datetime(year, 1, 1, 0, 30, tzinfo=UTC)
-    found = sun.position([start + timedelta(hours=h) for h in range(8760)], site)
-    up = found.altitude_deg > 0
-    return sun.SunPosition(*(column[up] for column in found))
+    position = sun.position([start + timedelta(hours=h) for h in range(8760)], site)
+    up = position.altitude_deg > 0
+    return sun.SunPosition(*(column[up] for column in position))
 
 
 def section(

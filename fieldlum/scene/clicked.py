@@ -258,9 +258,9 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
         return off.ravel()
 
     # a gross click must not bend the room: beyond some pixels its weight falls
-    found = least_squares(residual, start.values, loss="soft_l1", f_scale=2.0)
-    off = residual(found.x).reshape(-1, 2)
-    jacobian = np.asarray(found.jac)
+    solution = least_squares(residual, start.values, loss="soft_l1", f_scale=2.0)
+    off = residual(solution.x).reshape(-1, 2)
+    jacobian = np.asarray(solution.jac)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * CLICK_PX**2
     distance = np.hypot(off[:, 0], off[:, 1])
     notes = [
@@ -268,7 +268,7 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
         for i, k in enumerate(used)
         if distance[i] > _MISFIT_PX
     ]
-    room, u = _room(found.x, covariance, start, clicks, grid, h)
+    room, u = _room(solution.x, covariance, start, clicks, grid, h)
     return ClickedRoom(room, u, float(np.sqrt((off**2).mean())), tuple(notes))
 
 

@@ -161,13 +161,13 @@ def _within_walls(room: Room) -> Room:
 
     def fitted(window: Window) -> Window:
         length = room.width_m if window.wall in ("south", "north") else room.depth_m
-        left = float(np.clip(window.left_m, 0.0, length - _LEAST_SIZE_M))
+        left_m = float(np.clip(window.left_m, 0.0, length - _LEAST_SIZE_M))
         sill = float(np.clip(window.sill_m, 0.0, room.height_m - _LEAST_SIZE_M))
         return replace(
             window,
-            left_m=left,
+            left_m=left_m,
             sill_m=sill,
-            width_m=float(np.clip(window.width_m, _LEAST_SIZE_M, length - left)),
+            width_m=float(np.clip(window.width_m, _LEAST_SIZE_M, length - left_m)),
             height_m=float(np.clip(window.height_m, _LEAST_SIZE_M, room.height_m - sill)),
         )
 

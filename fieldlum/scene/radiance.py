@@ -248,9 +248,9 @@ def iter_traced(
                 if normal_lx[hour] <= 0 or suns[hour, 2] <= 0:
                     continue
                 with octree(sun_text(suns[hour]), base=base) as lit:
-                    seen = trace(lit, eye, rays, ["-dv-"])
+                    values = trace(lit, eye, rays, ["-dv-"])
                     disc = trace(lit, eye, disc_rays(suns[hour])) * SUN_SR
-                maps[k] = _pixel_mean(pixel, seen, height) * normal_lx[hour]
+                maps[k] = _pixel_mean(pixel, values, height) * normal_lx[hour]
                 passed = disc > 1e-3
                 visible[k] = passed.mean()
                 through[k] = disc[passed].mean() if passed.any() else 0.0

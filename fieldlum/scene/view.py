@@ -95,17 +95,17 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
     hits = first_hits(scene, eye, rays)
     panes = pane_crossings(scene, eye, rays, hits.distance_m)
     share = np.full(len(rays), 1.0 / sub**2)
-    seen = [_surfaces(pixel, eye, rays, hits, share * panes.through)]
+    surfaces = [_surfaces(pixel, eye, rays, hits, share * panes.through)]
     open_sky = (hits.box < 0) & (panes.opening >= 0)
     sky, plain = np.zeros(2 * height**2), np.zeros(2 * height**2)
     for target, where in ((sky, rays[:, 2] > 0), (plain, rays[:, 2] <= 0)):
         rows = open_sky & where
         target += np.bincount(pixel[rows], (share * panes.through)[rows], len(target))
-    seen.append(_mirrored(scene, pixel, eye, rays, panes, share))
+    surfaces.append(_mirrored(scene, pixel, eye, rays, panes, share))
     position, axis, sign, box, pixels, weight = (
-        np.concatenate(parts) for parts in zip(*seen, strict=True)
+        np.concatenate(parts) for parts in zip(*surfaces, strict=True)
     )
-    shape, straight = (height, 2 * height), len(seen[0][0])
+    shape, straight = (height, 2 * height), len(surfaces[0][0])
     return SceneView(
         scene,
         height,

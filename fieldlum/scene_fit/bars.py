@@ -182,7 +182,7 @@ def _dips(profile: Floats, edges: Floats) -> list[tuple[float, float]]:
     drop = np.clip((around - filled) / np.maximum(around, 0.1), 0.0, 1.0)
     drop[~good] = 0.0
     deep = drop > MIN_DIP
-    found: list[tuple[float, float]] = []
+    dips: list[tuple[float, float]] = []
     starts = np.flatnonzero(np.diff(np.concatenate([[0], deep.astype(int)])) == 1)
     stops = np.flatnonzero(np.diff(np.concatenate([deep.astype(int), [0]])) == -1) + 1
     for start, stop in zip(starts, stops, strict=True):
@@ -191,5 +191,5 @@ def _dips(profile: Floats, edges: Floats) -> list[tuple[float, float]]:
         at = np.arange(len(drop))[reach]
         centre = edges[0] + CELL_M * (0.5 + float((at * drop[reach]).sum() / drop[reach].sum()))
         if MIN_BAR_M <= area <= MAX_BAR_M:
-            found.append((centre - area / 2.0, centre + area / 2.0))
-    return found
+            dips.append((centre - area / 2.0, centre + area / 2.0))
+    return dips

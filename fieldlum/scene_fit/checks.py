@@ -158,10 +158,12 @@ def _two_views(data: Dataset) -> tuple[int, int, float] | None:
     if usual.sum() < _MIN_HOURS:
         return None
     step = max(1, data.shape[0] // _VIEW_ROWS)
-    seen = data.seen[::step, ::step]
-    weights = equirect_solid_angles(*data.shape)[::step, ::step][seen]
+    seen_mask = data.seen[::step, ::step]
+    weights = equirect_solid_angles(*data.shape)[::step, ::step][seen_mask]
     weights = weights / weights.sum()
-    pictures = np.log(np.maximum(data.luminance_cdm2[usual, ::step, ::step][:, seen], _FLOOR_CDM2))
+    pictures = np.log(
+        np.maximum(data.luminance_cdm2[usual, ::step, ::step][:, seen_mask], _FLOOR_CDM2)
+    )
     pictures = pictures - np.median(pictures, axis=1, keepdims=True)
     scaled = (pictures * np.sqrt(weights)).astype(float)
     label = _two_groups(scaled)

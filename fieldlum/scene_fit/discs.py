@@ -178,18 +178,18 @@ def _least_explained(problem: _Problem, keep: Mask) -> tuple[int, float]:
         others = keep.copy()
         others[k] = False
         values, covariance = problem.solve(others)
-        left = problem.residuals(values)
-        chi2 = float((left[others] ** 2).sum())
+        residuals = problem.residuals(values)
+        chi2 = float((residuals[others] ** 2).sum())
         spread = max(1.0, chi2 / max(2.0 * others.sum() - len(NAMES), 1.0))
         slopes = np.stack(
             [
-                (problem.residuals(values + step)[k] - left[k]) / step.max()
+                (problem.residuals(values + step)[k] - residuals[k]) / step.max()
                 for step in np.diag(1e-4 * problem.prior_sd)
             ],
             axis=1,
         )  # [3, 5]
         own = spread * (slopes @ covariance @ slopes.T + np.eye(3))
-        sigmas = float(np.sqrt(left[k] @ np.linalg.solve(own, left[k])))
+        sigmas = float(np.sqrt(residuals[k] @ np.linalg.solve(own, residuals[k])))
         if worst < 0 or chi2 < gain:
             worst, most, gain = int(k), sigmas, chi2
     return worst, most

@@ -113,9 +113,9 @@ def propose_solids(guess: Guess, cost: Callable[[Guess], float], least: float) -
     return chosen
 
 
-def _apart_m(one: Solid, other: Solid) -> float:
+def _apart_m(first: Solid, other: Solid) -> float:
     """Return the larger of the distances along x and y between two solids' middles [m]."""
-    middles = [np.add(solid.low_m, solid.high_m)[:2] / 2.0 for solid in (one, other)]
+    middles = [np.add(solid.low_m, solid.high_m)[:2] / 2.0 for solid in (first, other)]
     return float(np.abs(middles[0] - middles[1]).max())
 
 

@@ -225,8 +225,8 @@ def _window(guess: Guess, rect: WindowRect) -> Window:
     """Return a window as in `[[room.window]]`; left_m is from the left end as seen from inside."""
     length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
-    left = length - u1 if rect.wall in ("south", "east") else u0
-    return Window(rect.wall, left, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
+    left_m = length - u1 if rect.wall in ("south", "east") else u0
+    return Window(rect.wall, left_m, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
 
 
 def _blocks(guess: Guess, rect: WindowRect, albedo: float) -> list[Solid]:

@@ -111,34 +111,34 @@ def _loss(evidence: SceneEvidence, patch: Floats) -> Floats:
     return loss.mean(axis=0)
 
 
-def clustered_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
+def clustered_solids(depths: PixelDepths, guess: Guess) -> list[Solid]:
     """Return at most 12 boxes on the floor or table tops, roughly in order of decreasing gain.
 
-    A box is proposed where pixels that a nearer surface explains better (`found`) are close
+    A box is proposed where pixels that a nearer surface explains better (`depths`) are close
     together in plan. The list is empty if there are none.
     """
-    use = found.gain > MIN_PIXEL_GAIN
-    inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)
+    use = depths.gain > MIN_PIXEL_GAIN
+    inside = (depths.position_m[:, 2] > 0.1) & (depths.position_m[:, 2] < guess.size_m[2] - 0.1)
     use &= inside
     if not use.any():
         return []
     proposals: list[tuple[float, Solid]] = []
-    tops = use & (found.face == 0)
-    sides = use & (found.face != 0)
+    tops = use & (depths.face == 0)
+    sides = use & (depths.face != 0)
     for group in (tops, sides, use):
-        proposals += _clusters(found, group, guess)
+        proposals += _clusters(depths, group, guess)
     proposals.sort(key=lambda pair: -pair[0])
     return _distinct([solid for _, solid in proposals])[:MAX_PROPOSALS]
 
 
-def _clusters(found: PixelDepths, group: Mask, guess: Guess) -> list[tuple[float, Solid]]:
+def _clusters(depths: PixelDepths, group: Mask, guess: Guess) -> list[tuple[float, Solid]]:
     rows = np.flatnonzero(group)
     if not len(rows):
         return []
-    cells = np.floor(found.position_m[rows, :2] / CELL_M).astype(int)
+    cells = np.floor(depths.position_m[rows, :2] / CELL_M).astype(int)
     low = cells.min(axis=0)
     grid = np.zeros(cells.max(axis=0) - low + 1)
-    np.add.at(grid, tuple((cells - low).T), found.gain[rows])
+    np.add.at(grid, tuple((cells - low).T), depths.gain[rows])
     labelled: Any = label(grid > 2.0 * MIN_PIXEL_GAIN, np.ones((3, 3)))
     names, count = labelled
     of = names[tuple((cells - low).T)]
@@ -147,25 +147,25 @@ def _clusters(found: PixelDepths, group: Mask, guess: Guess) -> list[tuple[float
         member = rows[of == number]
         if (names == number).sum() < MIN_CELLS or len(member) < 5:
             continue
-        points = found.position_m[member]
+        points = depths.position_m[member]
         x0, y0 = np.quantile(points[:, :2], 0.05, axis=0)
         x1, y1 = np.quantile(points[:, :2], 0.95, axis=0)
-        flat = member[found.face[member] == 0]
-        heights = found.position_m[flat, 2] if len(flat) else points[:, 2]
+        flat = member[depths.face[member] == 0]
+        heights = depths.position_m[flat, 2] if len(flat) else points[:, 2]
         top = float(np.median(heights)) if len(flat) else float(np.quantile(heights, 0.95))
-        albedo = float(np.median(found.albedo[member]))
+        albedo = float(np.median(depths.albedo[member]))
         x0, x1 = _at_least(x0, x1)
         y0, y1 = _at_least(y0, y1)
         camera = guess.camera_m
         if x0 < camera[0] < x1 and y0 < camera[1] < y1 and top > camera[2] - 0.2:
             continue
-        gain = float(found.gain[member].sum())
+        gain = float(depths.gain[member].sum())
         top = max(top, MIN_SIZE_M)
         proposals.append((gain, Solid((x0, y0, 0.0), (x1, y1, top), albedo)))
         if len(flat) and top > MIN_TABLE_M:
             slab = Solid((x0, y0, top - TABLE_TOP_M), (x1, y1, top), albedo)
             proposals.append((0.9 * gain, slab))
-        if found.gain[member].size > 10:
+        if depths.gain[member].size > 10:
             tall = Solid((x0, y0, 0.0), (x1, y1, guess.size_m[2]), albedo)
             proposals.append((0.5 * gain, tall))
     return proposals

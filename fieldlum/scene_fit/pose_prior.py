@@ -140,7 +140,7 @@ def pose_note(pose: PoseFit, discs: int) -> str:
     It has values with uncertainties, the residual, the number of gross errors, and what the discs
     did not determine.
     """
-    found = ", ".join(
+    differences = ", ".join(
         f"{kind} {pose[name]:+.2f} +- {pose.u[name]:.2f} {unit}"
         for name in _FITTED
         for kind, _, unit in [name.rpartition("_")]
@@ -149,5 +149,5 @@ def pose_note(pose: PoseFit, discs: int) -> str:
     open_ = f"; not determined by the discs alone: {', '.join(pose.open)}" if pose.open else ""
     return (
         f"correction by {discs} measured sun discs (residual {pose.rms_deg:.2f} degrees rms): "
-        f"{found}{left_out}{open_}"
+        f"{differences}{left_out}{open_}"
     )

@@ -77,9 +77,9 @@ def read_scene(folder: Path) -> Scene:
     try:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        found = getattr(error, "strerror", None) or str(error)
+        finding = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            path, found, "a fitted scene", "write one with: fieldlum scene fit SESSION --out DIR"
+            path, finding, "a fitted scene", "write one with: fieldlum scene fit SESSION --out DIR"
         ) from None
     if table.get("format") != FORMAT:
         raise InputError(

@@ -185,10 +185,10 @@ def window_view(data: Dataset, guess: Guess) -> WindowView:
         )
     level = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], _LEAST_CDM2)
     panes = np.mean(level[:, is_pane], axis=1, keepdims=True)
-    seen = np.median(level / panes, axis=0)
+    shown = np.median(level / panes, axis=0)
     omega = equirect_solid_angles(height, width)
-    panes_low = np.quantile(seen[is_pane], 0.25)
-    shows_edges = np.median(seen[~is_pane]) < MAX_ROOM_SHARE * panes_low
+    panes_low = np.quantile(shown[is_pane], 0.25)
+    shows_edges = np.median(shown[~is_pane]) < MAX_ROOM_SHARE * panes_low
     weights = shows_edges * omega.ravel()[chosen] / omega[data.seen].sum()
     sub = int(np.clip(round(180.0 / height / RAY_DEG), 2, 4))
     pixel, rays = pixel_rays(height, data.heading_deg, sub)
@@ -198,7 +198,7 @@ def window_view(data: Dataset, guess: Guess) -> WindowView:
     row = chosen // width
     rays = _scattered(rays[of], 180.0 / height / sub)
     return WindowView(
-        seen,
+        shown,
         row - row.min(),
         weights,
         rays.astype(np.float32),

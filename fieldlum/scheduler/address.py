@@ -148,10 +148,10 @@ def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
         )
     tls = _tls(path, table.get("tls"))
     if address.startswith("tls://") != (tls is not None):
-        found = f"{address} with{'' if tls else 'out'} a table 'tls'"
+        finding = f"{address} with{'' if tls else 'out'} a table 'tls'"
         expected = "tls:// with a table tls of the files ca, certificate and key, or tcp:// without"
         remedy = "remove the table or use tls://" if tls else "add the table or use tcp://"
-        raise InputError(path, found, expected, remedy)
+        raise InputError(path, finding, expected, remedy)
     return _cluster(_checked(address, str(path)), tls, say)
 
 

@@ -111,12 +111,12 @@ class ClusterCrew:
                 remedy="finished units are stored; start the command again",
             )
         if idle_s > PATIENCE_S:
-            found = f"no usable worker for {PATIENCE_S:.0f} s"
+            finding = f"no usable worker for {PATIENCE_S:.0f} s"
             remedy = (
                 "start a worker: dask worker ADDRESS; finished units are stored, so start "
                 "the command again"
             )
-            raise NotEnoughDataError(f"{self._scheduler.address}: {found}; {remedy}")
+            raise NotEnoughDataError(f"{self._scheduler.address}: {finding}; {remedy}")
 
     # ------------------------------------------------------------------------------------------
     # units
@@ -152,13 +152,13 @@ class ClusterCrew:
         end_s = time.monotonic() + POLL_S
         while not self._finished.has_ready() and time.monotonic() < end_s:
             time.sleep(TURN_S)
-        found = [
+        answers = [
             (self._keys.pop(future, 0), future, value)
             for future, value in self._finished.next_batch(block=False)
         ]
         outcomes = [
             self._outcome(key, future, value)
-            for key, future, value in found
+            for key, future, value in answers
             if key in self._running
         ]
         return [*outcomes, *self._orphans()]

@@ -168,8 +168,8 @@ class ProcessCrew:
             starting = [self._pids[pool] for pool in self._idle]
             wait(starting, timeout=POLL_S, return_when=FIRST_COMPLETED)
             return []
-        done, _ = wait(self._running, timeout=POLL_S, return_when=FIRST_COMPLETED)
-        return [self._outcome(future) for future in done]
+        finished, _ = wait(self._running, timeout=POLL_S, return_when=FIRST_COMPLETED)
+        return [self._outcome(future) for future in finished]
 
     def _outcome(self, future: Future[Any]) -> Ended:
         key, pool = self._running.pop(future)
@@ -196,10 +196,10 @@ class ProcessCrew:
 
     def _kill(self, pool: ProcessPoolExecutor) -> None:
         """Kill a pool's process; a process without a known pid has never started."""
-        known = self._pids[pool]
-        if known.done() and known.exception() is None:
+        pids = self._pids[pool]
+        if pids.done() and pids.exception() is None:
             with suppress(ProcessLookupError):
-                os.kill(known.result(), getattr(signal, "SIGKILL", signal.SIGTERM))
+                os.kill(pids.result(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def status(self) -> str:
         """Return the number of processes, as text."""

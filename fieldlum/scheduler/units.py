@@ -152,9 +152,9 @@ def perform(task: Task) -> Answer:
     folder = shared_folder() / _inside(task.folder)
     try:
         for name, digest in task.inputs:
-            seen = _digest(folder / _inside(name))
-            if seen != digest:
-                return Answer(kind="stale", text=name, seen=seen)
+            content_digest = _digest(folder / _inside(name))
+            if content_digest != digest:
+                return Answer(kind="stale", text=name, seen=content_digest)
         return Answer(task.call(folder, task.argument))
     except (OSError, MemoryError) as error:
         if is_worker_trouble(error):

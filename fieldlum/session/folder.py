@@ -191,9 +191,9 @@ def update_session(session: Session, tables: SessionTable) -> None:
     """Write top-level tables into session.toml; each replaces the table of the same name."""
     import tomli_w
 
-    known = session.table() if session.toml.exists() else {}
+    before = session.table() if session.toml.exists() else {}
     with replacing(session.toml) as file:
-        file.write(tomli_w.dumps({**known, **tables}).encode())
+        file.write(tomli_w.dumps({**before, **tables}).encode())
 
 
 def store_grace(session: Session, grace_s: float) -> None:

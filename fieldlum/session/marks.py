@@ -25,10 +25,10 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
     InputError for an id that is neither in the plan nor that of a panorama, and for an unknown
     word.
     """
-    known = {planned.id for planned in session.slots()}
-    known |= {path.stem for path in session.panoramas.glob("*.exr")}
-    if slot not in known:
-        example = min(known, default="20270320T153000Z")
+    slots = {planned.id for planned in session.slots()}
+    slots |= {path.stem for path in session.panoramas.glob("*.exr")}
+    if slot not in slots:
+        example = min(slots, default="20270320T153000Z")
         raise InputError(
             session.root,
             f"no slot {slot} in this session",

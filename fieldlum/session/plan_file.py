@@ -93,8 +93,8 @@ def read_plan(path: Path) -> list[Slot]:
     reader = csv.DictReader(text.splitlines())
     if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
         names = ", ".join(reader.fieldnames or ())[:120]
-        found = f"columns {names}" if names else "an empty file"
-        raise InputError(path, found, expected, remedy)
+        finding = f"columns {names}" if names else "an empty file"
+        raise InputError(path, finding, expected, remedy)
     for number, row in enumerate(reader, start=2):
         try:
             slots.append(_slot(row))

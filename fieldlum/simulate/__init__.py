@@ -213,9 +213,9 @@ def _write_irradiance(
                 if drift
                 else [begin, begin + timedelta(minutes=59, seconds=59)]
             )
-    found = weather.at(times)
+    light = weather.at(times)
     ghi_wm2, dni_wm2, dhi_wm2 = (
-        np.nan_to_num(v) for v in (found.ghi_wm2, found.dni_wm2, found.dhi_wm2)
+        np.nan_to_num(v) for v in (light.ghi_wm2, light.dni_wm2, light.dhi_wm2)
     )
     if troubles.names:
         altitude = sun.position(times, weather.site).altitude_deg

@@ -131,8 +131,8 @@ class GroundTruth:
         columns = self._columns(light, sunlit)
         out = np.ascontiguousarray(self.pixels_cdm2(columns).T, np.float32)
         out += patch
-        seen = self._seen_sky
-        out[:, seen] += light.sky_at(self._sky_rays[seen]) * self.view.sky.ravel()[seen]
+        seen_sky = self._seen_sky
+        out[:, seen_sky] += light.sky_at(self._sky_rays[seen_sky]) * self.view.sky.ravel()[seen_sky]
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
         visible, through = disc_visibility(self.view.scene, toward)
         shape = (n, self.height, 2 * self.height)
@@ -264,8 +264,8 @@ def ground_truth(
     scene = view.scene
     total = len(pieces) + len(rows)
 
-    def both(done: int, _all: int, text: str, base: int = 0) -> None:
-        progress(base + done, total, text)
+    def both(finished: int, _all: int, text: str, base: int = 0) -> None:
+        progress(base + finished, total, text)
 
     if of_pieces is None:
         of_pieces = _gather_pieces(scene, pieces, how, workers, both)
@@ -277,7 +277,7 @@ def ground_truth(
         how.pixel_rays,
         workers=workers,
         text="light on the pixels",
-        progress=lambda done, all_, text: both(done, all_, text, len(pieces)),
+        progress=lambda finished, all_, text: both(finished, all_, text, len(pieces)),
     )
     if folder is not None:
         _save(folder, "points", from_points)
@@ -351,7 +351,7 @@ def _neighbours(
     width = 2 * view.height
     code = face * (2 * view.height**2) + pixel
     order = np.argsort(code)
-    known = code[order]
+    sorted_codes = code[order]
     row, column = np.divmod(pixel.astype(np.int64), width)
     reach = np.linalg.norm(position - np.array(view.scene.camera_m), axis=1) * np.pi / view.height
     parts = []
@@ -360,8 +360,8 @@ def _neighbours(
             if di * di + dj * dj > radius * radius + 1:
                 continue
             other = face * (2 * view.height**2) + (row + di) * width + (column + dj) % width
-            at = np.minimum(np.searchsorted(known, other), len(known) - 1)
-            good = (known[at] == other) & (row + di >= 0) & (row + di < view.height)
+            at = np.minimum(np.searchsorted(sorted_codes, other), len(sorted_codes) - 1)
+            good = (sorted_codes[at] == other) & (row + di >= 0) & (row + di < view.height)
             i, j = np.flatnonzero(good), order[at[good]]
             away = np.linalg.norm(position[i] - position[j], axis=1) / (reach[i] * max(radius, 1))
             parts.append((i, j, np.exp(-(away**2))))

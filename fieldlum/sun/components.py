@@ -64,8 +64,8 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
 
     place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
     with _old_names():
-        found = place.get_clearsky(pandas_index(times_utc, "clearsky"), model="ineichen")
-    return Irradiance(*(np.asarray(found[name], float) for name in ("ghi", "dni", "dhi")))
+        table = place.get_clearsky(pandas_index(times_utc, "clearsky"), model="ineichen")
+    return Irradiance(*(np.asarray(table[name], float) for name in ("ghi", "dni", "dhi")))
 
 
 def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) -> Floats:
@@ -82,13 +82,13 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
     ghi = np.asarray(ghi_wm2, float)
     zenith = 90.0 - position(times_utc, site).altitude_deg
     with np.errstate(divide="ignore", invalid="ignore"), _old_names():
-        found = dirint(
+        computed = dirint(
             np.maximum(ghi, 0.0),
             zenith,
             pandas_index(times_utc, "dirint_dni"),
             pressure=alt2pres(site.altitude_m),
         )
-    dni = np.nan_to_num(np.asarray(found, float), nan=0.0)
+    dni = np.nan_to_num(np.asarray(computed, float), nan=0.0)
     # The beam never exceeds what the global allows, nor the irradiance above the atmosphere.
     ceiling = np.maximum(ghi, 0.0) / np.maximum(np.cos(np.radians(zenith)), np.sin(np.radians(1.0)))
     dni = np.minimum(dni, np.minimum(np.nan_to_num(ceiling), extraterrestrial_wm2(times_utc)))

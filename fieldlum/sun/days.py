@@ -68,7 +68,7 @@ def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime
     Each is (moment in UTC, new minus old UTC offset), in order; found to the half hour.
     """
     zone = ZoneInfo(timezone)
-    start, found = standard_midnight(first, timezone), []
+    start, changes = standard_midnight(first, timezone), []
     hours = ((last - first).days + 1) * 24
     before = start.astimezone(zone).utcoffset() or timedelta()
     # Every change of the last fifty years was on a half hour of UTC.
@@ -76,9 +76,9 @@ def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime
         moment = start + timedelta(minutes=30 * hour)
         now = moment.astimezone(zone).utcoffset() or timedelta()
         if now != before:
-            found.append((moment, now - before))
+            changes.append((moment, now - before))
         before = now
-    return found
+    return changes
 
 
 def _apparent_longitude_deg(unix_s: float) -> float:
@@ -175,9 +175,9 @@ def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
         for name in ("sunrise", "transit", "sunset")
     ]
     rise, transit, down = ([t.to_pydatetime() for t in column] for column in columns)
-    found = (_refined(rise, site), transit, _refined(down, site))
+    events = (_refined(rise, site), transit, _refined(down, site))
     starts = [standard_midnight(day, site.timezone) for day in days]
-    return [DayOfSun(*(_within_a_day(moments, start) for moments in found)) for start in starts]
+    return [DayOfSun(*(_within_a_day(moments, start) for moments in events)) for start in starts]
 
 
 def _within_a_day(moments: Sequence[datetime], start: datetime) -> datetime | None:
@@ -186,10 +186,10 @@ def _within_a_day(moments: Sequence[datetime], start: datetime) -> datetime | No
 
 def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
     """Return times after three Newton steps to the rise altitude, each at most ten minutes."""
-    known = list(moments)
-    for _ in range(3 if known else 0):
+    refined = list(moments)
+    for _ in range(3 if refined else 0):
         before, after = (
-            position([t + timedelta(seconds=s) for t in known], site).altitude_deg
+            position([t + timedelta(seconds=s) for t in refined], site).altitude_deg
             for s in (-60, 60)
         )
         rate = (after - before) / 120.0
@@ -197,5 +197,7 @@ def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
             np.abs(rate) > 1e-6, rate, 1e-6
         )
         steps = np.clip(wanted, -600, 600)
-        known = [t + timedelta(seconds=round(float(s))) for t, s in zip(known, steps, strict=True)]
-    return known
+        refined = [
+            t + timedelta(seconds=round(float(s))) for t, s in zip(refined, steps, strict=True)
+        ]
+    return refined

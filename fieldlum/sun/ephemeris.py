@@ -59,13 +59,13 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     index = pandas_index(times_utc, "position")
     if len(index) == 0:
         return SunPosition(np.empty(0), np.empty(0), np.empty(0))
-    found = get_solarposition(
+    table = get_solarposition(
         index, site.latitude_deg, site.longitude_deg, site.altitude_m, method="nrel_numpy"
     )
     return SunPosition(
-        np.asarray(found["elevation"], float),
-        np.asarray(found["apparent_elevation"], float),
-        np.asarray(found["azimuth"], float) % 360.0,
+        np.asarray(table["elevation"], float),
+        np.asarray(table["apparent_elevation"], float),
+        np.asarray(table["azimuth"], float) % 360.0,
     )
 
 

@@ -230,10 +230,12 @@ def process_of(
     level = np.array(level)
     covariance = Kernel(arrays.facades)(arrays.features, arrays.features)
     spread = level**2 * (1.0 + arrays.unsure / UNSURE)
-    known = np.where(valid, y, level[:, None])
+    with_level = np.where(valid, y, level[:, None])
     total, beam = arrays.light.total_lx, arrays.features.beam
     y = np.where(arrays.filled[:, pixels], np.inf, y)
-    process = Process(known, valid, covariance, spread, small.days, judged, total, beam, y, direct)
+    process = Process(
+        with_level, valid, covariance, spread, small.days, judged, total, beam, y, direct
+    )
     return process.without(~valid)
 
 

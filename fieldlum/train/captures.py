@@ -30,8 +30,8 @@ def order_of_use(data: Dataset) -> np.ndarray:
     all captures. Only their light is compared, not the pictures.
     """
     kernel = Kernel(facades_of(data.setup.room))
-    known = light_features(data.light)
-    return greedy_hours(kernel, known, known, len(data)).index
+    features = light_features(data.light)
+    return greedy_hours(kernel, features, features, len(data)).index
 
 
 def how_many(

@@ -50,21 +50,21 @@ def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
     small = thinned(data)
     process = process_of(data, with_patch=with_patch, complete=True, windows=True)
     rows = np.flatnonzero(process.judged)
-    found = np.zeros((len(data), *small.shape), bool)
+    objects = np.zeros((len(data), *small.shape), bool)
     if not process.shows_exceptions:
         return np.zeros(data.luminance_cdm2.shape, bool)
     for _ in range(_ROUNDS):
-        log, least, sd = _deviation(process.without(found[:, small.seen]), rows, small.seen)
+        log, least, sd = _deviation(process.without(objects[:, small.seen]), rows, small.seen)
         for k, row in enumerate(rows):
             dark, limit, valid = (
                 _on_grid(values, small.seen) for values in (-log[k], least[k], process.valid[row])
             )
             for region in _regions(dark, limit, valid, _LEAST_SDS * float(sd[k])):
-                found[row] |= region
-    return _enlarged(found, data.shape)
+                objects[row] |= region
+    return _enlarged(objects, data.shape)
 
 
-def _deviation(process: Process, rows: Rows, seen: Mask) -> tuple[Array, Array, Array]:
+def _deviation(process: Process, rows: Rows, seen_mask: Mask) -> tuple[Array, Array, Array]:
     """Return ln of measured over predicted light, and the least deviation that counts, [k, P] each.
 
     The third result is the standard deviation of the prediction, [k]. For a pixel that a sun patch
@@ -77,7 +77,7 @@ def _deviation(process: Process, rows: Rows, seen: Mask) -> tuple[Array, Array, 
     log -= _median(log, valid)
     size, sd = np.abs(log), np.sqrt(out.variance)[:, None] / level
     usual = np.quantile(np.where(valid, size / sd, 0.0), _USUAL_SHARE, axis=0)  # [P]
-    usual = sd * _around(usual, seen)
+    usual = sd * _around(usual, seen_mask)
     own = np.sqrt((_MAD * _median(size, valid)) ** 2 + _LEAST_SD**2)
     least = np.maximum(_OVER_USUAL * usual, np.maximum(_OVER_CAPTURE * own, _LEAST_LOG))
     return log, least, sd[:, 0]
@@ -220,17 +220,17 @@ def _median(values: Array, valid: Mask) -> Array:
     return np.ma.filled(middle, 0.0)
 
 
-def _around(values: Array, seen: Mask) -> Array:
+def _around(values: Array, seen_mask: Mask) -> Array:
     """Return the largest value of each pixel and its neighbours, [P]."""
     from scipy.ndimage import maximum_filter
 
-    padded = np.pad(_on_grid(values, seen), ((0, 0), (1, 1)), mode="wrap")
-    return np.asarray(maximum_filter(padded, 3))[:, 1:-1][seen]
+    padded = np.pad(_on_grid(values, seen_mask), ((0, 0), (1, 1)), mode="wrap")
+    return np.asarray(maximum_filter(padded, 3))[:, 1:-1][seen_mask]
 
 
-def _on_grid(values: Array, seen: Mask) -> Array:
-    out = np.zeros(seen.shape, values.dtype)
-    out[seen] = values
+def _on_grid(values: Array, seen_mask: Mask) -> Array:
+    out = np.zeros(seen_mask.shape, values.dtype)
+    out[seen_mask] = values
     return out
 
 

@@ -47,20 +47,20 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
         return []
     errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)
     days, means = by_day(errors, data.days)
-    said = []
+    texts = []
     odd = days[(means > POOR_MSE) & (means > ODD_TIMES * np.median(means))]
     if len(odd):
         shown = ", ".join(str(day) for day in odd[:5]) + (" ..." if len(odd) > 5 else "")
-        said.append(
+        texts.append(
             f"WARNING: the captures of {shown} disagree with those of all other days: check "
             "whether a blind was moved or a lamp was on"
         )
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())
-        said.append(
+        texts.append(
             f"WARNING: predictions of held-out days are wrong by a factor of {factor:.2f} (rms); "
             "likely causes are "
             f"broken cloud, wrong irradiance, or a room that changed (a wrong north or clock has "
             f"its own warning); {POOR_WORDS}"
         )
-    return said
+    return texts

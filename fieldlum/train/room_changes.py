@@ -196,8 +196,8 @@ def find_lamp(process: Process, hours: Floats) -> tuple[Rows, Rows]:
         return disagreement(process.with_lamp(lit), rows, usual) + price
 
     blocks = [hours >= h for h in _EVENINGS_H] + [hours < h for h in _MORNINGS_H]
-    found = [_lit_days(process, block & process.judged, cost) for block in blocks]
-    best = min(found, key=cost)
+    lit_days = [_lit_days(process, block & process.judged, cost) for block in blocks]
+    best = min(lit_days, key=cost)
     always = process.with_lamp(rows)
     if without - disagreement(always, rows, usual) > max(_LEAST_GAIN, without - cost(best)):
         return _NO_ROWS, rows
@@ -234,8 +234,8 @@ def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) ->
     for row in np.flatnonzero(process.judged):
         other = np.setxor1d(lit, [row])
         price = 2.0 * PRICE if len(other) > len(lit) else 0.0
-        if (found := cost(other)) + price < best:
-            best, lit = found, other
+        if (changed := cost(other)) + price < best:
+            best, lit = changed, other
     return lit
 
 

@@ -73,12 +73,12 @@ def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
             continue
         gain = _daily(winner, data, shared) - _daily(trial, data, shared)
         if len(gain) > 1 and gain.mean() > standard_error(gain):
-            said = (
+            reason = (
                 f"on the {len(gain)} held-out days of both models, the log10 MSE of {trial.name} "
                 "is lower "
                 f"than that of {winner.name} by {gain.mean():.2e}"
             )
-            winner, choice = trial, ModelSelection(trial.name, said)
+            winner, choice = trial, ModelSelection(trial.name, reason)
     return choice
 
 
@@ -100,8 +100,8 @@ def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSele
             f"{best} has the lowest log10 MSE ({spread}), and no smaller model is within one "
             f"standard error of it",
         )
-    said = (
+    reason = (
         f"{chosen.name} (log10 MSE {means[chosen.name]:.2e}) is the smallest model within one "
         f"standard error of {best} ({spread})"
     )
-    return chosen, ModelSelection(chosen.name, said)
+    return chosen, ModelSelection(chosen.name, reason)

@@ -75,38 +75,38 @@ def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitt
     return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
 
 
-def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
+def warnings_of(setting: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
     """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
-    found: result of `scan`; pixel_deg: width of a pixel of the maps. The list is empty if no cause
-    is certain. It has one line, without a remedy in SITE.toml, if a wrong measure in [room]
+    setting: result of `scan`; pixel_deg: width of a pixel of the maps. The list is empty if no
+    cause is certain. It has one line, without a remedy in SITE.toml, if a wrong measure in [room]
     explains nearly as much.
     """
-    if found.room is not None:
-        return [_measure_warning(found, found.room)]
-    cause = found.wrong
+    if setting.room is not None:
+        return [_measure_warning(setting, setting.room)]
+    cause = setting.wrong
     if cause is None:
         return []
     share = cause.gain / cause.stated
-    said = (
-        f"WARNING: captured sun patches are displaced from the computed ones ({found.hours} "
+    text = (
+        f"WARNING: captured sun patches are displaced from the computed ones ({setting.hours} "
         f"hours): {_words(cause)}, which "
     )
-    said += f"explains {share:.0%} of the misfit"
-    others = [f"{_words(f)} ({f.gain / cause.gain:.0%} of that)" for f in found.alike]
-    said += f"; nearly as likely: {', '.join(others)}" if others else ""
+    text += f"explains {share:.0%} of the misfit"
+    others = [f"{_words(f)} ({f.gain / cause.gain:.0%} of that)" for f in setting.alike]
+    text += f"; nearly as likely: {', '.join(others)}" if others else ""
     lines = [
-        f"{said}. Until this is fixed, hours that depend on sun patches have a larger uncertainty"
+        f"{text}. Until this is fixed, hours that depend on sun patches have a larger uncertainty"
     ]
-    lines += [f"to fix {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *found.alike)]
+    lines += [f"to fix {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *setting.alike)]
     return lines
 
 
-def _measure_warning(found: Setting, measure: RoomError) -> str:
+def _measure_warning(setting: Setting, measure: RoomError) -> str:
     """Return a warning if a wrong measure of the room explains as much as north or clock."""
-    first = found.findings[0]
+    first = setting.findings[0]
     return (
-        f"WARNING: captured sun patches are not where [room] puts them ({found.hours} hours): "
+        f"WARNING: captured sun patches are not where [room] puts them ({setting.hours} hours): "
         f"changing {measure.name} by {measure.amount_m:+.2f} m would explain "
         f"{measure.gain / first.stated:.0%} of the misfit, changing {first.cause} "
         f"{first.gain / first.stated:.0%}. The captures do not show which is wrong: measure the "

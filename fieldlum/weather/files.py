@@ -63,21 +63,21 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     if str(path) == SYNTHETIC:
         return synthetic_weather(site)
     try:
-        found = _shifted(read_table(path, read_lines(path), site), label_shift_min)
+        table = _shifted(read_table(path, read_lines(path), site), label_shift_min)
     except (csv.Error, OverflowError) as error:
         raise InputError(
             path, str(error), "an EPW, TMY3 or CSV weather file", "download the file again"
         ) from None
-    if not found.rows:
+    if not table.rows:
         raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
-    repairs = [*found.notes, *_check_place(path, found.place, site)]
-    rows = _in_order(path, found, site, repairs)
+    repairs = [*table.notes, *_check_place(path, table.place, site)]
+    rows = _in_order(path, table, site, repairs)
     columns = _values(rows, repairs)
     check_hourly(path, [row.when for row in rows])
-    weather = _fill_gaps(found, site, rows, columns, repairs)
+    weather = _fill_gaps(table, site, rows, columns, repairs)
     _check_night(path, weather)
-    _check_sense(path, found, rows, columns, weather)
-    repairs += label_notes(weather, found.place or site)
+    _check_sense(path, table, rows, columns, weather)
+    repairs += label_notes(weather, table.place or site)
     return replace(weather, repairs=tuple(repairs))
 
 
@@ -135,14 +135,14 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     return [f"the weather station {place.name} is {away:.0f} km from the site"]
 
 
-def _in_order(path: Path, found: WeatherTable, site: Site, repairs: list[str]) -> list[WeatherRow]:
+def _in_order(path: Path, table: WeatherTable, site: Site, repairs: list[str]) -> list[WeatherRow]:
     """Return the rows sorted by time; those of a typical year dated in TYPICAL_YEAR.
 
     Leaves out 29 February of a typical year (local standard time) and lists it in `repairs`. Raises
     InputError for an hour that occurs twice and for a gap over 800 days.
     """
-    rows = found.rows
-    if found.typical:
+    rows = table.rows
+    if table.typical:
         offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
         local = [(row, row.when + offset) for row in rows]
         leap = [row for row, t in local if (t.month, t.day) == (2, 29)]
@@ -185,7 +185,7 @@ def _values(rows: list[WeatherRow], repairs: list[str]) -> Floats:
 
 
 def _fill_gaps(
-    found: WeatherTable, site: Site, rows: list[WeatherRow], columns: Floats, repairs: list[str]
+    table: WeatherTable, site: Site, rows: list[WeatherRow], columns: Floats, repairs: list[str]
 ) -> Weather:
     """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
 
@@ -195,42 +195,42 @@ def _fill_gaps(
     good = np.isfinite(columns[0] + columns[1])
     if not good.any():
         raise NotEnoughDataError(
-            f"{found.name}: no hour has both DNI and DHI; use a file that has both"
+            f"{table.name}: no hour has both DNI and DHI; use a file that has both"
         )
-    known = [row.when for row, ok in zip(rows, good, strict=True) if ok]
+    times = [row.when for row, ok in zip(rows, good, strict=True) if ok]
     values = columns[:, good]
-    filled, left_out = _missing_hours(known, found.typical)
-    everything = sorted([*known, *filled])
+    filled, left_out = _missing_hours(times, table.typical)
+    everything = sorted([*times, *filled])
     at = np.array([t.timestamp() for t in everything])
-    have = np.array([t.timestamp() for t in known])
+    have = np.array([t.timestamp() for t in times])
     dni = np.interp(at, have, values[0])
     dhi = np.interp(at, have, values[1])
     height = np.maximum(np.sin(np.radians(sun.position(everything, site).altitude_deg)), 0.0)
     ghi = dhi + dni * height
-    given = ~np.isnan(values[2])
-    ghi[np.isin(at, have[given])] = values[2][given]
+    has_ghi = ~np.isnan(values[2])
+    ghi[np.isin(at, have[has_ghi])] = values[2][has_ghi]
     if filled:
         repairs.append(f"{len(filled)} missing hours interpolated: {_some(filled)}")
     if left_out:
         repairs.append(f"{len(left_out)} missing hours left out: {_some(left_out)}")
-    return Weather(found.name, site, tuple(everything), dni, dhi, ghi, (), found.typical)
+    return Weather(table.name, site, tuple(everything), dni, dhi, ghi, (), table.typical)
 
 
-def _missing_hours(known: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
+def _missing_hours(times: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
     """Return the hours to interpolate and the hours to leave out."""
     filled: list[datetime] = []
     left_out: list[datetime] = []
-    for gap in _gaps(known, typical):
-        between = 0 < len(gap) <= FILLED_GAP_HOURS and known[0] < gap[0] < known[-1]
+    for gap in _gaps(times, typical):
+        between = 0 < len(gap) <= FILLED_GAP_HOURS and times[0] < gap[0] < times[-1]
         (filled if between else left_out).extend(gap)
     return filled, left_out
 
 
-def _gaps(known: list[datetime], typical: bool) -> Iterator[list[datetime]]:
+def _gaps(times: list[datetime], typical: bool) -> Iterator[list[datetime]]:
     if typical:  # a typical year has 8760 hours, from local midnight to local midnight
-        lacking = 8760 - (round((known[-1] - known[0]) / _HOUR) + 1)
-        yield [known[-1] + _HOUR * (k + 1) for k in range(max(lacking, 0))]
-    for a, b in pairwise(known):
+        lacking = 8760 - (round((times[-1] - times[0]) / _HOUR) + 1)
+        yield [times[-1] + _HOUR * (k + 1) for k in range(max(lacking, 0))]
+    for a, b in pairwise(times):
         yield [a + _HOUR * (k + 1) for k in range(round((b - a) / _HOUR) - 1)]
 
 
@@ -262,12 +262,12 @@ def _check_night(path: Path, weather: Weather) -> None:
 
 
 def _check_sense(
-    path: Path, found: WeatherTable, rows: list[WeatherRow], columns: Floats, weather: Weather
+    path: Path, table: WeatherTable, rows: list[WeatherRow], columns: Floats, weather: Weather
 ) -> None:
     """Check plausibility with the global irradiance that the file itself states.
 
     Elsewhere the global irradiance was computed from the other two and proves nothing.
     """
-    given = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
-    ghi = np.array([given.get(t, math.nan) for t in weather.t_utc])
-    check_sense(path, weather, found.place or weather.site, ghi)
+    ghi_by_time = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
+    ghi = np.array([ghi_by_time.get(t, math.nan) for t in weather.t_utc])
+    check_sense(path, weather, table.place or weather.site, ghi)

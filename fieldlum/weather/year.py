@@ -64,12 +64,12 @@ class Weather:
         """
         moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
         seconds = np.array([t.timestamp() for t in moments])
-        known = np.array([t.timestamp() for t in self.t_utc])
-        after = np.clip(np.searchsorted(known, seconds), 1, len(known) - 1)
+        times_s = np.array([t.timestamp() for t in self.t_utc])
+        after = np.clip(np.searchsorted(times_s, seconds), 1, len(times_s) - 1)
         before = after - 1
-        nearest = np.where(seconds - known[before] < known[after] - seconds, before, after)
-        outside = np.abs(seconds - known[nearest]) > 1800.5
-        share = np.clip((seconds - known[before]) / (known[after] - known[before]), 0.0, 1.0)
+        nearest = np.where(seconds - times_s[before] < times_s[after] - seconds, before, after)
+        outside = np.abs(seconds - times_s[nearest]) > 1800.5
+        share = np.clip((seconds - times_s[before]) / (times_s[after] - times_s[before]), 0.0, 1.0)
 
         def value(series: Floats) -> Floats:
             between = series[before] * (1 - share) + series[after] * share

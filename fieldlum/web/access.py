@@ -80,8 +80,8 @@ class Access:
             return Ruling(403, "A change needs the header Origin.")
         if self._has_cookie(headers.get("cookie", "")):
             return Ruling(303 if path == "/" and "token" in parse_qs(query) else 200)
-        given = parse_qs(query).get("token", [""])[0]
-        if path == "/" and method == "GET" and _same(given, self.token):
+        token = parse_qs(query).get("token", [""])[0]
+        if path == "/" and method == "GET" and _same(token, self.token):
             return Ruling(303)
         return Ruling(401, "Open the address with the token that the terminal printed first.")
 
@@ -92,6 +92,6 @@ class Access:
         )
 
 
-def _same(given: str, wanted: str) -> bool:
+def _same(token: str, wanted: str) -> bool:
     """Compare in constant time."""
-    return hmac.compare_digest(given.encode(), wanted.encode())
+    return hmac.compare_digest(token.encode(), wanted.encode())

@@ -138,8 +138,8 @@ class Worker:
         year = ("predict", str(model), "--weather", self.weather, "--out", str(annual))
         good = self._run("train", *fitting) and self._run("predict", *year)
         if good:
-            given = () if self.weather == "synthetic" else ("--weather", self.weather)
-            self._run("useful hours", "plan", root, "--next", "--json", *given)
+            option = () if self.weather == "synthetic" else ("--weather", self.weather)
+            self._run("useful hours", "plan", root, "--next", "--json", *option)
             with suppress(OSError, ValueError, KeyError, InputError):
                 self._keep(captured, annual)
         if not self._stop.is_set():

@@ -71,26 +71,26 @@ class ClickedPicture:
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
 
 
-def clicked_table(found: ClickedRoom) -> JsonTable:
+def clicked_table(clicked: ClickedRoom) -> JsonTable:
     """Return a room's lengths [m] and azimuth [deg], with their uncertainties, as JSON.
 
     Further keys: faces (where the south wall faces), walls of the windows, misfit_px and notes.
     """
-    room = found.room
+    room = clicked.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
     for place, window in enumerate(room.window):
         names = ("left_m", "width_m", "sill_m", "height_m")
         rows += [(f"window.{place}.{name}", getattr(window, name)) for name in names]
     return {
-        "rows": [{"name": name, "value": value, "u": found.u[name]} for name, value in rows],
+        "rows": [{"name": name, "value": value, "u": clicked.u[name]} for name, value in rows],
         "faces": wind(room.wall_azimuth_deg),
         "walls": [window.wall for window in room.window],
-        "misfit_px": found.misfit_px,
-        "notes": list(found.notes),
+        "misfit_px": clicked.misfit_px,
+        "notes": list(clicked.notes),
     }
 
 
-def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
+def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
     """Write scene/clicked.toml, a complete SITE.toml with the clicked room.
 
     Also write the room into the session if it has none, or if `replace_room`. Return the file, and
@@ -98,7 +98,7 @@ def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tu
     not measure, such as reflectances.
     """
     setup = session.site_file()
-    room = found.room
+    room = clicked.room
     if setup.room is not None and setup.room.kind == "box":
         lengths = {name: getattr(room, name) for name in (*_NUMBERS_KEPT, "camera_z_m")}
         room = replace(setup.room, window=room.window, **lengths)
@@ -106,7 +106,7 @@ def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tu
     new = replace(setup, room=room, camera=camera)
     path = session.root / "scene" / "clicked.toml"
     lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
-    lines += [f"#   {name} +- {u:.3g}" for name, u in found.u.items()]
+    lines += [f"#   {name} +- {u:.3g}" for name, u in clicked.u.items()]
     with replacing(path, "w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new)))
     taken = setup.room is None or replace_room
@@ -140,13 +140,13 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         return await _answered(request, _saved)
 
     def _solved(clicks: list[Click], height_m: float, replace_room: bool) -> JsonTable:
-        found = room_from_clicks(clicks, picture.grid, height_m)
-        lines = outline_pixels(found.room, picture.grid)
-        return clicked_table(found) | {"lines": lines, "patches": _patches(found.room, picture)}
+        clicked = room_from_clicks(clicks, picture.grid, height_m)
+        lines = outline_pixels(clicked.room, picture.grid)
+        return clicked_table(clicked) | {"lines": lines, "patches": _patches(clicked.room, picture)}
 
     def _saved(clicks: list[Click], height_m: float, replace_room: bool) -> JsonTable:
-        found = room_from_clicks(clicks, picture.grid, height_m)
-        path, taken = save_room(session, found, replace_room=replace_room)
+        clicked = room_from_clicks(clicks, picture.grid, height_m)
+        path, taken = save_room(session, clicked, replace_room=replace_room)
         return {"file": str(path), "taken": taken}
 
     return [

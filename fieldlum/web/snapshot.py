@@ -291,23 +291,23 @@ class Snapshots:
             "sleep": lambda: [doctor.check_sleep(inhibitors(), has_lid())],
             "calendar": lambda: doctor.check_calendar(session, now),
         }
-        found: list[doctor.Finding] = []
+        findings: list[doctor.Finding] = []
         for name, check in checks.items():
             try:
-                found += check()
+                findings += check()
             except (FieldlumError, OSError, ValueError) as error:
-                found.append(doctor.Finding(name, "warn", str(error)))
-        self._findings = now, [asdict(finding) for finding in found]
+                findings.append(doctor.Finding(name, "warn", str(error)))
+        self._findings = now, [asdict(finding) for finding in findings]
         return self._findings[1]
 
     def _coverage(self, slots: list[Slot], states: dict[str, str]) -> dict[str, float]:
         """Return the share of the year's sun band that the plan and the captures reach, in %."""
-        done = [slot for slot in slots if states[slot.id] == "done"]
-        key = len(slots), tuple(slot.id for slot in done)
+        captured = [slot for slot in slots if states[slot.id] == "done"]
+        key = len(slots), tuple(slot.id for slot in captured)
         if self._band[0] != key:
             band = {
                 name: round(sun_band_percent(hours_of(some), self._setup.site), 1)
-                for name, some in (("planned", slots), ("captured", done))
+                for name, some in (("planned", slots), ("captured", captured))
             }
             self._band = key, band
         return self._band[1]

@@ -104,9 +104,9 @@ class SimulatedCamera:
                 f"{', '.join(f'f/{n:g}' for n in apertures)}; correct the plan"
             )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
-            known = ", ".join(nd.name for nd in profile.nd) or "none"
+            filters = ", ".join(nd.name for nd in profile.nd) or "none"
             raise DeviceError(
-                f"simulated camera: no filter '{exposure.nd}'; expected {known}; correct the plan"
+                f"simulated camera: no filter '{exposure.nd}'; expected {filters}; correct the plan"
             )
         if not 50 <= exposure.iso <= 6400:
             raise DeviceError(

@@ -212,10 +212,10 @@ class Office:
         luminance = (
             np.where(g.glass > 0, g.glass * outside, inside).reshape(_HEIGHT, -1).astype(np.float32)
         )
-        seen = float(g.through_glass(g.eye, to_sun[None])[0])
+        through = float(g.through_glass(g.eye, to_sun[None])[0])
         disc = (
-            SunSource(altitude, azimuth, beam_lx * seen, float(seen > 0), "rendering")
-            if beam_lx * seen > 0
+            SunSource(altitude, azimuth, beam_lx * through, float(through > 0), "rendering")
+            if beam_lx * through > 0
             else None
         )
         return Panorama(luminance, self.setup.camera.heading_deg, t_utc=t_utc, sun=disc)

@@ -50,9 +50,9 @@ class ClockByDay:
 
         A day that is not in `self.days` gets the median of `late_min`.
         """
-        known = dict(zip(self.days.tolist(), self.late_min.tolist(), strict=True))
+        late_by_day = dict(zip(self.days.tolist(), self.late_min.tolist(), strict=True))
         middle = float(np.median(self.late_min))
-        return np.array([known.get(day, middle) for day in days.tolist()])
+        return np.array([late_by_day.get(day, middle) for day in days.tolist()])
 
 
 def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
@@ -63,15 +63,15 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
     else the result is None. It is None also without sun patches or a box room, and if fewer than
     three days have three or more sunny captures.
     """
-    found = evidence_of(data, SUB)
-    if found is None or found.points is None:
+    evidence = evidence_of(data, SUB)
+    if evidence is None or evidence.points is None:
         return None
-    days = data.days[found.rows]
+    days = data.days[evidence.rows]
     names, counts = np.unique(days, return_counts=True)
     names = names[counts >= _FEWEST_HOURS]
     if len(names) < _FEWEST_DAYS:
         return None
-    misfits = _misfits(found, progress)  # [offsets, n]
+    misfits = _misfits(evidence, progress)  # [offsets, n]
     late = np.array([_least(misfits[:, days == day].sum(axis=1)) for day in names])
     if late.std() < _LEAST_SPREAD_MIN:
         return None
@@ -81,12 +81,12 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
     return clock if better and not is_no_worse(before, after, data.days) else None
 
 
-def _misfits(found: Evidence, progress: Progress) -> Array:
+def _misfits(evidence: Evidence, progress: Progress) -> Array:
     """Return the misfit of each hour under each offset, [offsets, n]."""
     rows = []
     for k, late_min in enumerate(_TRIED_MIN):
         progress(k, len(_TRIED_MIN), "clock of each day")
-        rows.append(found.misfit(found.computed(0.0, float(late_min)), found.gains[1]))
+        rows.append(evidence.misfit(evidence.computed(0.0, float(late_min)), evidence.gains[1]))
     return np.array(rows)
 
 

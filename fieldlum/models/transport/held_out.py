@@ -56,9 +56,9 @@ class HeldOutFit:
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
-def score(predicted: Floats, seen: Floats) -> Array:
-    """Return log10 of predicted over captured (`seen`) luminance; below 1 cd/m2 counts as 1."""
-    return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
+def score(predicted: Floats, captured: Floats) -> Array:
+    """Return log10 of predicted over captured (`captured`) luminance; below 1 cd/m2 counts as 1."""
+    return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(captured, FLOOR_CDM2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +99,9 @@ def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> Firs
         columns,
     )
     direct = np.einsum("knp,pk->np", columns.values, fit.gains)
-    found = compose(whole - direct, least, fit.gains, columns)
-    found = with_patches(found, arrays, arrays.light.total_lx[:, None] * scale, recipe)
-    return FirstStage(found, fit.target, scale)
+    predicted = compose(whole - direct, least, fit.gains, columns)
+    predicted = with_patches(predicted, arrays, arrays.light.total_lx[:, None] * scale, recipe)
+    return FirstStage(predicted, fit.target, scale)
 
 
 def hold_out(
@@ -112,12 +112,14 @@ def hold_out(
     first: result of `hold_out_first` for the same arrays, basis and recipe; None to compute it.
     """
     first = first or hold_out_first(arrays, basis, recipe)
-    found = first.found
+    predicted = first.found
     if recipe.second:
-        residual = arrays.taught(np.log(first.target / found))
+        residual = arrays.taught(np.log(first.target / predicted))
         own = second_own(arrays, recipe)
-        found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, arrays.days))
-    luminance = found * arrays.light.total_lx[:, None] * first.scale
+        predicted = predicted * np.exp(
+            held_out_days_shared(own, SECOND_NOISE, residual, arrays.days)
+        )
+    luminance = predicted * arrays.light.total_lx[:, None] * first.scale
     error = arrays.without_flagged(score(luminance, arrays.luminance))
     return HeldOutFit(luminance, error, first.scale, arrays.sureness)
 

@@ -101,9 +101,11 @@ class Evidence:
         width = self.data.shape[1]
         row, column = np.divmod(self.pixels, width)
         source = column - turn_deg * width / 360.0  # where a pixel's patch would be now
-        left = np.floor(source).astype(int)
-        share = source - left
-        sources = np.concatenate((row * width + left % width, row * width + (left + 1) % width))
+        left_column = np.floor(source).astype(int)
+        share = source - left_column
+        sources = np.concatenate(
+            (row * width + left_column % width, row * width + (left_column + 1) % width)
+        )
         needed, place = np.unique(sources, return_inverse=True)
         patch = self._of(self.view.sun_points(needed), turn_deg, 0.0)  # [n, needed]
         at_left, at_right = np.split(place, 2)
@@ -203,20 +205,20 @@ def _filled(parts: Evidence, data: Dataset, sub: int) -> Evidence | None:
         )
         pixels, weights = np.sort(pixels[drawn]), np.ones(PIXELS)
     points = None if view is None else view.sun_points(pixels)
-    seen, background = _without_patches(data, pixels)
+    captured, background = _without_patches(data, pixels)
     background = background[parts.rows]
-    seen = seen[parts.rows]
+    captured = captured[parts.rows]
     parts = replace(
         parts,
         pixels=pixels,
         weights=weights / weights.sum(),
-        log_seen=np.log(seen),
+        log_seen=np.log(captured),
         background=background,
         points=points,
     )
     made = [parts.given(), parts.given() if points is None else parts.computed()]
-    given, computed = (_brightness(seen - background, patch) for patch in made)
-    return replace(parts, gains=(given, computed))
+    stated_gain, computed = (_brightness(captured - background, patch) for patch in made)
+    return replace(parts, gains=(stated_gain, computed))
 
 
 def _without_patches(data: Dataset, pixels: Indices) -> tuple[Array, Array]:
@@ -229,13 +231,13 @@ def _without_patches(data: Dataset, pixels: Indices) -> tuple[Array, Array]:
     arrays = training_arrays_of(replace(data, seen=only.reshape(data.shape)), with_patch=False)
     kernel = Kernel(facades_of(data.setup.room))
     basis = basis_of(kernel(arrays.features, arrays.features), WITHOUT_PATCH.rank)
-    found = fit_pixels(arrays, basis, WITHOUT_PATCH)
+    fitted = fit_pixels(arrays, basis, WITHOUT_PATCH)
     surface = (
-        np.maximum(basis.values @ found.b.T, found.least)
+        np.maximum(basis.values @ fitted.b.T, fitted.least)
         * arrays.light.total_lx[:, None]
-        * found.scale
+        * fitted.scale
     )
-    background = surface + found.sky_gain * arrays.sky
+    background = surface + fitted.sky_gain * arrays.sky
     return np.maximum(arrays.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
 
 

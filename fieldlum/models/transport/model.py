@@ -104,7 +104,7 @@ class Transport:
         are missing, or patches of another shape.
         """
         self._check(light, patch_cdm2)
-        seen, count = self.response.seen, len(light)
+        seen_mask, count = self.response.seen, len(light)
         maps = np.zeros((count, *self.shape), np.float32)
         sd = np.zeros_like(maps)
         expected, trusted = np.empty(count), np.empty(count, bool)
@@ -113,8 +113,8 @@ class Transport:
             rows = slice(start, start + HOURS_AT_ONCE)
             patch = patch_cdm2[rows] if with_patch and patch_cdm2 is not None else None
             part = self.response.maps(light[rows], patch)
-            maps[rows][:, seen] = part.luminance
-            sd[rows][:, seen], expected[rows], trusted[rows] = self._belief(
+            maps[rows][:, seen_mask] = part.luminance
+            sd[rows][:, seen_mask], expected[rows], trusted[rows] = self._belief(
                 light[rows], part, patch
             )
         return Prediction(maps, sd, expected, trusted)
@@ -276,7 +276,7 @@ def fit(
         arrays,
         chosen.basis,
         chosen.recipe,
-        lambda done, total: progress(20 + 70 * done // total, 100, "fitting"),
+        lambda finished, total: progress(20 + 70 * finished // total, 100, "fitting"),
     )
     progress(90, 100, "calibrating uncertainty")
     kept = physics if chosen.computed or chosen.features.bounced is not None else None

@@ -34,15 +34,15 @@ class OpenSky:
         """Return the Perez sky's luminance behind these pixels times `share`, [n, k] cd/m2."""
         return light.sky_at(self.directions) * self.share
 
-    def mask(self, seen: Mask) -> Mask:
+    def mask(self, seen_mask: Mask) -> Mask:
         """Return a mask [H, W], True at window pixels.
 
-        seen: mask [H, W], True at the P pixels that the lens saw, to which `index` refers.
+        seen_mask: mask [H, W], True at the P pixels that the lens saw, to which `index` refers.
         """
-        flat = np.zeros(int(seen.sum()), bool)
+        flat = np.zeros(int(seen_mask.sum()), bool)
         flat[self.index] = True
-        out = np.zeros(seen.shape, bool)
-        out[seen] = flat
+        out = np.zeros(seen_mask.shape, bool)
+        out[seen_mask] = flat
         return out
 
 
@@ -59,10 +59,13 @@ def open_sky_from_captures(
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     behind = light.sky_at(rays[above])
-    seen = np.maximum(luminance[:, above], LEAST_CDM2)
-    ratio, plain = np.log(seen / behind), np.log(seen / light.total_lx[:, None].astype(np.float32))
+    captured = np.maximum(luminance[:, above], LEAST_CDM2)
+    ratio, plain = (
+        np.log(captured / behind),
+        np.log(captured / light.total_lx[:, None].astype(np.float32)),
+    )
     if patch is not None:
-        lit = patch[:, above] > 0.3 * seen
+        lit = patch[:, above] > 0.3 * captured
         ratio, plain = np.where(lit, np.nan, ratio), np.where(lit, np.nan, plain)
         dark = lit.all(axis=0)
         ratio[:, dark], plain[:, dark] = 0.0, 0.0

@@ -101,7 +101,7 @@ class Physics:
         return out
 
     def luminance(
-        self, light: Light, sunlight: Floats32, seen: Mask, sky_cdm2: Floats32 | None = None
+        self, light: Light, sunlight: Floats32, seen_mask: Mask, sky_cdm2: Floats32 | None = None
     ) -> Floats32:
         """Return the computed light of surfaces, without direct sun on them, [n, P] cd/m2.
 
@@ -112,18 +112,18 @@ class Physics:
         sky_cdm2 = light.sky_cdm2 if sky_cdm2 is None else sky_cdm2
         sky = _outdoors(light, sky_cdm2) @ self.sky_modes.T  # [n, s]
         maps = (sunlight * unit) @ self.sun_light + sky @ self.sky_light  # [n, 2 h^2]
-        return _at_pixels(np.maximum(maps, np.float32(0.0)), seen)
+        return _at_pixels(np.maximum(maps, np.float32(0.0)), seen_mask)
 
 
-def _at_pixels(maps: Floats32, seen: Mask) -> Floats32:
-    """Interpolate panoramas [n, 2 h^2] at the pixels `seen` [H, W] of a larger one, [n, P]."""
-    height, (rows, columns) = round(np.sqrt(maps.shape[1] / 2)), seen.shape
+def _at_pixels(maps: Floats32, seen_mask: Mask) -> Floats32:
+    """Interpolate panoramas [n, 2 h^2] at the pixels `seen_mask` [H, W] of a larger one, [n, P]."""
+    height, (rows, columns) = round(np.sqrt(maps.shape[1] / 2)), seen_mask.shape
     wide, scale = 2 * height, height / rows
     row = np.clip((np.arange(rows) + 0.5) * scale - 0.5, 0.0, height - 1.0)
     column = (np.arange(columns) + 0.5) * scale - 0.5
     top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
     down, right = (row - top).astype(np.float32)[:, None], (column - left).astype(np.float32)
-    index = np.flatnonzero(seen)
+    index = np.flatnonzero(seen_mask)
     out = np.empty((len(maps), len(index)), np.float32)
     for k, coarse in enumerate(maps.reshape(-1, height, wide)):  # arrays that stay in the cache
         across = coarse[:, left % wide] * (1 - right) + coarse[:, (left + 1) % wide] * right
@@ -185,12 +185,12 @@ def _modes_of(setup: SiteFile) -> Physics:
     assert setup.room is not None
     truth = ground_truth(setup, height=HEIGHT, quality=QUALITY)
     reflect = (truth.pieces.reflectance / np.pi).astype(np.float32)
-    seen = (truth.to_pixels @ truth.from_points[:, FIRST_PIECE:]).toarray()
+    direct = (truth.to_pixels @ truth.from_points[:, FIRST_PIECE:]).toarray()
     bounce = truth.from_pieces[:, FIRST_PIECE:].multiply(reflect[:, None]).T.tocsr()
-    whole = seen
+    whole = direct
     # each bounce leaves less than half of the light, so the rest is below a millionth
     for _ in range(20):
-        whole = seen + (bounce @ whole.T).T
+        whole = direct + (bounce @ whole.T).T
     whole = whole * reflect
     root = np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).ravel()[:, None]
     _, values, modes = np.linalg.svd(whole * root, full_matrices=False)

@@ -171,8 +171,8 @@ def fit_chunk(
     weights = trust / np.maximum(target, DARK_SHARE * usual) ** 2
     b, gains = solve(basis.values, columns, target, weights, recipe.noise, products)
     for _ in range(recipe.rounds):
-        found = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
-        near = np.clip(found, 0.2 * target, 5.0 * target)
+        fitted = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
+        near = np.clip(fitted, 0.2 * target, 5.0 * target)
         weights = trust / (target * near) / (1.0 + (np.log(near / target) / ROBUST_WIDTH) ** 2)
         b, gains = solve(basis.values, columns, target, weights, recipe.noise, products)
     fit = ChunkFit(columns, target, target.copy(), weights, b, gains)
@@ -190,8 +190,8 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
     factor makes the mean signed log error zero. Pixels that already fit within LOG_STEP_FROM do not
     change.
     """
-    found = basis.values @ fit.b.T + np.einsum("knp,pk->np", fit.columns.values, fit.gains)
-    near = np.clip(found, 0.2 * fit.target, 5.0 * fit.target)  # [n, P]
+    fitted = basis.values @ fit.b.T + np.einsum("knp,pk->np", fit.columns.values, fit.gains)
+    near = np.clip(fitted, 0.2 * fit.target, 5.0 * fit.target)  # [n, P]
     error = np.log(fit.target / near)
     count = np.maximum(trust.sum(axis=0), 1e-9)
     rows = np.flatnonzero(np.sqrt((trust * error**2).sum(axis=0) / count) > LOG_STEP_FROM)
@@ -205,10 +205,12 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
     response = near * (1.0 + error)
     columns = fit.columns[rows]
     b, gains = solve(basis.values, columns, response, weights, recipe.noise, products)
-    found = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
-    left = np.log(fit.target[:, rows] / np.clip(found, 0.2 * near, 5.0 * near))
+    fitted = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
+    residual = np.log(fit.target[:, rows] / np.clip(fitted, 0.2 * near, 5.0 * near))
     counts = weights * near**2  # trust times robust weights
-    factor = np.exp((counts * left).sum(axis=0) / np.maximum(counts.sum(axis=0), 1e-9))  # [rows]
+    factor = np.exp(
+        (counts * residual).sum(axis=0) / np.maximum(counts.sum(axis=0), 1e-9)
+    )  # [rows]
     fit.response[:, rows], fit.weights[:, rows] = response, weights
     fit.b[rows], fit.gains[rows] = b * factor[:, None], gains * factor[:, None]
 
@@ -220,8 +222,8 @@ def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Ar
     """
     unit = arrays.light.total_lx[:, None] * scale
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
-    seen = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit
-    darkest = np.where(arrays.filled, np.inf, seen).min(axis=0)
+    captured = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit
+    darkest = np.where(arrays.filled, np.inf, captured).min(axis=0)
     fitted = with_computed(basis.values @ fit.b.T, fit.gains, fit.columns)
     return LEAST_SHARE * np.maximum(np.minimum(fitted.min(axis=0), darkest), 0.03)
 
@@ -242,9 +244,11 @@ def compose(surface: Array, least: Array, gains: Array, columns: Columns) -> Arr
     to `least` [P] where it is lower. gains: of all covariates [P, k]; negative gains of patches and
     sky count as 0.
     """
-    found = np.maximum(with_computed(surface, gains, columns), least)
+    surfaces = np.maximum(with_computed(surface, gains, columns), least)
     other = slice(columns.surface, None)
-    return found + np.einsum("knp,pk->np", columns.values[other], np.maximum(gains[:, other], 0.0))
+    return surfaces + np.einsum(
+        "knp,pk->np", columns.values[other], np.maximum(gains[:, other], 0.0)
+    )
 
 
 def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width: float) -> Array:
@@ -263,7 +267,7 @@ def fit_pixels(
     arrays: TrainingArrays,
     basis: Basis,
     recipe: Recipe,
-    tick: Callable[[int, int], None] = lambda done, total: None,
+    tick: Callable[[int, int], None] = lambda finished, total: None,
 ) -> PixelFit:
     """Fit all pixels of `arrays`, in chunks that limit the memory.
 
@@ -293,14 +297,14 @@ def fit_pixels(
             out.computed[part] = fit.gains[:, 0] * some.computed.gain
         out.least[part] = least_surface(some, fit, basis, scale)
         if recipe.second:
-            found = compose(basis.values @ fit.b.T, out.least[part], fit.gains, fit.columns)
-            found = with_patches(
-                found, arrays[part], arrays.light.total_lx[:, None] * scale, recipe
+            fitted = compose(basis.values @ fit.b.T, out.least[part], fit.gains, fit.columns)
+            fitted = with_patches(
+                fitted, arrays[part], arrays.light.total_lx[:, None] * scale, recipe
             )
-            out.second[:, part] = inverse @ some.taught(np.log(fit.target / found))
+            out.second[:, part] = inverse @ some.taught(np.log(fit.target / fitted))
 
-    for done in each_chunk(one, count):
-        tick(done, count)
+    for stop in each_chunk(one, count):
+        tick(stop, count)
     return out
 
 

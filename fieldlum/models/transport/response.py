@@ -121,7 +121,7 @@ class RoomResponse:
     def _second(self, light: Light, features: Features) -> Floats32:
         if not len(self.pixels.second):
             return np.empty((len(light), 0), np.float32)
-        known, captured = self.basis.captured_light, self.basis.captured.beam
+        captured_light, captured = self.basis.captured_light, self.basis.captured.beam
         width = self.recipe.second
-        covariance = second_covariance(light, known, features.beam, captured, width)
+        covariance = second_covariance(light, captured_light, features.beam, captured, width)
         return covariance.astype(np.float32)

@@ -124,8 +124,8 @@ def solve(
     """
     r = features.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
-    found = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-    return found[:, :r], found[:, r:] + columns.mean
+    solution = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    return solution[:, :r], solution[:, r:] + columns.mean
 
 
 def held_out_days(
@@ -192,12 +192,12 @@ def _held_out(
     for day in np.unique(days):
         rows = np.flatnonzero(days == day)
         hat = design[:, rows] @ solved[:, :, 1 + rows] * w[:, None, rows]
-        left = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])  # [P, d, 1]
-        out[:, rows] = target.T[:, rows] - left[:, :, 0]
+        errors = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])  # [P, d, 1]
+        out[:, rows] = target.T[:, rows] - errors[:, :, 0]
         if other[:, rows].any():
-            change = (solved[:, :, 1 + rows] @ (w[:, rows, None] * left))[:, :, 0]  # [P, r + k]
-            found = solved[:, :, 0] - change + mean
-            out[:, rows] += np.einsum("pda,pa->pd", other[:, rows], found)
+            change = (solved[:, :, 1 + rows] @ (w[:, rows, None] * errors))[:, :, 0]  # [P, r + k]
+            coefficients = solved[:, :, 0] - change + mean
+            out[:, rows] += np.einsum("pda,pa->pd", other[:, rows], coefficients)
     return out.T
 
 

@@ -48,7 +48,7 @@ def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | No
     if evidence.points is None or room is None:
         return None
     stated = _misfit(evidence, room)
-    found = RoomError("", 0.0, 0.0)
+    best = RoomError("", 0.0, 0.0)
     tries = list(_tries(room))
     for k, (name, amount, other) in enumerate(tries):
         progress(k, len(tries), f"room: {name}")
@@ -56,9 +56,9 @@ def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | No
             gain = stated - _misfit(evidence, other)
         except InputError:  # a window outside its wall, a camera in the furniture
             continue
-        if gain > found.gain:
-            found = RoomError(name, amount, gain)
-    return found if found.name else None
+        if gain > best.gain:
+            best = RoomError(name, amount, gain)
+    return best if best.name else None
 
 
 def _tries(room: Room) -> Iterator[tuple[str, float, Room]]:

@@ -38,6 +38,6 @@ def seasons(days: NDArray) -> Indices:
     degrees between the days' declinations separates two seasons. days: dates [n] (datetime64).
     """
     declination = _declination_deg(days)
-    known = np.unique(declination)
-    starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
+    values = np.unique(declination)
+    starts = values[1:][np.diff(values) > SEASONS_APART_DEG]
     return np.searchsorted(starts, declination, side="right")

@@ -144,12 +144,12 @@ def choose_model(
     of these inputs, the computed light in `drawn`, and a lamp that is on in all captures is used
     only if it helps held-out days (`bounced`: if it is no worse).
     """
-    seen, field = _with_seen_sky(drawn, kernel, sky, under_sky)
+    under_seen, field = _with_seen_sky(drawn, kernel, sky, under_sky)
     drawn, first = _with_better_mean(drawn, kernel, bounced)
     if field is not None:
-        seen, other = _with_better_mean(seen, kernel, bounced)
-        field = field if _is_better_for_a_year(seen, other, first) else None
-        drawn, first = (seen, other) if field is not None else (drawn, first)
+        under_seen, other = _with_better_mean(under_seen, kernel, bounced)
+        field = field if _is_better_for_a_year(under_seen, other, first) else None
+        drawn, first = (under_seen, other) if field is not None else (drawn, first)
     first = first if drawn.patch is not None and not drawn.fitted_patches else None
     used = drawn.computed is not None
     chosen = _choose_recipe(drawn, kernel, bounced, first)
@@ -185,16 +185,16 @@ def _with_better_mean(
 
 
 def _is_better_for_a_year(
-    drawn: TrainingArrays, seen: SelectedRecipe | None, perez: SelectedRecipe | None
+    drawn: TrainingArrays, with_seen: SelectedRecipe | None, perez: SelectedRecipe | None
 ) -> bool:
-    """Return whether held-out hours under Perez's skies, as in a year, are better by `seen`.
+    """Return whether held-out hours under Perez's skies, as in a year, are better by `with_seen`.
 
-    drawn, seen: arrays with the skies that windows showed, and the choice for them; perez: the
+    drawn, with_seen: arrays with the skies that windows showed, and the choice for them; perez: the
     choice with Perez's skies. True without a room, for which `_with_seen_sky` decides alone.
     """
-    if seen is None or perez is None:
+    if with_seen is None or perez is None:
         return True
-    as_predicted = _under_perez(drawn, seen).held.judged.mean()
+    as_predicted = _under_perez(drawn, with_seen).held.judged.mean()
     return bool(as_predicted < perez.held.judged.mean())
 
 
@@ -214,12 +214,12 @@ def _with_seen_sky(
     trial = replace(plain, features=sky.features(drawn), perez_sky=drawn.features.sky)
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
     without = _choose_kernel(plain, kernel, recipes, None)
-    found = _choose_kernel(trial, kernel, recipes, None)
-    before, after = without.held.judged, found.held.judged
+    with_sky = _choose_kernel(trial, kernel, recipes, None)
+    before, after = without.held.judged, with_sky.held.judged
     better = after.mean() < (1.0 - SKY_GAIN) * before.mean()
     if not better or is_no_worse(before, after, drawn.days):
         return drawn, None
-    as_predicted = _under_perez(trial, found).held.judged
+    as_predicted = _under_perez(trial, with_sky).held.judged
     no_worse = is_no_worse(as_predicted, before, drawn.days)
     return (replace(trial, computed=under_sky), sky.field) if no_worse else (drawn, None)
 

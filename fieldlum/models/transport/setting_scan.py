@@ -195,18 +195,18 @@ def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
     three captures show direct sun; a setting without an error gives a `Setting` with slip_deg 0.
     """
     progress(0, 100, "setting: light without patches")
-    found = evidence_of(data)
-    if found is None:
+    evidence = evidence_of(data)
+    if evidence is None:
         return None
-    makers: dict[str, Callable[..., Array]] = {"camera": found.given}
-    if found.points is not None:
+    makers: dict[str, Callable[..., Array]] = {"camera": evidence.given}
+    if evidence.points is not None:
         makers |= {
-            "north": found.computed,
-            "clock": lambda fast_min: found.computed(0.0, fast_min),
-            "wall": found.walled,
-            "north and clock": found.computed,
+            "north": evidence.computed,
+            "clock": lambda fast_min: evidence.computed(0.0, fast_min),
+            "wall": evidence.walled,
+            "north and clock": evidence.computed,
         }
-    curves = {cause: _Curve(_misfit(found, cause, make)) for cause, make in makers.items()}
+    curves = {cause: _Curve(_misfit(evidence, cause, make)) for cause, make in makers.items()}
     pixel_deg = 360.0 / data.shape[1]
     findings: list[SettingFinding] = []
     for k, (cause, curve) in enumerate(curves.items()):
@@ -230,22 +230,22 @@ def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
             steps = {"clock": (MINUTES[2] / 2,), "wall": (BLUR_PX * pixel_deg,)}.get(
                 cause, (TURNS_DEG[2] / 2,)
             )
-        findings.append(_finding(cause, curve, found.groups, steps))
+        findings.append(_finding(cause, curve, evidence.groups, steps))
     findings = _ranked(findings)
     if not any(f.sure for f in findings):
-        return Setting(tuple(findings), (), 0.0, len(found.rows))
+        return Setting(tuple(findings), (), 0.0, len(evidence.rows))
     first = findings[0]
-    slip = _slip_deg(found, first.cause, makers[first.cause](*first.amount))
+    slip = _slip_deg(evidence, first.cause, makers[first.cause](*first.amount))
     alike = tuple(f for f in findings[1:] if f.gain > ALIKE * first.gain)
-    measure = room_error(found, progress)
+    measure = room_error(evidence, progress)
     if measure is not None and measure.gain <= ALIKE * first.gain:
         measure = None
-    return Setting(tuple(findings), alike, slip, len(found.rows), measure)
+    return Setting(tuple(findings), alike, slip, len(evidence.rows), measure)
 
 
-def _misfit(found: Evidence, cause: str, make: Callable[..., Array]) -> Callable[..., Array]:
-    gain = found.gains[0 if cause == "camera" else 1]
-    return lambda *amount: found.misfit(make(*amount), gain)
+def _misfit(evidence: Evidence, cause: str, make: Callable[..., Array]) -> Callable[..., Array]:
+    gain = evidence.gains[0 if cause == "camera" else 1]
+    return lambda *amount: evidence.misfit(make(*amount), gain)
 
 
 def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) -> SettingFinding:
@@ -281,18 +281,18 @@ def _ranked(findings: list[SettingFinding]) -> list[SettingFinding]:
     return sorted(single + both, key=lambda f: -f.gain)
 
 
-def _slip_deg(found: Evidence, cause: str, best: Array) -> float:
+def _slip_deg(evidence: Evidence, cause: str, best: Array) -> float:
     """Return the displacement between the stated and the best patches [deg].
 
     It is the shift across edges whose expected square equals that between the two.
     """
     camera = cause == "camera"
-    assert found.data.patch_cdm2 is not None
-    maps = found.data.patch_cdm2[found.rows] if camera else found.computed(full_maps=True)
-    gain = found.gains[0 if camera else 1]
+    assert evidence.data.patch_cdm2 is not None
+    maps = evidence.data.patch_cdm2[evidence.rows] if camera else evidence.computed(full_maps=True)
+    gain = evidence.gains[0 if camera else 1]
     low, high, _ = edge_range(maps, 1.0)
-    flat = [part.reshape(len(part), -1)[:, found.pixels] for part in (maps, low, high)]
-    stated, darkest, brightest = (found.light(part, gain) for part in flat)
-    change = ((found.light(best, gain) - stated) ** 2).sum()
+    flat = [part.reshape(len(part), -1)[:, evidence.pixels] for part in (maps, low, high)]
+    stated, darkest, brightest = (evidence.light(part, gain) for part in flat)
+    change = ((evidence.light(best, gain) - stated) ** 2).sum()
     span = ((brightest - darkest) ** 2).sum()
-    return float(2.0 * change / max(span, 1e-12) * 180.0 / found.data.shape[0])
+    return float(2.0 * change / max(span, 1e-12) * 180.0 / evidence.data.shape[0])

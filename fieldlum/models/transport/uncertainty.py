@@ -119,19 +119,19 @@ class Uncertainty:
         """
         if not len(self.second):
             return beam
-        known = np.einsum("ij,ij->i", cross @ self.second, cross)
-        return np.sqrt(np.maximum(beam**2 + SECOND_SEASON - known, LEAST_SD))
+        explained = np.einsum("ij,ij->i", cross @ self.second, cross)
+        return np.sqrt(np.maximum(beam**2 + SECOND_SEASON - explained, LEAST_SD))
 
     def slip_log10_variance(
-        self, patch: Floats32, seen: Mask, gain: Floats32, dark: Floats
+        self, patch: Floats32, seen_mask: Mask, gain: Floats32, dark: Floats
     ) -> Floats:
         """Return the variance of log10 L due to displaced sun patches, [m, P].
 
-        patch: luminance of sun patches [m, H, W] cd/m2; seen: mask [H, W] of the P pixels; gain:
+        patch: luminance of sun patches [m, H, W] cd/m2; seen_mask: the P pixels [H, W]; gain:
         factor on the patch [P]; dark: luminance without the patch [m, P] cd/m2.
         """
         slip_px = self.slip_deg * patch.shape[1] / 180.0
-        return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
+        return np.float32(LOG10_E**2) * slip_variance(patch, seen_mask, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> Mask:
         """Return a mask [m], True where the log10 MSE `off` [m] by displaced patches is < 0.01."""
@@ -287,13 +287,13 @@ def calibrate(
         factors[:] = factors.max(axis=1, keepdims=True)
     inverse = np.linalg.inv(chosen.covariance + np.diag(unsure))
     beam = arrays.features.beam
-    known = np.array([_of_classes(beam, lambda rows, v=v: np.median(v[rows])) for v in variance])
-    known = np.maximum(known, LEAST_VARIANCE)
+    typical = np.array([_of_classes(beam, lambda rows, v=v: np.median(v[rows])) for v in variance])
+    typical = np.maximum(typical, LEAST_VARIANCE)
     novelty = float(variance[0].max())
-    out = Uncertainty(inverse, novelty, factors, known, patch_sd, 1.0, second, *noise_of_all)
+    out = Uncertainty(inverse, novelty, factors, typical, patch_sd, 1.0, second, *noise_of_all)
     # Held-out days have the factors that were fitted to them. Those of the seasons, which `factor`
     # gives to distant hours, would state too much here, and `mse` would lower every hour by it.
-    of_days = replace(out, factors=factors[:1], variances=known[:1])
+    of_days = replace(out, factors=factors[:1], variances=typical[:1])
     guess = (sds[0] * LOG10_E * of_days.factor(beam, variance[0])[:, None]) ** 2  # [n, P]
     trust = arrays.trust
     mse = float((trust * chosen.held.error**2).sum() / (trust * guess).sum())
@@ -318,10 +318,10 @@ def _held_out_sd(
     patch_sd: float,
 ) -> Array:
     """Return the uncalibrated standard deviation of ln L of held-out predictions, [n, P]."""
-    seen = np.maximum(held.luminance, LEAST_CDM2)
+    luminance = np.maximum(held.luminance, LEAST_CDM2)
     unit = arrays.light.total_lx[:, None] * held.scale
-    share = 0.0 if arrays.patch is None else arrays.patch / seen
-    sd = log_sd(unit / seen, share, variance, doubt, residual, patch_sd)
+    share = 0.0 if arrays.patch is None else arrays.patch / luminance
+    sd = log_sd(unit / luminance, share, variance, doubt, residual, patch_sd)
     return np.maximum(np.sqrt(sd**2 + arrays.unsure[:, None]), LEAST_SD)
 
 

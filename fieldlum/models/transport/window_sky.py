@@ -91,8 +91,8 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     The diffuse illuminance of each capture does not change.
     """
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
-    seen = ratios[np.isfinite(ratios)]
-    if not len(seen) or float(np.sqrt((seen**2).mean())) < LEAST_CHANGE:
+    finite = ratios[np.isfinite(ratios)]
+    if not len(finite) or float(np.sqrt((finite**2).mean())) < LEAST_CHANGE:
         return None
     field = _likeliest(ratios, directions)
     if field is None:
@@ -115,11 +115,11 @@ def scatter_of_skies(arrays: TrainingArrays, groups: Sequence[Mask]) -> list[flo
     irradiance can multiply.
     """
     ratios, _ = _patch_ratios(arrays)  # [n, k]
-    seen = np.isfinite(ratios)
+    finite = np.isfinite(ratios)
     out: list[float | None] = []
     for rows in groups:
-        values = ratios[rows][seen[rows]]
-        enough = seen[rows].any(axis=1).sum() >= FEWEST_HOURS
+        values = ratios[rows][finite[rows]]
+        enough = finite[rows].any(axis=1).sum() >= FEWEST_HOURS
         out.append(robust_sigma(values, 0.0) if enough else None)
     return out
 
@@ -132,16 +132,16 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     """
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]
-    seen = np.maximum(arrays.luminance[:, window], LEAST_CDM2)
+    captured = np.maximum(arrays.luminance[:, window], LEAST_CDM2)
     valid = ~arrays.filled[:, window] & (perez > LEAST_SKY_CDM2)
     if arrays.patch is not None:
-        valid &= arrays.patch[:, window] < LIT_SHARE * seen
+        valid &= arrays.patch[:, window] < LIT_SHARE * captured
     # omit hours with a blind, or with a lamp that the glass reflects
     if arrays.light.states is not None:
         valid &= np.array([not state for state in arrays.light.states])[:, None]
     often = np.flatnonzero(valid.sum(axis=0) >= FEWEST_HOURS)
-    valid, seen, perez = valid[:, often], seen[:, often], perez[:, often]
-    ratios = np.where(valid, np.log(seen / np.maximum(perez, LEAST_CDM2)), np.nan)
+    valid, captured, perez = valid[:, often], captured[:, often], perez[:, often]
+    ratios = np.where(valid, np.log(captured / np.maximum(perez, LEAST_CDM2)), np.nan)
     ratios = ratios - np.nanmedian(ratios, axis=0)  # [n, w]
     everywhere = reinhart_patches().directions
     nearest = np.argmax(arrays.open_sky.directions[often] @ everywhere.T, axis=1)  # [w]
@@ -162,8 +162,8 @@ def _spread(count: int, most: int) -> Indices:
 
 def _likeliest(ratios: Array, directions: Array) -> SkyField | None:
     """Return the most likely field for the ratios; None if noise alone is as likely."""
-    seen = np.flatnonzero(np.isfinite(ratios).any(axis=1))
-    hours = ratios[seen[_spread(len(seen), MOST_HOURS)]]
+    with_ratio = np.flatnonzero(np.isfinite(ratios).any(axis=1))
+    hours = ratios[with_ratio[_spread(len(with_ratio), MOST_HOURS)]]
     values = hours[np.isfinite(hours)]
     flat = max(-0.5 * float(((values / n) ** 2 + 2.0 * np.log(n)).sum()) for n in NOISES)
     fields = [SkyField(*settings) for settings in product(SDS, WIDTHS, NOISES)]
@@ -175,9 +175,9 @@ def _likeliest(ratios: Array, directions: Array) -> SkyField | None:
 def _log_likelihood(field: SkyField, ratios: Array, directions: Array) -> float:
     """Return the log likelihood of ratios [n, k] without its constant."""
     covariance, total = field.noisy(directions), 0.0
-    for seen, rows in _by_patches_seen(ratios):
-        lower = np.linalg.cholesky(covariance[np.ix_(seen, seen)])
-        white = np.linalg.solve(lower, ratios[np.ix_(rows, seen)].T)
+    for patches, rows in _by_patches_seen(ratios):
+        lower = np.linalg.cholesky(covariance[np.ix_(patches, patches)])
+        white = np.linalg.solve(lower, ratios[np.ix_(rows, patches)].T)
         total -= 0.5 * float((white**2).sum())
         total -= len(rows) * float(np.log(np.diagonal(lower)).sum())
     return total
@@ -187,9 +187,9 @@ def _interpolated(field: SkyField, ratios: Array, directions: Array, asked: Arra
     """Return the expected ln of the field in directions `asked` [m, 3], [n, m]."""
     out = np.zeros((len(ratios), len(asked)))
     covariance, cross = field.noisy(directions), field.covariance(directions, asked)
-    for seen, rows in _by_patches_seen(ratios):
-        weights = np.linalg.solve(covariance[np.ix_(seen, seen)], cross[seen])  # [k, m]
-        out[rows] = ratios[np.ix_(rows, seen)] @ weights
+    for patches, rows in _by_patches_seen(ratios):
+        weights = np.linalg.solve(covariance[np.ix_(patches, patches)], cross[patches])  # [k, m]
+        out[rows] = ratios[np.ix_(rows, patches)] @ weights
     return out
 
 
@@ -199,4 +199,4 @@ def _by_patches_seen(ratios: Array) -> list[tuple[Indices, Indices]]:
     groups = [
         (np.flatnonzero(mask), np.flatnonzero(group.ravel() == k)) for k, mask in enumerate(masks)
     ]
-    return [(seen, rows) for seen, rows in groups if len(seen)]
+    return [(patches, rows) for patches, rows in groups if len(patches)]

@@ -75,8 +75,8 @@ class HourlyFile:
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.reader(file))
         except OSError as error:
-            found, remedy = error.strerror or str(error), "write the file with: fieldlum predict"
-            raise InputError(path, found, NAME, remedy) from None
+            finding, remedy = error.strerror or str(error), "write the file with: fieldlum predict"
+            raise InputError(path, finding, NAME, remedy) from None
         try:
             head, body = rows[0], rows[1:]
             if len(body) != count:

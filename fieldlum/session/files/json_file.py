@@ -117,8 +117,8 @@ def _as_json(value: Any) -> Any:
         table = getattr(value, "table", None)
         return to_json(value) if table is None else table()
     if isinstance(value, Mapping):
-        return {key: _as_json(one) for key, one in value.items()}
-    return [_as_json(one) for one in value] if isinstance(value, list | tuple) else value
+        return {key: _as_json(inner) for key, inner in value.items()}
+    return [_as_json(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 @cache
@@ -144,14 +144,14 @@ def _converted(hint: Any, value: Any) -> Any:
         if not isinstance(value, list | tuple):
             raise TypeError(f"{value!r} is not a list")
         kinds = arguments[:1] * len(value) if arguments[-1] is ... else arguments
-        return tuple(_converted(kind, one) for kind, one in zip(kinds, value, strict=True))
+        return tuple(_converted(kind, item) for kind, item in zip(kinds, value, strict=True))
     if origin in (dict, Mapping) or is_dataclass(hint):
         if not isinstance(value, Mapping):
             raise TypeError(f"{value!r} is not an object")
         if origin is None:
             kind = typing.cast(type[Any], hint)
             return kind.from_table(value) if hasattr(kind, "from_table") else from_json(kind, value)
-        return {str(key): _converted(arguments[1], one) for key, one in value.items()}
+        return {str(key): _converted(arguments[1], item) for key, item in value.items()}
     if hint is datetime:
         return parse_utc(value)
     return value if hint is Any else hint(value)

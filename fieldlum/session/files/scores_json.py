@@ -144,8 +144,8 @@ class ScoresFile:
 
         Raises InputError for other content.
         """
-        known = {field.name for field in fields(cls)} | {"format"}
-        more = {key: value for key, value in table.items() if key not in known}
+        names = {field.name for field in fields(cls)} | {"format"}
+        more = {key: value for key, value in table.items() if key not in names}
         with content_of(table, FORMAT, path, "what fieldlum train wrote", _REMEDY):
             return from_json(cls, {**table, "more": more})
 

@@ -42,10 +42,10 @@ class TruthIrradiance:
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(path, reason_of(error), expected, remedy) from None
         if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
-            found = f"{len(times)} rows"
+            finding = f"{len(times)} rows"
             if len(times) > 1:
-                found = "times that do not increase, or a value that is not finite"
-            raise InputError(path, found, "two or more rows of numbers, in order of time", remedy)
+                finding = "times that do not increase, or a value that is not finite"
+            raise InputError(path, finding, "two or more rows of numbers, in order of time", remedy)
         return cls(times, *light)
 
     def write(self, path: Path) -> None:
