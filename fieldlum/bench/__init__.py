@@ -12,12 +12,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, TypedDict
 
-from fieldlum.bench.pieces import BenchData, BenchFiles
+from fieldlum.bench import charts
+from fieldlum.bench.pieces import BenchData, BenchFiles, local_unit_of, pieces_of, unit_of
+from fieldlum.bench.rows import over_seeds
 from fieldlum.model_registry import MODELS
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, run_each
 from fieldlum.session import replacing, replacing_path
-from fieldlum.train.selection import Trial
+from fieldlum.train.selection import Trial, choose
 
 TABLE = {
     "name": "model",
@@ -186,11 +188,6 @@ def run(
     days), and hours from which seasons are drawn. files: where other processes read these hours;
     needed for a scheduler other than this process. render_hours: hours for which Radiance is timed.
     """
-    from fieldlum.bench import charts
-    from fieldlum.bench.pieces import local_unit_of, pieces_of, unit_of
-    from fieldlum.bench.rows import over_seeds
-    from fieldlum.train.selection import choose
-
     pieces = pieces_of(
         loaded,
         models,

@@ -11,6 +11,8 @@ from fieldlum.bench.rows import ERRORS
 from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Progress, quiet
+from fieldlum.scene.geometry import build
+from fieldlum.scene.radiance import octree, rad_text, sun_text, trace
 
 # The options of the paper's rpict (Liu, Colburn and Inanici 2020).
 PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1024")
@@ -25,9 +27,6 @@ def radiance_row(
     options. The room is the box of [room]. Its sky is uniform with the hour's illuminance, which
     costs as much as a Perez sky. Return None without a box room.
     """
-    from fieldlum.scene.geometry import build
-    from fieldlum.scene.radiance import octree, rad_text, sun_text, trace
-
     room = data.setup.room
     if room is None or room.kind != "box" or hours < 1:
         return None

@@ -15,6 +15,7 @@ from fieldlum.arrays import Array, Floats
 from fieldlum.calibrate.chart_grid import grids
 from fieldlum.calibrate.frames import LinearFrame
 from fieldlum.errors import InputError
+from fieldlum.photometry import srgb_table
 
 # Luminous reflectance Y in percent, illuminant C, row by row from dark skin: McCamy, Marcus,
 # Davidson, "A color-rendition chart", J. Appl. Photogr. Eng. 2(3), 1976.
@@ -54,8 +55,6 @@ def misfit(rgb: Floats) -> float:
     fits camera colours best to the chart's is applied first. 0 is a perfect chart; the colours in
     another order give 0.6 and more.
     """
-    from fieldlum.photometry import srgb_table
-
     chart = srgb_table()[_SRGB]
     weight = 1.0 / (chart.mean(axis=1, keepdims=True) + 0.03)
     camera = np.asarray(rgb, float) / max(float(np.max(rgb)), 1e-12)

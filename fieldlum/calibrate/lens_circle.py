@@ -13,6 +13,7 @@ from fieldlum.arrays import Array
 from fieldlum.errors import InputError
 from fieldlum.profiles import Lens
 from fieldlum.projection import radius_of_angle
+from fieldlum.raw import read_mosaic
 from fieldlum.statistics import robust_sigma
 
 EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
@@ -36,8 +37,6 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
                 "convert the file to JPEG or PNG, or copy it from the card again",
             )
         return np.asarray(picture, np.uint8)
-    from fieldlum.raw import read_mosaic
-
     counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
     rows, columns = (n // 2 * 2 for n in counts.shape)
     cell = counts[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))

@@ -13,6 +13,7 @@ from fieldlum.arrays import Array
 from fieldlum.photometry import linearity_factor, response_table, vignetting_at
 from fieldlum.photometry.stray_light import kernel_per_sr
 from fieldlum.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
+from fieldlum.session import replacing_path
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,8 +45,6 @@ def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any,
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
-    from fieldlum.session import replacing_path
-
     with replacing_path(path) as temporary:
         figure.savefig(temporary, dpi=110)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.glare.contrast import BAND_DEG, TASK_RADIUS_DEG, WINDOW_CDM2
+from fieldlum.glare.fisheye import SUN_RADIUS_RAD
 from fieldlum.glare.geometry import angles_from_view, position_index
 from fieldlum.glare.metrics import combine, sums_of_sources
 from fieldlum.glare.picture_grid import PictureGrid, centres, row_blocks
@@ -114,8 +115,6 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> Floats32:
     energy. Without such a pixel the nearest one gets the energy. A sun behind the observer or
     outside the picture, over a pixel's diagonal from the nearest one, adds nothing.
     """
-    from fieldlum.glare.fisheye import SUN_RADIUS_RAD
-
     height, width = grid.solid_angle.shape
     out = np.zeros((height, width), np.float32)
     towards = grid.view.frame @ direction(sun.altitude_deg, sun.azimuth_deg)

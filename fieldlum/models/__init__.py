@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.model_registry import MODELS
+from fieldlum.models.mirrors import arrays_of, table_of
 from fieldlum.session import replacing
 from fieldlum.session.files.arrays_npz import read_arrays
 from fieldlum.session.files.model_config import ModelConfig, write_config
@@ -132,8 +133,6 @@ def save(
     data: the training data; config.json describes them, and weights.npz has their seen pixels.
     mirrors: plane mirrors of the sun. more: further keys of config.json.
     """
-    from fieldlum.models.mirrors import arrays_of, table_of
-
     state = fitted.state()
     arrays = {"seen": data.seen, **arrays_of(mirrors), **state.arrays}
     with replacing(folder / "weights.npz") as file:

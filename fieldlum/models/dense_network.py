@@ -23,6 +23,7 @@ from torch.nn import functional as F
 from fieldlum.arrays import Array, Floats, Floats32
 from fieldlum.light import Light
 from fieldlum.projection import equirect_rays, signed_angle_deg
+from fieldlum.sky import reinhart_patches
 
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
 POWER = 1.0 / 1.5  # of the paper's preprocessing
@@ -145,8 +146,6 @@ def canvas(average_log10: Floats, heading_deg: float) -> Canvas:
     average_log10: mean of log10 L [cd/m2] over training images, at least 0 [H, W]; heading_deg:
     azimuth of the maps' centre column, clockwise from north.
     """
-    from fieldlum.sky import reinhart_patches
-
     height, width = average_log10.shape
     y, x = np.mgrid[0:height, 0:width]
     average = (average_log10 / LOG_TOP) ** POWER

@@ -13,6 +13,7 @@ from fieldlum.light import Light
 from fieldlum.projection import direction, equirect_pixel
 from fieldlum.records import Room, SiteFile
 from fieldlum.scene import RoomUncertainty
+from fieldlum.scene.radiance import traced_sky_share
 
 # Ratio of a pixel's luminance to that of the sky behind it. Between these limits the sun's pixel
 # shows open sky through glass. Not measured.
@@ -80,8 +81,6 @@ def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
 
 def _traced_disc_lx(room: Room, light: Light, suns: Floats) -> Floats:
     """Return the disc's illuminance behind a room file, for suns [k, n, 3], [k, n] lx."""
-    from fieldlum.scene.radiance import traced_sky_share
-
     shares = traced_sky_share(room, suns.reshape(-1, 3)).reshape(suns.shape[:2])
     shares = np.where((shares > 1e-3) & (suns[..., 2] > 0), shares, 0.0)
     return shares * light.direct_lx

@@ -9,6 +9,7 @@ from contextlib import suppress
 from urllib.parse import urlsplit
 
 from fieldlum.errors import InputError
+from fieldlum.notify.targets import read_targets
 
 # seconds; monitors usually tolerate several missed periods; see docs/capture.md; chosen
 EVERY_S = 600.0
@@ -21,8 +22,6 @@ def read_address(option: str) -> str:
     Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
     is neither http nor https; no error contains the address.
     """
-    from fieldlum.notify.targets import read_targets
-
     if not option.startswith("@"):
         raise InputError(
             "--heartbeat",

@@ -15,6 +15,7 @@ from fieldlum.arrays import Floats
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
 from fieldlum.records import Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.scene import iter_sun_patches
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.json_file import write_object
@@ -132,8 +133,6 @@ class _PatchJob:
 
 def trace_patches(root: Path, job: _PatchJob) -> None:
     """Write the sun patches of one unit of work. Raises InputError for an impossible room."""
-    from fieldlum.scene import iter_sun_patches
-
     session = Session(root)
     setup = session.site_file()
     assert setup.room is not None

@@ -14,8 +14,10 @@ from fieldlum import sun
 from fieldlum.arrays import Mask
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.plan import choose
+from fieldlum.plan.calendar import ics
 from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import DaylightHours, daylight_hours, season_tag, set_days, today_at
+from fieldlum.plan.sheet import Cost, html
 from fieldlum.plan.texts import plan_warnings, sentences, summary
 from fieldlum.plan.values import Months, Plan, Request
 from fieldlum.plan.window import sun_enters, sun_in_view
@@ -201,8 +203,6 @@ def write_calendar(session: Session, made_utc: datetime) -> Path:
 
     Raises InputError if session.toml has no complete table [plan].
     """
-    from fieldlum.plan.calendar import ics
-
     seconds, _, revision = _planned_cost(session)
     data = ics(session.slots(), session.site_file().site, seconds, made_utc, revision)
     with replacing(session.root / "plan.ics") as file:
@@ -218,8 +218,6 @@ def write_sheets(
     weather: for a plot of the skies that the plan covers; notes: texts to print. Raises InputError
     if session.toml has no complete table [plan].
     """
-    from fieldlum.plan.sheet import Cost, html
-
     cost = Cost(*_planned_cost(session)[:2])
     with replacing(session.root / "plan.html") as file:
         file.write(html(session.slots(), session.site_file(), cost, weather, notes).encode())

@@ -15,7 +15,9 @@ from fieldlum.models import Fitted, Prediction, seen_of, trusted_hours
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.records import Progress, SiteFile, quiet
+from fieldlum.scene import iter_sun_patches
 from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.site_toml import site_from_table
 from fieldlum.sun_disc import add_source
 
 BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
@@ -107,8 +109,6 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     Raises InputError if the config lacks the site, size or heading, if the site or the mirrors are
     damaged, or if the model needs sun patches and the site has no room.
     """
-    from fieldlum.site_toml import site_from_table
-
     height, width, heading = config.height, config.width, config.heading_deg
     if height <= 0 or width <= 0 or heading is None or not config.setup:
         what = "[setup] of the site" if heading is not None and height > 0 else "size and heading"
@@ -173,8 +173,6 @@ def _patches(
 
     Patches are None if the model needs none, discs are None without a known room.
     """
-    from fieldlum.scene import iter_sun_patches
-
     count, space = len(light), room.setup.room
     starts = [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
     if space is None:

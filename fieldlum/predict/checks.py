@@ -13,12 +13,13 @@ from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.maps_bucket import is_complete
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.projection import signed_angle_deg
-from fieldlum.scene import RoomUncertainty
+from fieldlum.scene import RoomUncertainty, uncertainty_of_draws
 from fieldlum.session import open_session, sha256
 from fieldlum.session.files.model_config import ModelConfig, UsedScene
 from fieldlum.session.provenance import made_from
 from fieldlum.site_toml import site_table
 from fieldlum.version import __version__
+from fieldlum.weather import SYNTHETIC
 
 
 def default_folder(model_folder: Path) -> Path:
@@ -103,8 +104,6 @@ def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty 
     draws = config.scene.get("room_draws") if config.scene else None
     if not draws or room.setup.room is None:
         return None
-    from fieldlum.scene import uncertainty_of_draws
-
     return uncertainty_of_draws(room.setup.room, draws)
 
 
@@ -135,8 +134,6 @@ def inputs_of(
     model: its folder; weather: a file, or "synthetic"; views: number of view directions. Lamps and
     the URL of maps are not included. Raises InputError for a missing weather file.
     """
-    from fieldlum.weather import SYNTHETIC
-
     synthetic = str(weather) == SYNTHETIC
     if not synthetic and not weather.is_file():
         raise InputError(

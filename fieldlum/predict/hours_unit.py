@@ -16,7 +16,7 @@ from fieldlum.glare.geometry import Views, panorama_views
 from fieldlum.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
 from fieldlum.glare.unseen import ViewCoverage, view_coverage
 from fieldlum.light import Light
-from fieldlum.models import Fitted
+from fieldlum.models import Fitted, load, read_config
 from fieldlum.models.disc_in_view import guessed_disc_lx
 from fieldlum.predict.block_figures import hour_figures, unseen_bounds, view_figures
 from fieldlum.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
@@ -148,8 +148,6 @@ def _prepared(model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]) 
 
     `digest` identifies the content of the folder.
     """
-    from fieldlum.models import load, read_config
-
     room = room_of(read_config(model_folder), model_folder)
     azimuths = np.array(azimuths_deg)
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths)

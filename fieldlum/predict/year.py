@@ -13,7 +13,8 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.glare.standards import GlareDoubt, disturbed_share
 from fieldlum.glare.unseen import view_coverage
-from fieldlum.light import Light
+from fieldlum.light import Light, light_at
+from fieldlum.models import load, read_config
 from fieldlum.models.disc_in_view import DRAWN_ROOMS, EDGE_SD_DEG, drawn_discs_lx
 from fieldlum.predict.annual import Annual, write_pictures
 from fieldlum.predict.blocks import ModelRoom, room_of
@@ -38,7 +39,7 @@ from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.weather import Weather
+from fieldlum.weather import Weather, read_weather
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
 
@@ -81,9 +82,6 @@ def run(
     room or pictures of model and session differ; NotEnoughDataError for weather without daylight or
     without occupied hours; FloatingPointError if a map is not finite.
     """
-    from fieldlum.models import load, read_config
-    from fieldlum.weather import read_weather
-
     config = read_config(model_folder)
     room = room_of(config, model_folder)
     check_session(model_folder, room, config.scene)
@@ -136,8 +134,6 @@ def run(
 
 def light_of(weather: Weather) -> Light:
     """Return the sun's position and the light of all hours of `weather`, in their order."""
-    from fieldlum.light import light_at
-
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
 
 

@@ -14,6 +14,7 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Progress, quiet
+from fieldlum.scene import sun_patches
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
 from fieldlum.session.files.model_config import UsedScene
@@ -111,8 +112,6 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
     Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises InputError for
     an impossible room.
     """
-    from fieldlum.scene import sun_patches
-
     assert data.setup.room is not None
     made = sun_patches(
         data.setup.room,

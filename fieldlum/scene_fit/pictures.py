@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fieldlum.arrays import Floats, Indices
+from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
 from fieldlum.scene_fit.bars import window_picture
 from fieldlum.scene_fit.evidence import SceneEvidence
@@ -121,8 +122,6 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
     """
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle
-
-    from fieldlum.scene.geometry import WALLS
 
     figure, axis = pyplot.subplots(figsize=(5.5, 8))
     before = Rectangle(

@@ -14,6 +14,7 @@ from fieldlum.scene_fit.discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
 from fieldlum.session import Session
+from fieldlum.session.files.sidecar import Sidecar
 
 # Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include
 # (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
@@ -91,8 +92,6 @@ def read_discs(session: Session) -> MeasuredDiscs:
 
 
 def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
-    from fieldlum.session.files.sidecar import Sidecar
-
     sidecar = Sidecar.read(path)
     measured = sidecar.sun.measured if sidecar.sun else None
     if measured is None or (when := measured.t_utc or sidecar.t_utc) is None:

@@ -18,6 +18,7 @@ from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
+from fieldlum.scene_fit.pictures import draw
 from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
 from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY
@@ -78,8 +79,6 @@ def run(
     if pose is not None:
         scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     files = [write_scene(out, scene)]
-    from fieldlum.scene_fit.pictures import draw
-
     files += draw(out, data, fit, gather(data, room, seed=seed), fit.guess)
     return SceneResult(scene, tuple(files))
 

@@ -11,6 +11,7 @@ from scipy.ndimage import binary_dilation
 from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_solid_angles
+from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import BAR, OUTSIDE, seen_in_opening, surfaces
 from fieldlum.sun import direction
@@ -166,8 +167,6 @@ def window_view(data: Dataset, guess: Guess) -> WindowView:
 
     Near is within 6 degrees. It is also empty if the pixels show only panes.
     """
-    from fieldlum.scene.view import pixel_rays
-
     height, width = data.shape
     pixel, rays = pixel_rays(height, data.heading_deg, 1)
     away = surfaces(guess, rays.astype(np.float32)).surface == OUTSIDE

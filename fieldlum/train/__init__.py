@@ -24,12 +24,13 @@ from fieldlum.models.mirror_labels import split_images
 from fieldlum.models.mirrors import Mirror
 from fieldlum.models.scores import summary
 from fieldlum.models.transport.setting_scan import Setting
-from fieldlum.models.year_sample import YearExpectation
+from fieldlum.models.year_sample import YearExpectation, expect, light_of_year
 from fieldlum.records import Progress, counted, quiet
 from fieldlum.session import sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.session.provenance import digest, made_from
+from fieldlum.train.captures import how_many
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.notes import notes_of, seen_skies
@@ -198,8 +199,6 @@ def year_of(
     seed: of the draw of 150 hours and their skies. Return None if the model does not estimate its
     error, or if patches are used but SITE.toml has no [room] to compute those of other hours.
     """
-    from fieldlum.models.year_sample import expect, light_of_year
-
     if patch == "none":
         data = replace(data, patch_cdm2=None)
     if data.patch_cdm2 is not None and data.setup.room is None:
@@ -267,7 +266,6 @@ def run(
     captures: also compute how many captures would have been enough.
     """
     from fieldlum.models import distributed
-    from fieldlum.train.captures import how_many
 
     mode = patch_mode(data, patch)
     inputs = {

@@ -8,6 +8,10 @@ from collections.abc import Sequence
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.data import Dataset
+from fieldlum.models.transport import Transport
+from fieldlum.models.transport.features import training_arrays_of
+from fieldlum.models.transport.uncertainty import hours_by_class
+from fieldlum.models.transport.window_sky import scatter_of_skies
 from fieldlum.train.folds import one_day_only
 from fieldlum.train.selection import Trial
 
@@ -17,11 +21,6 @@ def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
 
     The list is empty for other models. The note states how far these skies differ from Perez's.
     """
-    from fieldlum.models.transport import Transport
-    from fieldlum.models.transport.features import training_arrays_of
-    from fieldlum.models.transport.uncertainty import hours_by_class
-    from fieldlum.models.transport.window_sky import scatter_of_skies
-
     if not isinstance(fitted, Transport) or fitted.sky_field is None:
         return []
     with_patch = fitted.response.basis.patches is not None

@@ -11,8 +11,10 @@ from typing import cast
 
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.data import Dataset
+from fieldlum.models.transport.clock_by_day import clock_by_day, with_clock
+from fieldlum.models.transport.model import Transport
 from fieldlum.models.transport.room_errors import RoomError
-from fieldlum.models.transport.setting_scan import Setting, SettingFinding
+from fieldlum.models.transport.setting_scan import Setting, SettingFinding, setting_scan
 from fieldlum.records import Progress, SiteFile, quiet
 
 
@@ -22,8 +24,6 @@ def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | N
     Return None if patches are not used (patch "none", or `data` has none), or if under three
     captures show them.
     """
-    from fieldlum.models.transport.setting_scan import setting_scan
-
     if patch == "none" or data.patch_cdm2 is None:
         return None
     return setting_scan(data, progress)
@@ -38,8 +38,6 @@ def with_right_clock(
     or a setting that the captures contradict, nothing is corrected, because a wrong north moves sun
     patches by another number of minutes on each day.
     """
-    from fieldlum.models.transport.clock_by_day import clock_by_day, with_clock
-
     if setting is None or setting.slip_deg > 0.0:
         return data, []
     clock = clock_by_day(data, progress)
@@ -66,8 +64,6 @@ def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitt
     `scan`. Nothing is corrected: a wrong north must be corrected in SITE.toml, which all stages
     read.
     """
-    from fieldlum.models.transport.model import Transport
-
     if setting is None or setting.slip_deg == 0.0:
         return fitted, []
     if isinstance(fitted, Transport):

@@ -16,6 +16,7 @@ from fieldlum import sun
 from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import shipped
+from fieldlum.projection import direction
 from fieldlum.records import Site
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_lines, read_table
 from fieldlum.weather.label_shift import label_notes
@@ -110,8 +111,6 @@ def shipped_seattle(site: Site | None = None) -> Weather:
 
 def distance_km(a: Site, b: Site) -> float:
     """Return the distance of two sites along the great circle, in km."""
-    from fieldlum.projection import direction
-
     u = direction(a.latitude_deg, a.longitude_deg)
     v = direction(b.latitude_deg, b.longitude_deg)
     return _EARTH_RADIUS_KM * math.acos(float(np.clip(u @ v, -1.0, 1.0)))

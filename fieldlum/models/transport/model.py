@@ -50,6 +50,7 @@ from fieldlum.models.transport.uncertainty import (
     sun_doubt,
 )
 from fieldlum.models.transport.window_sky import SkyField, seen_sky
+from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, counted, quiet
 
 # Number of pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not
@@ -178,8 +179,6 @@ class Transport:
 
     def _weights(self) -> Array:
         """Return each seen pixel's share of the solid angle of all seen pixels, [P]."""
-        from fieldlum.projection import equirect_solid_angles
-
         weights = equirect_solid_angles(*self.shape)[self.response.seen]
         return (weights / weights.sum()).astype(np.float32)
 

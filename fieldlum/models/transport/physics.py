@@ -22,7 +22,10 @@ from fieldlum.arrays import Floats32, Mask
 from fieldlum.light import Light, light_at
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Room, Site, SiteFile
-from fieldlum.scene.points import SunPoints
+from fieldlum.scene import build
+from fieldlum.scene.points import SunPoints, sun_points
+from fieldlum.simulate.gather import FIRST_PIECE
+from fieldlum.simulate.truth import ground_truth
 
 HEIGHT = 16  # rows of the coarse panorama from which the modes are computed; not measured
 # Rows of the panorama of computed light. With 16 rows the error of two days is 1.4 to 1.8 times
@@ -64,9 +67,6 @@ class Physics:
 
     @cached_property
     def _points(self) -> SunPoints:
-        from fieldlum.scene import build
-        from fieldlum.scene.points import sun_points
-
         place = self.position.astype(float)
         pieces = self.modes.shape[1]
         return sun_points(
@@ -179,9 +179,6 @@ def _sky_modes(site: Site) -> Floats32:
 @lru_cache(maxsize=4)
 def _modes_of(setup: SiteFile) -> Physics:
     """Compute the modes of a room; stored, because training fits the same room some 20 times."""
-    from fieldlum.simulate.gather import FIRST_PIECE
-    from fieldlum.simulate.truth import ground_truth
-
     assert setup.room is not None
     truth = ground_truth(setup, height=HEIGHT, quality=QUALITY)
     reflect = (truth.pieces.reflectance / np.pi).astype(np.float32)
