@@ -224,7 +224,7 @@ class Exposure:
 
 
 JsonTable = dict[str, Any]
-"""A JSON object that a command prints or a page fetches; tests/test_json_keys.py has its keys."""
+"""A JSON object; tests/test_json_keys.py has the keys of those that commands print."""
 
 
 def counted(count: int, noun: str) -> str:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.records import CameraSetup, SiteFile
-from fieldlum.strict_toml import build, plain, read_toml
+from fieldlum.strict_toml import TomlTable, build, plain, read_toml
 
 # Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
 # Chosen.
@@ -19,7 +18,7 @@ _MOST_OFF_SUN_H = 4.0
 _MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base; chosen
 
 
-def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
+def site_from_table(table: TomlTable, where: str) -> SiteFile:
     """Build the site, camera and room from the parsed content of a SITE.toml.
 
     where: name of the source in errors. Raises InputError for unknown keys, an impossible place, or
@@ -71,7 +70,7 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     return setup
 
 
-def site_table(setup: SiteFile) -> dict[str, Any]:
+def site_table(setup: SiteFile) -> TomlTable:
     """Return a site as the nested tables of a SITE.toml; the inverse of `site_from_table`."""
     return plain(setup)
 

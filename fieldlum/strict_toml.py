@@ -14,12 +14,14 @@ from typing import Any, Literal, TypeVar
 from fieldlum.errors import InputError
 
 T = TypeVar("T")
+TomlTable = dict[str, Any]
+"""A table of a TOML file, as `tomllib` reads it."""
 
 # bytes; the largest file of fieldlum has some kB, but /dev/zero has no end; chosen
 _MAX_BYTES = 4_000_000
 
 
-def build(cls: type[T], table: dict[str, Any], where: str) -> T:
+def build(cls: type[T], table: TomlTable, where: str) -> T:
     """Build the dataclass `cls` from a TOML table, and check every key and value by its type hints.
 
     Nested dataclasses, tuples and Literals are built and checked too. A key that is not in the
@@ -98,7 +100,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     return value
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> TomlTable:
     """Return the content of a TOML file as nested dicts.
 
     Raises InputError if the file is missing, over 4 MB, not UTF-8, or not TOML.

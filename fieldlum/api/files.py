@@ -7,7 +7,7 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraProfile
 from fieldlum.records import Panorama, Site, SiteFile
-from fieldlum.session import Session
+from fieldlum.session import Session, replacing_path
 from fieldlum.weather import Weather
 
 PANORAMA_SUFFIXES = (".exr", ".hdr")
@@ -152,7 +152,6 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     >>> fieldlum.write_panorama("grey.hdr", grey)
     """
     from fieldlum import images
-    from fieldlum.session import replacing_path
 
     path = Path(file)
     suffix = path.suffix.lower()

@@ -14,8 +14,11 @@ from fieldlum.profiles import CameraProfile, Provenance, save_profile
 from fieldlum.session import sha256
 from fieldlum.version import __version__
 
+CsvRow = dict[str, Any]
+"""The cells of a line by column: a number, a path, or None if empty."""
 
-def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
+
+def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[CsvRow]:
     """Return the rows of a csv as dicts: numbers, and paths in the columns `file` and `panorama`.
 
     needed, also : required and optional columns. Paths are relative to the csv. Separators are
@@ -106,7 +109,7 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
         ) from None
 
 
-def needed(row: dict[str, Any], name: str, path: Path) -> Any:
+def needed(row: CsvRow, name: str, path: Path) -> Any:
     """Return the cell `name` of a row of `read_table`; raise InputError if it is empty.
 
     path : the csv, for the error.

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from fieldlum.errors import InputError
-from fieldlum.strict_toml import build, read_toml
+from fieldlum.strict_toml import TomlTable, build, read_toml
 
 _EXPECTED = "a table [[room]] with session = FOLDER for each room"
 
@@ -94,7 +93,7 @@ def read_campaign(path: Path) -> CampaignFile:
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 
 
-def _filled(table: dict[str, Any], where: str, common: CampaignRoom) -> CampaignRoom:
+def _filled(table: TomlTable, where: str, common: CampaignRoom) -> CampaignRoom:
     """Return the room of a table, with absent and "" values replaced by those of `common`."""
     stated = build(CampaignRoom, table, where)
     room = replace(common, **{key: getattr(stated, key) for key in table if table[key] != ""})

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fieldlum.arrays import Array
 from fieldlum.campaign.campaign_file import CampaignFile
 from fieldlum.errors import FieldlumError, InputError
-from fieldlum.predict import Annual
+from fieldlum.predict import Annual, read_annual
 from fieldlum.records import utc_text
 from fieldlum.session import open_session, replacing, replacing_path
 
@@ -21,8 +22,6 @@ def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
 
     session: as CAMPAIGN.toml names it. Rooms that cannot be read are skipped.
     """
-    from fieldlum.predict import read_annual
-
     for room in campaign.rooms:
         try:
             session = open_session(campaign.session_folder(room))
@@ -33,10 +32,10 @@ def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
             continue
 
 
-def _columns(name: str, annual: Annual) -> dict[str, Any]:
+def _columns(name: str, annual: Annual) -> dict[str, Sequence[str] | Array]:
     """Return columns of length hours x directions; the directions of one hour are consecutive."""
     hours, directions = len(annual), len(annual.azimuths_deg)
-    columns: dict[str, Any] = {
+    columns: dict[str, Sequence[str] | Array] = {
         "room": [name] * (hours * directions),
         "t_utc": [utc_text(t) for t in annual.t_utc for _ in range(directions)],
         "azimuth_deg": np.tile(annual.azimuths_deg, hours),

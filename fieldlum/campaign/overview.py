@@ -18,8 +18,8 @@ import numpy as np
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.campaign.drift import FEWEST, FEWEST_DAYS, LIMITS, UNITS, DriftSeries, drifts_of
 from fieldlum.errors import FieldlumError
-from fieldlum.predict import best_and_worst
-from fieldlum.records import Progress, counted, quiet
+from fieldlum.predict import best_and_worst, read_annual
+from fieldlum.records import JsonTable, Progress, counted, quiet
 from fieldlum.report.page import Figure, Page, Row, Section, Table, named, render, svg_figure
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -96,7 +96,6 @@ def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
 
 def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     from fieldlum.capture.status import status
-    from fieldlum.predict import read_annual
 
     stage_status = status(session)
     pairs = PairsFile.find(session.pairs)
@@ -166,7 +165,7 @@ def write_overview(
     return page, rooms
 
 
-def _plain(room: RoomOverview) -> dict[str, Any]:
+def _plain(room: RoomOverview) -> JsonTable:
     changes = {
         kind: {"change": s.change, "low": s.low, "high": s.high, "drifts": s.drifts}
         for kind, s in room.drifts.items()

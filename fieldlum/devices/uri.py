@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any, TypeVar
@@ -26,24 +26,24 @@ class DeviceUri:
     place: str = ""
     options: dict[str, str] = field(default_factory=dict)
 
-    def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
-        """Return the URI's options, each converted by the function of the same name in `known`.
+    def read(self, **readers: Callable[[str], Any]) -> Mapping[str, Any]:
+        """Return the URI's options, each converted by the function of the same name in `readers`.
 
         Raises DeviceError, naming the option, for an unknown option or a bad value.
         """
         for name in self.options:
-            if name not in known:
-                near = get_close_matches(name, known, n=1)
+            if name not in readers:
+                near = get_close_matches(name, readers, n=1)
                 hint = (
                     f"did you mean '{near[0]}'?"
                     if near
-                    else f"known: {', '.join(sorted(known)) or 'none'}"
+                    else f"known: {', '.join(sorted(readers)) or 'none'}"
                 )
                 raise DeviceError(f"{self.text}: unknown option '{name}'; {hint}")
         values = {}
         for name, value in self.options.items():
             try:
-                values[name] = known[name](value)
+                values[name] = readers[name](value)
             except ValueError as error:
                 raise DeviceError(
                     f"{self.text}: option {name}={value}; {error}; correct the URI"

@@ -155,7 +155,7 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
     return _on_display_window(panorama, header), view
 
 
-def _header(path: Path) -> dict[str, Any]:
+def _header(path: Path) -> Mapping[str, Any]:
     """Return the attributes of the first part. Raises InputError for a file that is no EXR."""
     import OpenEXR
 
@@ -219,7 +219,7 @@ def _check_size(header: Mapping[str, Any], path: Path) -> None:
             )
 
 
-def _channels(path: Path) -> tuple[dict[str, Floats32], dict[str, Any]]:
+def _channels(path: Path) -> tuple[dict[str, Floats32], Mapping[str, Any]]:
     """Return channels [H, W] by their plain name, and the attributes, of the first part."""
     import OpenEXR
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
@@ -74,7 +73,7 @@ def captured_slots(session: Session) -> list[str]:
     return [folder.name for folder in session.captured_folders()]
 
 
-def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
+def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
     """Return everything that a panorama depends on; equal recipes give equal pictures."""
     frames = [
         {
@@ -97,7 +96,7 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
     return {**inputs, "digest": digest(inputs)}
 
 
-def _merged_before(session: Session, slot: str, recipe: dict[str, Any]) -> Sidecar | None:
+def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | None:
     """Return the sidecar of a panorama that was merged with the same recipe.
 
     None if there is none yet.
@@ -199,7 +198,7 @@ def _with_session_facts(
     return replace(result, report=report, verdict=text + _sun_note(panorama.sun, profile))
 
 
-def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
+def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTable) -> None:
     """Write the picture, then its sidecar: a picture without a sidecar is merged again later."""
     picture = session.panorama(job.slot)
     with replacing_path(picture) as path:

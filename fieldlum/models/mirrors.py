@@ -13,6 +13,7 @@ from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.projection import altitude_azimuth_deg, equirect_pixel
+from fieldlum.records import JsonTable
 from fieldlum.session.files.arrays_npz import read_arrays
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.sun_images import glass_reflectance, mirrored, ring_around, tolerance_rad
@@ -155,7 +156,7 @@ def pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indic
 # a model's folder
 
 
-def table_of(mirrors: Sequence[Mirror]) -> list[dict[str, Any]]:
+def table_of(mirrors: Sequence[Mirror]) -> list[JsonTable]:
     """Return what config.json stores of mirrors: a table for each, without `chance`."""
     return [
         {name: value for name, value in asdict(mirror).items() if name != "chance"}

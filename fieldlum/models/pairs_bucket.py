@@ -18,7 +18,7 @@ from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
-from fieldlum.records import slot_id
+from fieldlum.records import JsonTable, slot_id
 from fieldlum.session.bucket import BucketStore
 from fieldlum.site_toml import site_from_table, site_table
 
@@ -143,7 +143,7 @@ def _write_store(data: Dataset, folder: Path) -> None:
     frame.to_zarr(folder, mode="w", zarr_format=3, consolidated=False, encoding={**time, **shards})
 
 
-def _read_store(url: str, about: dict[str, Any]) -> Dataset:
+def _read_store(url: str, about: JsonTable) -> Dataset:
     import xarray as xr
 
     with xr.open_zarr(url, consolidated=False, zarr_format=3) as opened:

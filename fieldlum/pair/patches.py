@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from fieldlum import sun
 from fieldlum.arrays import Floats
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
-from fieldlum.records import Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.records import JsonTable, Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.scene import iter_sun_patches
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import Session, replacing_path
@@ -169,9 +168,7 @@ def _unit(session: Session, job: _PatchJob) -> WorkUnit:
     )
 
 
-def _write(
-    session: Session, slot: str, patch: Panorama, recipe: str, sight: dict[str, Any]
-) -> None:
+def _write(session: Session, slot: str, patch: Panorama, recipe: str, sight: JsonTable) -> None:
     picture = session.sunpatch(slot)
     with replacing_path(picture) as path:
         write_panorama(path, patch)

@@ -14,6 +14,7 @@ from fieldlum.arrays import Floats, Floats32
 from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import BLOCK, ModelRoom
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
+from fieldlum.records import JsonTable
 
 CHUNK = 8  # hours that must be decompressed to read one hour; not measured
 MAPS = "luminance_cdm2"
@@ -74,9 +75,7 @@ class FolderMapStore:
         self._work.rename(self._path)
 
 
-def describe(
-    folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]
-) -> None:
+def describe(folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: JsonTable) -> None:
     """Write a store in `folder`: time, altitude and azimuth, and an array of maps without values.
 
     The maps are NaN until `write_maps`. t_utc: middle of each hour; about: further attributes.

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.predict import Annual
+from fieldlum.predict import Annual, read_annual, read_pictures
 from fieldlum.records import Progress, quiet, slot_id
-from fieldlum.report.page import Page, Section
+from fieldlum.report.page import Page, Section, Table, render
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
@@ -42,7 +42,6 @@ def find(session: Session) -> SessionArtefacts:
     Newest is by the time of the files. Raises InputError for a damaged year or model.
     """
     from fieldlum.models import read_config
-    from fieldlum.predict import read_annual
 
     years = sorted(
         session.annual_folders(), key=lambda folder: (folder / "predict.json").stat().st_mtime
@@ -59,8 +58,6 @@ def find(session: Session) -> SessionArtefacts:
 
 
 def _settings(session: Session, artefacts: SessionArtefacts) -> Section:
-    from fieldlum.report.page import Table
-
     groups: list[tuple[str, Any]] = list(session.table().items())
     if artefacts.annual is not None:
         groups.append(("prediction", artefacts.annual.summary.inputs))
@@ -107,7 +104,6 @@ def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
 
 
 def _page(session: Session, artefacts: SessionArtefacts) -> Page:
-    from fieldlum.predict import read_pictures
     from fieldlum.report import annual, captured, evidence
 
     setup = session.site_file()
@@ -187,8 +183,6 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
     Raises NotEnoughDataError if the session has no pairs.csv yet, InputError for results that
     cannot be read.
     """
-    from fieldlum.report.page import render
-
     if not session.pairs.is_file():
         raise NotEnoughDataError(
             f"{session.root}: no pairs.csv, because no bracket was paired yet; run fieldlum merge "

@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from fieldlum.errors import InputError
+from fieldlum.records import JsonTable
 
 _ROOT = "zarr.json"  # of the store; without it nothing opens the store (Zarr v3)
 _MADE_FROM = "made_from_sha256"
@@ -31,7 +32,7 @@ class BucketStore:
         self.target = url.rstrip("/")
         self._fs, self._path = _file_system(self.target)
 
-    def attributes(self) -> dict[str, Any] | None:
+    def attributes(self) -> JsonTable | None:
         """Return the attributes of a complete store; None if there is none at the URL."""
         with self._reached():
             if not self._fs.exists(f"{self._path}/{_ROOT}"):

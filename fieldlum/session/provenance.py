@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.records import JsonTable
 
-def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[str, Any] | None:
+
+def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:
     """Return a result's note if it states the same inputs and all files exist, else None.
 
     note: JSON file that is written after the result, with its inputs under the key `inputs`;

@@ -9,11 +9,11 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fieldlum.arrays import Floats32
+from fieldlum.records import JsonTable
 from fieldlum.view.false_colour import COLOURS
 from fieldlum.view.measured_picture import MeasuredPicture
 from fieldlum.view.regions import shared_scale
@@ -55,9 +55,7 @@ def encode_uncertainty(picture: MeasuredPicture) -> str:
     return base64.b64encode(zlib.compress(codes.astype(np.uint8).tobytes(), 6)).decode("ascii")
 
 
-def write_page(
-    path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[dict[str, Any]]
-) -> None:
+def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
     """Write one self-contained page: pictures, their figures, and the rows of the regions."""
     import matplotlib
 
@@ -90,7 +88,7 @@ def _data_script(name: str, text: str) -> str:
     return f'<script type="application/octet-stream" id="{name}">{text}</script>'
 
 
-def _about(picture: MeasuredPicture) -> dict[str, Any]:
+def _about(picture: MeasuredPicture) -> JsonTable:
     height, width = picture.luminance_cdm2.shape
     view = None
     if picture.view is not None:

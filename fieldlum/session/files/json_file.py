@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fieldlum.errors import InputError, reason_of
-from fieldlum.records import parse_utc
+from fieldlum.records import JsonTable, parse_utc
 from fieldlum.session.writing import replacing
 from fieldlum.strict_toml import build
 
 T = TypeVar("T")
 
 
-def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
+def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
     """Return the JSON object of a file.
 
     Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
@@ -104,7 +104,7 @@ def from_json(cls: type[T], table: Mapping[str, Any]) -> T:
     return cls(**values)
 
 
-def to_json(record: Any) -> dict[str, Any]:
+def to_json(record: Any) -> JsonTable:
     """Return a dataclass as a JSON object, as the inverse of `from_json`.
 
     A nested object with a method `table` is stored as that method returns it.

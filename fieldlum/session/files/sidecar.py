@@ -7,10 +7,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from fieldlum.errors import InputError
-from fieldlum.records import utc_text
+from fieldlum.records import JsonTable, utc_text
 from fieldlum.session.files.json_file import (
     content_of,
     from_json,
@@ -82,10 +81,10 @@ class Sidecar:
     verdict: str = ""
     report: MergeReport = field(default_factory=MergeReport)
     sun: SidecarSun | None = None
-    factors: dict[str, Any] = field(default_factory=dict)
+    factors: JsonTable = field(default_factory=dict)
     profile_name: str = ""
     profile_sha256: str = ""
-    inputs: dict[str, Any] = field(default_factory=dict)
+    inputs: JsonTable = field(default_factory=dict)
     size_bytes: int = -1
     fieldlum: str = ""
 
@@ -114,7 +113,7 @@ class Sidecar:
         return cls.from_table(read_object(path, _EXPECTED, _REMEDY), path)
 
     @classmethod
-    def from_table(cls, table: dict[str, Any], path: Path) -> Sidecar:
+    def from_table(cls, table: JsonTable, path: Path) -> Sidecar:
         """Build from a JSON object; path: its file, for errors.
 
         Raises InputError for other content.
