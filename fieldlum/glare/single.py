@@ -120,7 +120,7 @@ def _view_rows(
     sun: SunSource | None,
     seen_mask: np.ndarray | None,
 ) -> list[ViewAnswer]:
-    """Return the figures of each direction; seen [H, W], None if all pixels were seen."""
+    """Return the figures of each direction; seen_mask [H, W], None if all pixels were seen."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     height, width = maps.shape

@@ -67,7 +67,7 @@ class ViewCoverage:
 def view_coverage(seen_mask: Mask | None, views: Views) -> ViewCoverage:
     """Return how much of each view direction of `views` lenses saw.
 
-    seen : mask [H, W] of the panorama, True for pixels that a lens saw; None if all were seen.
+    seen_mask : mask [H, W] of the panorama, True for pixels that a lens saw; None if all were seen.
     """
     count = len(views.azimuths_deg)
     if seen_mask is None or seen_mask.all():
@@ -150,10 +150,10 @@ def _brightest(values: Floats, weights: Floats) -> float:
     return float(values[order[int(np.searchsorted(share, BRIGHTEST_SHARE))]])
 
 
-def brightest_cdm2(luminance_cdm2: Floats, seen: Mask) -> Floats:
+def brightest_cdm2(luminance_cdm2: Floats, seen_mask: Mask) -> Floats:
     """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
 
-    luminance_cdm2 : [n, H, W] of n maps; seen : mask [H, W], True for pixels that a lens saw.
+    luminance_cdm2 : [n, H, W] of n maps; seen_mask : True for pixels that a lens saw.
     """
     height, width = seen_mask.shape
     step = max(1, min(_THIN, height // 16))
