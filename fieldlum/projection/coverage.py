@@ -30,8 +30,8 @@ NOT_SEEN = "not seen"
 def seen_shares(seen_mask: Mask, heading_deg: float, azimuths_deg: ArrayLike) -> Floats:
     """Return the share, 0 to 1, of a uniform field's vertical illuminance that was seen, [d].
 
-    seen_mask : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the panorama's
-    middle; azimuths_deg : [d], horizontal view directions, clockwise from north.
+    seen_mask : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the
+    panorama's middle; azimuths_deg : [d], horizontal view directions, clockwise from north.
     """
     height, width = seen_mask.shape
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
@@ -72,7 +72,8 @@ def judged_text(seen_mask: Mask, heading_deg: float) -> str:
 
     Directions are rounded to degrees, clockwise from north, with points of the compass.
 
-    seen_mask : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of its middle.
+    seen_mask : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the
+    panorama's middle.
     """
     azimuths = np.arange(360.0)
     words = seen_words(seen_shares(seen_mask, heading_deg, azimuths))
