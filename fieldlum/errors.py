@@ -8,6 +8,8 @@ FieldlumError            exit 1   a defect
 Usage errors (exit 2) are click's own.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -54,4 +56,17 @@ def reason_of(error: BaseException) -> str:
     """Return what an exception reports, in words for a reader who does not know Python."""
     if isinstance(error, KeyError):
         return f"no entry {error}"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
     return str(error) or type(error).__name__
+
+
+@contextmanager
+def input_errors(
+    source: Path | str, expected: str, remedy: str, *kinds: type[Exception]
+) -> Iterator[None]:
+    """Turn errors of some kinds within the `with` block into InputError with the same reason."""
+    try:
+        yield
+    except kinds as error:
+        raise InputError(source, reason_of(error), expected, remedy) from None

@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.profiles import CameraProfile, Provenance, save_profile
 from fieldlum.session import sha256
 from fieldlum.version import __version__
@@ -62,15 +62,9 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
     Raises InputError if the file cannot be read.
     """
-    try:
+    expected, remedy = "a csv of readings in UTF-8", "check the path and the encoding of the csv"
+    with input_errors(path, expected, remedy, OSError, UnicodeDecodeError):
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            path,
-            str(error),
-            "a csv of readings in UTF-8",
-            "check the path and the encoding of the csv",
-        ) from None
     return [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
             continue
 
 
-def _columns(name: str, annual: Annual) -> dict[str, Sequence[str] | Array]:
+def _columns(name: str, annual: Annual) -> Mapping[str, Sequence[str] | Array]:
     """Return columns of length hours x directions; the directions of one hour are consecutive."""
     hours, directions = len(annual), len(annual.azimuths_deg)
     columns: dict[str, Sequence[str] | Array] = {

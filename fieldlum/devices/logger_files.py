@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.toa5 import is_toa5, number_of, parse_toa5
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DAY_COLUMNS, read_day
 
@@ -42,12 +42,8 @@ def read_logger_file(
     read or is of another kind, for a column that does not exist, is ambiguous or has another unit,
     for times without a zone and without utc_offset, and for a file without a readable row.
     """
-    try:
+    with input_errors(path, "a logger's file", "check the path", OSError):
         data = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            path, error.strerror or str(error), "a logger's file", "check the path"
-        ) from None
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(path, "UTF-16 text", "UTF-8", "save it again as CSV UTF-8")
     text = data.decode("utf-8-sig", "replace")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.images.programs import radiance_program
 from fieldlum.images.radiance_header import (
@@ -112,19 +112,13 @@ def read_radiance_header(path: Path) -> RadianceHeader:
 
 def _open(path: Path) -> BinaryIO:
     """Open a regular file. Raises InputError for any other, or an unreadable one."""
-    try:
+    remedy = "check the path and the permissions of the picture"
+    with input_errors(path, "a readable file", remedy, OSError):
         if path.exists() and not path.is_file():
             raise InputError(
                 path, "no regular file", "a Radiance .hdr picture", "check the path of the picture"
             )
         return path.open("rb")
-    except OSError as error:
-        raise InputError(
-            path,
-            error.strerror or str(error),
-            "a readable file",
-            "check the path and the permissions of the picture",
-        ) from None
 
 
 def _decoded_rows(

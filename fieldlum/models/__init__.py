@@ -23,7 +23,7 @@ from fieldlum.errors import InputError
 from fieldlum.model_registry import MODELS
 from fieldlum.models.mirrors import arrays_of, table_of
 from fieldlum.session import replacing
-from fieldlum.session.files.arrays_npz import read_arrays
+from fieldlum.session.files.arrays_npz import NPZ_ERRORS, read_arrays
 from fieldlum.session.files.model_config import ModelConfig, write_config
 from fieldlum.version import __version__
 
@@ -36,8 +36,8 @@ Patch = Literal["absolute", "gain", "none"]
 """How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
 
 
-# Errors that reading and rebuilding a damaged or hostile model can raise.
-_BROKEN = (ValueError, KeyError, IndexError, TypeError, EOFError, ArithmeticError, MemoryError)
+# What rebuilding a damaged or hostile model can raise, next to `NPZ_ERRORS`.
+_BROKEN = (IndexError, TypeError, ArithmeticError, MemoryError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ def seen_of(folder: Path) -> Mask | None:
         with (folder / "weights.npz").open("rb") as file:
             stored = np.load(file, allow_pickle=False)
             return stored["seen"].astype(bool) if "seen" in stored.files else None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+    except NPZ_ERRORS:
         return None  # `load` reports the fault
 
 
@@ -187,7 +187,7 @@ def load(folder: Path) -> Fitted:
     try:
         state = ModelState(config.state, read_arrays(path))
         return importlib.import_module(MODELS[config.model].module).from_state(state)
-    except (OSError, *_BROKEN, zipfile.BadZipFile) as error:
+    except (*NPZ_ERRORS, *_BROKEN) as error:
         finding = f"weights that cannot be used ({error})".replace("\n", " ")
         raise InputError(
             path,

@@ -10,7 +10,6 @@ annual/<name>/hourly.csv      one row per daylight hour: t_utc, t_local, light, 
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -19,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Mask
-from fieldlum.errors import InputError
+from fieldlum.errors import input_errors
 from fieldlum.records import JsonTable
 from fieldlum.session import replacing
+from fieldlum.session.files.arrays_npz import NPZ_ERRORS
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 
@@ -116,16 +116,16 @@ def read_annual(folder: Path) -> Annual:
 def read_pictures(folder: Path) -> Pictures:
     """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return Pictures(
-                tuple(str(kind) for kind in stored["kinds"]),
-                stored["rows"],
-                stored["luminance_cdm2"],
-                stored["disc_lx"],
-                float(stored["heading_deg"]),
-            )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(
-            path, str(error), "pictures of a predicted year", "run fieldlum predict again"
-        ) from None
+    expected, remedy = "pictures of a predicted year", "run fieldlum predict again"
+    with (
+        input_errors(path, expected, remedy, *NPZ_ERRORS),
+        path.open("rb") as file,
+        np.load(file, allow_pickle=False) as stored,
+    ):
+        return Pictures(
+            tuple(str(kind) for kind in stored["kinds"]),
+            stored["rows"],
+            stored["luminance_cdm2"],
+            stored["disc_lx"],
+            float(stored["heading_deg"]),
+        )

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.arrays import Mask
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.records import Site
 from fieldlum.sun import position, standard_date, standard_offset
 
@@ -74,10 +74,8 @@ def read_occupancy(path: Path) -> Occupancy:
     Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
     8760 rows of 0 or 1. Raises InputError for a file that cannot be read, or for other content.
     """
-    try:
+    with input_errors(path, HOW, "check the path of the csv", OSError, UnicodeDecodeError):
         lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), HOW, "check the path of the csv") from None
     reader = csv.reader(lines, skipinitialspace=True)
     rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
     rows = [(number, row) for number, row in rows if any(row)]

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.records import Exposure
 
 # Roll of the camera by EXIF Orientation (EXIF 2.32). Mirrored orientations are written by no
@@ -56,22 +56,15 @@ def tags_of(path: Path) -> dict[str, ExifTag]:
     import exifread
 
     logging.getLogger("exifread").setLevel(logging.CRITICAL)
-    try:
-        with path.open("rb") as file:
-            if not file.read(1):
-                raise InputError(
-                    path, "the file is empty", "a frame of a camera", "copy it from the card again"
-                )
-            file.seek(0)
-            with suppress(Exception):  # exifread may raise anything for a broken file
-                return dict(exifread.process_file(file, details=False))
-    except OSError as error:
-        raise InputError(
-            path,
-            error.strerror or str(error),
-            "a readable file",
-            "check the path and its permissions",
-        ) from None
+    remedy = "check the path and its permissions"
+    with input_errors(path, "a readable file", remedy, OSError), path.open("rb") as file:
+        if not file.read(1):
+            raise InputError(
+                path, "the file is empty", "a frame of a camera", "copy it from the card again"
+            )
+        file.seek(0)
+        with suppress(Exception):  # exifread may raise anything for a broken file
+            return dict(exifread.process_file(file, details=False))
     return {}
 
 

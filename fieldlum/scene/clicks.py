@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fieldlum.arrays import Floats
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.projection import equirect_pixel
 
 Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
@@ -64,21 +64,19 @@ def read_clicks(path: Path) -> list[Click]:
     Raises InputError for a file that cannot be read, other columns, or a wrong cell (with its
     line).
     """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != COLUMNS:
-                names = ", ".join(reader.fieldnames or ())[:80]
-                names = f"columns {names}" if names else "an empty file"
-                raise InputError(
-                    path,
-                    names,
-                    f"columns {', '.join(COLUMNS)}",
-                    "name the columns in the first line",
-                )
-            return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a csv of clicks", "check the path of the csv") from None
+    expected, remedy = "a csv of clicks", "check the path of the csv"
+    with input_errors(path, expected, remedy, OSError, UnicodeDecodeError):
+        text = path.read_text(encoding="utf-8")
+    reader = csv.DictReader(text.splitlines())
+    if tuple(reader.fieldnames or ()) != COLUMNS:
+        names = ", ".join(reader.fieldnames or ())[:80]
+        raise InputError(
+            path,
+            f"columns {names}" if names else "an empty file",
+            f"columns {', '.join(COLUMNS)}",
+            "name the columns in the first line",
+        )
+    return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
 
 
 def clicks_from_rows(rows: Any) -> list[Click]:

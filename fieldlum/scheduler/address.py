@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 
 FORMS = "local, processes:N, tcp://HOST:PORT or FILE.json"
 DEFAULT_RETRIES = 3  # number of further tries of a unit after its worker was lost; chosen
@@ -125,26 +125,20 @@ def _checked(address: str, where: str) -> str:
 
 def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
     """Read the file of `dask scheduler --scheduler-file`, or one with "address" and "tls"."""
-    try:
+    start = "start one with: dask scheduler --scheduler-file FILE.json"
+    again = "let dask scheduler --scheduler-file write the file again"
+    with (
+        input_errors(path, "a scheduler file", start, OSError),
+        input_errors(path, "JSON", again, ValueError),
+    ):
         table = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            path,
-            error.strerror or str(error),
-            "a scheduler file",
-            "start one with: dask scheduler --scheduler-file FILE.json",
-        ) from None
-    except ValueError as error:
-        raise InputError(
-            path, str(error), "JSON", "let dask scheduler --scheduler-file write the file again"
-        ) from None
     address = table.get("address") if isinstance(table, dict) else None
     if not isinstance(address, str) or not address.startswith(("tcp://", "tls://")):
         raise InputError(
             path,
             f"address {address!r}",
             'a key "address" with a value that begins with tcp:// or tls://',
-            "let dask scheduler --scheduler-file write the file again",
+            again,
         )
     tls = _tls(path, table.get("tls"))
     if address.startswith("tls://") != (tls is not None):

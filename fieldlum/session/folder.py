@@ -11,7 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Literal, cast
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session.lines import NO_LOCKS, lock_now
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
@@ -143,12 +143,8 @@ def open_session(root: Path) -> Session:
             "a session folder",
             "correct the path, or plan a session with: fieldlum plan SITE.toml",
         )
-    try:
+    with input_errors(session.toml, "TOML", "restore session.toml from a copy", ValueError):
         session.table()
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            session.toml, str(error), "TOML", "restore session.toml from a copy"
-        ) from None
     return session
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session.folder import Session
 from fieldlum.session.journal import append_event, read_journal
@@ -35,12 +35,9 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
             f"a slot's id such as {example}",
             "choose a slot of plan.csv",
         )
-    try:
+    remedy = "name the slot and its state, for example lamp=on"
+    with input_errors(session.root, USAGE, remedy, ValueError):
         result = merged_state(marks(session).get(slot, ""), state)
-    except ValueError as error:
-        raise InputError(
-            session.root, str(error), USAGE, "name the slot and its state, for example lamp=on"
-        ) from None
     append_event(session, EVENT, datetime.now(UTC), slot=slot, state=state)
     return result
 

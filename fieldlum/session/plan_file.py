@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 from fieldlum.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
 from fieldlum.session.writing import write_table
 
@@ -96,10 +96,9 @@ def read_plan(path: Path) -> list[Slot]:
         finding = f"columns {names}" if names else "an empty file"
         raise InputError(path, finding, expected, remedy)
     for number, row in enumerate(reader, start=2):
-        try:
+        where, wrong = f"{path}:{number}", (KeyError, ValueError, TypeError, AttributeError)
+        with input_errors(where, expected, remedy, *wrong):
             slots.append(_slot(row))
-        except (KeyError, ValueError, TypeError, AttributeError) as error:
-            raise InputError(f"{path}:{number}", f"{error}", expected, remedy) from None
     return slots
 
 

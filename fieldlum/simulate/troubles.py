@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -26,7 +25,7 @@ from fieldlum.projection import altitude_azimuth_deg, equirect_rays
 from fieldlum.records import Site
 from fieldlum.simulate.truth import GroundTruth, Rendering
 from fieldlum.sky import reinhart_patches
-from fieldlum.strict_toml import build
+from fieldlum.strict_toml import build, read_toml
 
 # Sizes of the disturbances. Where no source is stated they are chosen to look like a campaign, not
 # measured.
@@ -134,11 +133,7 @@ def load_troubles(path: Path) -> Troubles:
     Raises InputError for a file that cannot be read, an unknown trouble or key, a value of another
     type, and a size outside `LIMITS`.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(path, str(error), "a TOML file of troubles", "correct the file") from None
-    troubles = build(Troubles, table, str(path))
+    troubles = build(Troubles, read_toml(path), str(path))
     for name in troubles.names:
         size, most = getattr(troubles, name).size, LIMITS[name]
         least = -most if name in _SIGNED else 0.0

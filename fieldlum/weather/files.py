@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum import sun
 from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.profiles import shipped
 from fieldlum.projection import direction
 from fieldlum.records import Site
@@ -63,12 +63,9 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     path = Path(path)
     if str(path) == SYNTHETIC:
         return synthetic_weather(site)
-    try:
+    expected, remedy = "an EPW, TMY3 or CSV weather file", "download the file again"
+    with input_errors(path, expected, remedy, csv.Error, OverflowError):
         table = _shifted(read_table(path, read_lines(path), site), label_shift_min)
-    except (csv.Error, OverflowError) as error:
-        raise InputError(
-            path, str(error), "an EPW, TMY3 or CSV weather file", "download the file again"
-        ) from None
     if not table.rows:
         raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
     repairs = [*table.notes, *_check_place(path, table.place, site)]

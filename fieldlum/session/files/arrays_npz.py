@@ -13,6 +13,8 @@ from fieldlum.arrays import Array
 # Most bytes of a compressed member, which could expand to a huge array. Models of 0.1.0 compress
 # their mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels. Chosen.
 MAX_COMPRESSED_BYTES = 16 * 2**20
+# What reading a damaged or missing file can raise.
+NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,

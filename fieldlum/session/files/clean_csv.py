@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, reason_of
+from fieldlum.errors import InputError, input_errors
 from fieldlum.session.writing import replacing
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
@@ -54,7 +54,9 @@ class CleanIrradiance:
                 "quality-checked irradiance",
                 "log or import irradiance (fieldlum log, fieldlum import), then run fieldlum pair",
             )
-        try:
+        expected = "the columns that fieldlum pair writes"
+        remedy = "delete the file and run fieldlum pair, which writes it again"
+        with input_errors(path, expected, remedy, ValueError, KeyError, TypeError):
             table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
             when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
             t = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
@@ -62,13 +64,6 @@ class CleanIrradiance:
             source, flags = (
                 table[name].fillna("").to_numpy(object) for name in ("source", "flags")
             )
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(
-                path,
-                reason_of(error),
-                "the columns that fieldlum pair writes",
-                "delete the file and run fieldlum pair, which writes it again",
-            ) from None
         return cls(t, ghi, dhi, dni, source, flags)
 
     def write(self, path: Path) -> None:

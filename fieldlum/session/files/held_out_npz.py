@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Indices
-from fieldlum.errors import InputError
+from fieldlum.errors import input_errors
+from fieldlum.session.files.arrays_npz import NPZ_ERRORS
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -79,18 +79,16 @@ class HeldOutMaps:
         path = folder / "held_out.npz"
         if not path.is_file():
             return None
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                if int(stored["format"]) > FORMAT:
-                    raise ValueError(f"format {int(stored['format'])}")
-                return cls(*(stored[name] for name in _ARRAYS))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(
-                path,
-                str(error),
-                f"held-out maps of format 1 to {FORMAT}",
-                "train the model again (fieldlum train)",
-            ) from None
+        expected = f"held-out maps of format 1 to {FORMAT}"
+        remedy = "train the model again (fieldlum train)"
+        with (
+            input_errors(path, expected, remedy, *NPZ_ERRORS),
+            path.open("rb") as file,
+            np.load(file, allow_pickle=False) as stored,
+        ):
+            if int(stored["format"]) > FORMAT:
+                raise ValueError(f"format {int(stored['format'])}")
+            return cls(*(stored[name] for name in _ARRAYS))
 
 
 _ARRAYS = tuple(field.name for field in fields(HeldOutMaps))

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, reason_of
+from fieldlum.errors import input_errors
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import replacing
 
@@ -71,13 +71,13 @@ class HourlyFile:
         another number of rows or other content.
         """
         path = folder / NAME
-        try:
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = list(csv.reader(file))
-        except OSError as error:
-            finding, remedy = error.strerror or str(error), "write the file with: fieldlum predict"
-            raise InputError(path, finding, NAME, remedy) from None
-        try:
+        with (
+            input_errors(path, NAME, "write the file with: fieldlum predict", OSError),
+            path.open(newline="", encoding="utf-8") as file,
+        ):
+            rows = list(csv.reader(file))
+        expected, remedy = "what fieldlum predict wrote", "run fieldlum predict again"
+        with input_errors(path, expected, remedy, ValueError, KeyError, IndexError):
             head, body = rows[0], rows[1:]
             if len(body) != count:
                 raise ValueError(f"{len(body)} hours, but {count} in predict.json")
@@ -97,10 +97,6 @@ class HourlyFile:
                 for name in VIEW_COLUMNS
             }
             return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
-        except (ValueError, KeyError, IndexError) as error:
-            raise InputError(
-                path, reason_of(error), "what fieldlum predict wrote", "run fieldlum predict again"
-            ) from None
 
     def write(self, folder: Path, timezone: str) -> None:
         """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fieldlum.errors import InputError, reason_of
+from fieldlum.errors import InputError, input_errors
 from fieldlum.records import JsonTable, parse_utc
 from fieldlum.session.writing import replacing
 from fieldlum.strict_toml import build
@@ -79,10 +79,9 @@ def content_of(
     also for a format version that is not an integer from 1 to `newest`.
     """
     check_format(table, newest, path)
-    try:
+    wrong = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
+    with input_errors(path, expected, remedy, *wrong):
         yield
-    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise InputError(path, reason_of(error), expected, remedy) from None
 
 
 def from_json(cls: type[T], table: Mapping[str, Any]) -> T:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, reason_of
+from fieldlum.errors import InputError, input_errors
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import write_table
 
@@ -34,13 +34,11 @@ class TruthIrradiance:
         """
         expected = f"the columns {', '.join(TRUTH_COLUMNS)}"
         remedy = "write the file again with: fieldlum simulate"
-        try:
+        with input_errors(path, expected, remedy, OSError, KeyError, ValueError, TypeError):
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.DictReader(file))
             times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
             light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(path, reason_of(error), expected, remedy) from None
         if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
             finding = f"{len(times)} rows"
             if len(times) > 1:
