@@ -143,9 +143,9 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
     x, y = guess.camera_m[:2]
     # In room axes, north is turn @ (0, 1): x = sin(azimuth), y = -cos(azimuth).
     tip = (x + 0.8 * float(np.sin(north)), y - 0.8 * float(np.cos(north)))
-    axis.annotate(
-        "N", (x, y), tip, arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
-    )
+    # The arrow ends at the middle of the text: with another alignment it points beside north.
+    arrow = {"arrowstyle": "<-", "color": "0.3"}
+    axis.annotate("N", (x, y), tip, arrowprops=arrow, color="0.3", ha="center", va="center")
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")
