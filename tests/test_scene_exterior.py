@@ -165,7 +165,7 @@ def test_the_plan_shows_north(azimuth_deg: float, right: int, up: int) -> None:
     assert label.xy == pytest.approx(camera)
     figure.canvas.draw()
     assert label.arrow_patch is not None
-    drawn = label.arrow_patch.get_path().vertices
+    drawn = np.asarray(label.arrow_patch.get_path().vertices, float)
     along = drawn[0] - drawn[2] if np.ptp(drawn[:3], axis=0).any() else drawn[-1] - drawn[0]
     np.testing.assert_allclose(
         np.abs(along / np.linalg.norm(along)), np.abs((right, up)), atol=0.01

@@ -24,6 +24,7 @@ from fieldlum.models.camera_turns import (
     turned_rays,
 )
 from fieldlum.models.teaching import weight_of
+from fieldlum.models.turns_by_light import DirectLight
 from fieldlum.projection import direction
 from fieldlum.records import Progress, counted
 from fieldlum.session.files.alignment_csv import (
@@ -44,13 +45,14 @@ def find_turns(
     maps: Floats32,
     has_value: Mask,
     heading_deg: float,
+    light: DirectLight,
     progress: Progress,
 ) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
     pairs: path of pairs.csv. The other arguments have the n captures in the order of time:
     pictures: names of the panoramas as in the csv; maps: [n, H, W]; has_value: True for measured
-    pixels [n, H, W]. heading_deg: azimuth of the maps' centre column.
+    pixels [n, H, W]. heading_deg: azimuth of the maps' centre column. light: their direct light.
 
     The turns are read from a table next to the csv if its names and checksums are those of all
     maps. Otherwise `camera_turns` estimates them, and with at least 5 captures and 40 rows of
@@ -66,7 +68,7 @@ def find_turns(
             np.array([r.aligned for r in rows]),
         )
     compared = has_value.mean(axis=0) > _LEAST_SEEN
-    turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, progress=progress)
+    turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, light=light, progress=progress)
     if len(maps) >= LEAST_CAPTURES and maps.shape[1] >= LEAST_ROWS:
         table = [
             AlignmentRow(name, digest, *angles, *u, aligned=bool(aligned))

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 from scipy.spatial.transform import Rotation
 
 from fieldlum.arrays import Array, Floats, Floats32, Mask
+from fieldlum.models.turns_by_light import DirectLight, turns_by_light
 from fieldlum.projection import (
     altitude_azimuth_deg,
     equirect_pixel,
@@ -275,15 +276,21 @@ def _smaller(logs: Floats32, seen_mask: Mask) -> tuple[Floats32, Mask]:
 
 
 def camera_turns(
-    luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float, *, progress: Progress = quiet
+    luminance_cdm2: Floats,
+    seen_mask: Mask,
+    heading_deg: float,
+    *,
+    light: DirectLight | None = None,
+    progress: Progress = quiet,
 ) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
     luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
-    pixels with a value [H, W]; heading_deg: azimuth of the centre column. Consecutive captures of
-    one pose get their median turn; a turn too small to be certain is zero. With fewer than 5
-    captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all captures count
-    as aligned.
+    pixels with a value [H, W]; heading_deg: azimuth of the centre column. light: their direct
+    light; what it explains is not a turn (`turns_by_light`); None if it is unknown. Consecutive
+    captures of one pose get their median turn; a turn too small to be certain is zero. With fewer
+    than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all
+    captures count as aligned.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))
@@ -307,6 +314,8 @@ def camera_turns(
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     aligned = (likeness >= LEAST_LIKENESS) & (np.abs(angles).max(axis=1) < MOST_TURN_PX * pixel_deg)
+    if light is not None:
+        angles = angles - pixel_deg * turns_by_light(angles / pixel_deg, light)
     poses = _poses(angles, aligned, pixel_deg)
     # Rounded to four decimals as in the table, so that reading the table gives identical maps.
     return CameraTurns(np.round(poses, 4), np.round(u_deg, 4), aligned)

@@ -17,6 +17,7 @@ from fieldlum.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.models.pair_pictures import fill_gaps, read_pictures
 from fieldlum.models.teaching import joined_counts
+from fieldlum.models.turns_by_light import DirectLight
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
@@ -230,16 +231,19 @@ def _assemble(
         )
     heading = pictures.heading_deg
     names = [row.panorama for row in rows]
-    turns = find_turns(path, names, pictures.maps, pictures.has_value, heading, progress)
     dni = np.array([row.dni_wm2 for row in rows])
+    dhi = np.array([row.dhi_wm2 for row in rows])
+    days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
+    days = np.array(days, "datetime64[D]")
+    beam = dni * np.sin(np.radians(np.maximum(altitude, 0.0)))
+    direct = DirectLight(beam / np.maximum(beam + dhi, 1.0), azimuth, days)
+    turns = find_turns(path, names, pictures.maps, pictures.has_value, heading, direct, progress)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = float(shown_altitude[k]), float(azimuth[k])
         shown = shown_place(*at, heading, turns.angles_deg[k])
         pictures.take_disc_out(k, at, shown, float(dni[k]))
     align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)
     counts = joined_counts(pictures.counts, pictures.has_value)
-    days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
-    days = np.array(days, "datetime64[D]")
     notes += turn_notes(turns, days, alignment_path(path).name)
     seen_mask, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
@@ -256,7 +260,7 @@ def _assemble(
         light=Light(
             t_utc=tuple(times),
             dni_wm2=dni,
-            dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
+            dhi_wm2=dhi,
             sun_altitude_deg=altitude,
             sun_azimuth_deg=azimuth,
             states=_states(path, rows),
