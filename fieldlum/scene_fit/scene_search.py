@@ -60,8 +60,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Chosen, not varied: one third of the hours checks; clocks start half of the prior's 5 min off.
-KEPT_OUT_EVERY = 3
+# Chosen, not varied: clocks start half of the prior's 5 min off.
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
 RESTART_CLOCKS_MIN = (-3.0, 3.0)
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
@@ -165,8 +164,7 @@ class SceneSearch:
     def shaded(self, guess: Guess) -> Guess:
         """Add up to two blinds, curtains, facades, canopies, arched or slanted tops that pay.
 
-        A shade must also explain more than no patch at all: a facade that hides every sun costs
-        less than displaced patches.
+        A facade that hides every sun costs less than displaced patches, but explains nothing.
         """
         coarse = self.objective(self.fit_evidence.coarse())
         without_sun = coarse.evidence.dark_misfit + coarse.without_patches(guess)
@@ -202,10 +200,8 @@ class SceneSearch:
         cost = self._solid_cost(thin, guess, self.albedo_with_solids(guess))
         parameters = exterior_parameters(len(guess.solids))
         trials = [replace(guess, solids=(*guess.solids, s)) for s in propose_exterior(guess)]
-        order = sorted(range(len(trials)), key=[cost(t) for t in trials].__getitem__)
-        tries = [
-            pattern_search(cost, trials[k], parameters, fine=4.0) for k in order[:SHADE_TRIALS]
-        ]
+        best = sorted(trials, key=cost)[:SHADE_TRIALS]
+        tries = [pattern_search(cost, trial, parameters, fine=4.0) for trial in best]
         return min(tries, key=lambda pair: pair[1])[0]
 
     def bars(self, guess: Guess, fine: float = 1.0) -> Guess:

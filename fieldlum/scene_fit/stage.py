@@ -21,8 +21,7 @@ from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.pictures import draw
 from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
-from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY
-from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
+from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, GeometryCandidate, SceneVerdict, judge
 from fieldlum.session import Session
 from fieldlum.statistics import is_no_worse
 
@@ -102,7 +101,7 @@ def judged_scene(
     outside = len(fit.misfits.none)
     if outside < MIN_HOURS_OUTSIDE:
         # Blocks of sun directions are held out: their share of the hours can be below a third.
-        per_hour_outside = max(KEPT_OUT_EVERY, fit.hours / max(outside, 1))
+        per_hour_outside = max(OUTSIDE_EVERY, fit.hours / max(outside, 1))
         needed = ceil(MIN_HOURS_OUTSIDE * per_hour_outside)
         note = (
             f"only {outside} of {fit.hours} clear hours were held out of the fit, too few to "
