@@ -1,0 +1,95 @@
+"""Compiled loops of the scene search: boxes, the sun through a window, and small systems."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.scene_fit.renderer import LitEntries, Surfaces, camera_rays, lit_entries, surfaces
+from fieldlum.scene_fit.small_systems import packed_index, solve_packed
+from fieldlum.scene_fit.sunlit import box_entries, shaded
+
+pytestmark = pytest.mark.slow
+
+ROOM = Guess(
+    (4.0, 5.0, 3.0),
+    (2.0, 3.0, 1.4),
+    180.0,
+    0.3,
+    (WindowRect("south", (0.8, 3.2), (0.8, 2.6), 0.88),),
+    (Bar(0, True, (1.9, 2.0), (0.1, 0.2)),),
+    (Solid((0.5, 1.0, 0.0), (1.5, 1.8, 0.7), 0.4),),
+)
+
+
+@pytest.mark.authority
+def test_packed_systems_have_the_solutions_of_numpy() -> None:
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((300, 16, 16))
+    matrix = root @ root.transpose(0, 2, 1) + 4.0 * np.eye(16)
+    right = rng.standard_normal((300, 16))
+    row, column = packed_index(16)
+    packed = np.ascontiguousarray(matrix[:, row, column].T.astype(np.float32))
+    found = solve_packed(packed, np.ascontiguousarray(right.T.astype(np.float32)))
+    expected = np.linalg.solve(matrix, right[..., None])[..., 0]
+    # float32 has 7 digits, and the matrices a condition of at most 30
+    assert np.allclose(found.T, expected, atol=1e-4)
+
+
+@pytest.mark.analytic
+def test_a_ray_enters_a_box_at_its_near_face_but_not_from_within() -> None:
+    solid = ROOM.solids[0]
+    low, high = np.array(solid.low_m, np.float32), np.array(solid.high_m, np.float32)
+    toward = np.array([[-0.6, 0.0, -0.8], [1.0, 0.0, 0.0]], np.float32)
+    rays = camera_rays(ROOM, toward @ ROOM.camera_turn.astype(np.float32))
+    eye = np.array([1.5 + 0.6, 1.4, 0.35 + 0.8], np.float32)  # 1 m from the middle of the face x
+    rows, lengths, faces = box_entries(low, high, eye, rays.inverse, np.full(2, 9.0, np.float32))
+    assert rows.tolist() == [0] and faces.tolist() == [0]
+    assert lengths == pytest.approx([1.0], abs=1e-5)
+    inside = np.array([1.0, 1.4, 0.3], np.float32)
+    assert not len(box_entries(low, high, inside, rays.inverse, np.full(2, 9.0, np.float32))[0])
+
+
+@pytest.mark.analytic
+def test_a_box_shades_what_is_behind_it() -> None:
+    low, high = np.array([1, 1, 0], np.float32), np.array([2, 2, 1], np.float32)
+    suns = np.array([[0.6, 0.0, 0.8]], np.float32)
+    behind = np.array([[0.5, 1.5, 0.0], [0.5, 2.5, 0.0], [1.5, 1.5, 1.0]], np.float32)
+    hour, ray = np.zeros(3, np.intp), np.arange(3)
+    # at x = 1 the line is 0.67 m high, below the top; the second passes beside, the third is on top
+    assert shaded(low, high, behind, suns, hour, ray).tolist() == [True, False, False]
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("shape", [{}, {"arch_m": 0.5}, {"slant_m": -0.4}])
+def test_the_order_of_rays_does_not_matter(shape: dict[str, float]) -> None:
+    """Rays are left out in blocks of neighbours: other neighbours must give the same pairs."""
+    guess = replace(ROOM, windows=(replace(ROOM.windows[0], **shape),))
+    rng = np.random.default_rng(1)
+    world = rng.standard_normal((3000, 3))
+    world /= np.linalg.norm(world, axis=1, keepdims=True)
+    ends = surfaces(guess, world.astype(np.float32), 0.01)
+    altitude, azimuth = np.radians(rng.uniform((5, -60), (60, 60), (12, 2))).T
+    suns = np.stack(
+        [np.sin(azimuth) * np.cos(altitude), -np.cos(azimuth) * np.cos(altitude), np.sin(altitude)],
+        axis=1,
+    ).astype(np.float32)
+    order = rng.permutation(len(world))
+    mixed = Surfaces(
+        ends.position_m[order],
+        ends.axis[order],
+        ends.sign[order],
+        ends.surface[order],
+        ends.spread_m[order],
+    )
+    plain, other = lit_entries(guess, ends, suns), lit_entries(guess, mixed, suns)
+    assert len(plain.hour) > 500
+    assert _table(plain) == _table(replace(other, ray=order[other.ray]))
+
+
+def _table(lit: LitEntries) -> dict[tuple[int, int], float]:
+    keys = zip(lit.hour.tolist(), lit.ray.tolist(), strict=True)
+    return dict(zip(keys, lit.strength.tolist(), strict=True))
