@@ -119,8 +119,9 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
     """Compare merged panoramas with their rendered truth, over unflagged pixels.
 
-    Return the median relative error (median of the maps' medians), the mean share of pixels within
-    5 %, both as fractions, and the number of maps.
+    Return the median absolute relative error (median of the maps' medians), the mean share of
+    pixels within 5 %, both as fractions, and the number of maps. Maps without a truth are skipped,
+    and pixels with a truth of 0.
     """
     from fieldlum.images import read_panorama
 
@@ -160,7 +161,10 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
 
 
 def troubles_named(notes: Iterable[str]) -> list[str]:
-    """Return the names of simulated troubles that the notes of `train` give as possible causes."""
+    """Return the names in `NAMED_BY`, in its order, whose words occur in the notes of `train`.
+
+    These are possible causes, also of troubles that were not simulated.
+    """
     texts = list(notes)
     return [name for name, words in NAMED_BY.items() if any(words in text for text in texts)]
 

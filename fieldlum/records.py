@@ -305,12 +305,13 @@ class SunSource:
 
 @dataclass(frozen=True, slots=True)
 class Panorama:
-    """A luminance map of all directions, without the sun disc.
+    """A luminance map of all directions; a sun disc that fieldlum measured is separate, in `sun`.
 
     luminance_cdm2, u_cdm2 (standard uncertainty), flags (`Flag` bits) : [H, W = 2H], row 0 at the
-    zenith, azimuth clockwise to the right. heading_deg : azimuth of the centre column, clockwise
-    from true north. t_utc, u_cdm2, flags, rgb : None if unknown. sun : None if no sun was removed
-    from the map or added to it. attributes : further texts of the picture's file.
+    zenith, azimuth clockwise to the right; rgb : [H, W, 3]. heading_deg : azimuth of the centre
+    column, clockwise from true north. t_utc, u_cdm2, flags, rgb : None if unknown. sun : None if no
+    sun was removed from the map or added to it; a map of another program may then contain the disc.
+    attributes : further texts of the picture's file.
     """
 
     luminance_cdm2: Floats
@@ -319,5 +320,5 @@ class Panorama:
     flags: NDArray[np.integer] | None = None
     t_utc: datetime | None = None
     sun: SunSource | None = None
-    rgb: Floats | None = None  # [H, W, 3], such that 179 * (.265 .670 .065) gives the luminance
+    rgb: Floats | None = None  # such that 179 * (.265 .670 .065) gives the luminance
     attributes: dict[str, str] = field(default_factory=dict)

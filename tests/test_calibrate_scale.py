@@ -101,7 +101,8 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
         and len(said) == 2
     )
     with pytest.raises(
-        InputError, match=r"t.csv: 3 of 6 readings contradict the fitted factor k.*one unit"
+        InputError,
+        match=r"t.csv: 3 of 6 readings differ from the fitted factor k by more than 10 %.*one unit",
     ):
         scale.fit(_readings([80.0, 20.0, 300.0, 9.0, 4000.0, 60.0], picture), source="t.csv")
     right = scale.fit(_readings(picture, picture))

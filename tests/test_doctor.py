@@ -1,6 +1,7 @@
 """Preflight: every check's good and bad case, and the exit codes."""
 
 import json
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from fieldlum.profiles import (
     save_profile,
 )
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
-from fieldlum.session import Journal, Session, create_session
+from fieldlum.session import Journal, Session, create_session, write_plan
 
 NOW = datetime(2027, 3, 10, 12, tzinfo=UTC)
 NOON = datetime(2027, 3, 10, 20, tzinfo=UTC)
@@ -85,6 +86,24 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
     journal.close()
     assert len(doctor.owed_slots(session, NOW)) == 9
     assert doctor.check_plan(session, NOW + timedelta(days=40))[0].verdict == "warn"
+
+
+@pytest.mark.contract
+def test_make_up_slots_are_advised_only_for_what_was_not_captured(tmp_path: Path) -> None:
+    session = _session(tmp_path)
+    slots = session.slots()
+    instead = replace(slots[1], t_utc=NOW + timedelta(days=30), tags=(f"makeup:{slots[1].id}",))
+    write_plan(session.plan, [*slots, instead], SEATTLE.timezone)
+    journal = Journal(session)
+    for slot in slots[2:]:
+        journal.append("done", NOW, slot=slot.id)
+    missed = doctor.check_plan(session, NOW + timedelta(days=40))[-1]
+    assert "2 of 10 were not captured" in missed.text and "--replan" in missed.text
+    for slot in (slots[0], instead):
+        journal.append("done", NOW, slot=slot.id)
+    journal.close()
+    complete = doctor.check_plan(session, NOW + timedelta(days=40))[-1]
+    assert complete.verdict == "warn" and "--replan" not in complete.text
 
 
 @pytest.mark.contract

@@ -155,7 +155,7 @@ def test_the_outline_passes_through_the_corners() -> None:
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("kind,window,x,y\n", "columns kind, window, x_px, y_px"),
+        ("kind,window,x,y\n", "exactly the columns kind,window,x_px,y_px in this order"),
         ("kind,window,x_px,y_px\nwall,,1,2\n", r":2: kind 'wall'"),
         ("kind,window,x_px,y_px\nfloor,,1,2\nfloor,,one,2\n", ":3: "),
         ("kind,window,x_px,y_px\nfloor,,nan,2\n", ":2: x_px nan"),

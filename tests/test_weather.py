@@ -372,6 +372,22 @@ def test_labels_half_an_hour_off_are_reported_at_any_latitude(
 
 @pytest.mark.slow
 @pytest.mark.contract
+@pytest.mark.parametrize("shift_min", [-60, 60])
+def test_a_cloudless_year_an_hour_off_is_not_an_exchanged_column(tmp_path, shift_min: int) -> None:
+    """Low suns of the wrong hour look like overcast hours with much direct light."""
+    year = _year(Site("There", 33.0, 0.0, "UTC"))
+    clear = sun.clearsky(year.t_utc, year.site)
+    _write_dated(
+        tmp_path / "w.csv", year, shift_min=shift_min, dni=clear.dni_wm2, dhi=clear.dhi_wm2
+    )
+    with pytest.raises(
+        InputError, match=rf"all row times moved by \{-shift_min:+d} min.*time zone"
+    ):
+        weather.read_weather(tmp_path / "w.csv", year.site)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("latitude_deg", "expected"),
     [(47.6, "sun is down"), (20.0, "check that the file is of this place")],

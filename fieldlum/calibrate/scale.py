@@ -277,9 +277,9 @@ def fit(
     if len(far) > MOST_FAR * len(log):
         raise InputError(
             source,
-            f"{len(far)} of {len(log)} readings contradict the fitted factor k: "
-            f"{', '.join(far[:4])}",
-            "one factor between pictures and readings",
+            f"{len(far)} of {len(log)} readings differ from the fitted factor k by more than "
+            f"{100 * FAR_LEAST:g} % and {FAR:g} times their u_rel: {', '.join(far[:4])}",
+            "this of at most a third of the readings",
             "check the azimuths (clockwise from north), that all readings have one unit, "
             "and that the light was steady; correct the csv and run this again",
         )

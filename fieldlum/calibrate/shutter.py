@@ -313,7 +313,10 @@ def _why(table: FramePairTable) -> str:
     a, b = map(shutter_text, table.pair)
     if table.brackets < LEAST:
         return f"{a} to {b} s: brackets with both times: {table.brackets}, needed: {LEAST}"
-    return f"{a} to {b} s: the ratio differs by {100 * table.spread:.1f} % between brackets"
+    return (
+        f"{a} to {b} s: the ratio varies by {100 * table.spread:.1f} % between brackets (standard "
+        f"deviation; limit {100 * WIDEST:g} %): the light or the shutter is unsteady"
+    )
 
 
 def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:

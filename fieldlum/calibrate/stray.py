@@ -244,9 +244,10 @@ def _falling(design: Floats, stray: Floats) -> Floats:
 
 
 def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
-    """Return the share (0 to 1) of a source's light that the kernel K spreads over the sphere.
+    """Return the share of a source's light that the kernel K spreads over the sphere.
 
-    nodes_deg, values_per_sr : [n], angles [deg] and K there [1/sr].
+    nodes_deg, values_per_sr : [n], ascending angles above 0 [deg] and K there [1/sr], interpolated
+    as by `kernel_per_sr`. The share is 0 to 1 for a physical kernel; it is not clipped.
     """
     angle = (np.arange(3600) + 0.5) / 3600 * np.pi
     kernel = kernel_per_sr(angle, np.asarray(nodes_deg), np.asarray(values_per_sr))

@@ -106,25 +106,37 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> Samples:
     weights = np.array(profile.colour.y_from_rgb)
     lens = nearest_lens(profile, needed(rows[0], "x_px", path), needed(rows[0], "y_px", path))
-    r, value, u, f_numbers = [], [], [], set()
+    r, value, u, f_numbers = [], [], [], {}
     for row in rows:
         x, y = needed(row, "x_px", path), needed(row, "y_px", path)
-        frame = linear_frame(needed(row, "file", path), profile)
+        file = needed(row, "file", path)
+        frame = linear_frame(file, profile)
         patch = frame.patch(x, y, row.get("radius_px") or 12.0)
         r.append(relative_angle(profile.lens[lens], x, y))
         value.append(float(patch.rgb @ weights) / (row.get("reference") or 1.0))
         u.append(float(np.hypot(patch.u_rel, 0.002)))
-        f_numbers.add(frame.exposure.f_number)
+        f_numbers[file] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
     files = tuple(row["file"] for row in rows)
     return Samples(np.array(r), np.array(value), np.array(u), f_number, lens, files)
 
 
-def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
-    if len(f_numbers) > 1:
-        shown = ", ".join(f"f/{n:g}" for n in sorted(f_numbers))
-        raise InputError(path, f"frames with {shown}", "frames with one aperture", remedy)
-    return next(iter(f_numbers))
+def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> float:
+    """Return the f-number of all frames. Raises InputError if they have several."""
+    several = sorted(set(f_numbers.values()))
+    if len(several) > 1:
+        shown = "; ".join(
+            f"f/{n:g}: {_names([file for file, other in f_numbers.items() if other == n])}"
+            for n in several
+        )
+        raise InputError(
+            source, f"frames with several apertures ({shown})", "frames with one aperture", remedy
+        )
+    return several[0]
+
+
+def _names(files: Sequence[Path]) -> str:
+    return ", ".join(file.name for file in files[:3]) + (" ..." if len(files) > 3 else "")
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
@@ -135,7 +147,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     saturated or dark.
     """
     geometry, rings = profile.lens[lens].geometry, []
-    weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
+    weights, f_numbers = np.array(profile.colour.y_from_rgb), {}
     for path in paths:
         frame = linear_frame(path, profile)
         h, w = frame.bad.shape
@@ -143,7 +155,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         radius = relative_radius(geometry, x, y)
         r = angle_of_radius(geometry, radius) / geometry.half_angle_rad
         rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
-        f_numbers.add(frame.exposure.f_number)
+        f_numbers[path] = frame.exposure.f_number
     f_number = _one_aperture(paths[0], f_numbers, "fit each aperture separately")
     if not rings:
         raise InputError(

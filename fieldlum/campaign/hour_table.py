@@ -92,7 +92,9 @@ def write_parquet(campaign: CampaignFile, path: Path) -> int:
             count += table.num_rows
         if writer is None:
             raise InputError(
-                path, "no room has a predicted year", remedy="run fieldlum campaign predict"
+                campaign.path,
+                f"no room has a predicted year that can be read, so {path} was not written",
+                remedy="run fieldlum campaign predict",
             )
         writer.close()
     return count

@@ -135,9 +135,10 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Remove the rows with the times and raw texts of `samples` from the day files.
 
-    Return their number. A changed day file's earlier version remains in irradiance/withdrawn/.
-    clean.csv is deleted too if a row was removed, because it is only updated if the length of a day
-    file changes, and rows that only move do not change it.
+    Return their number; samples without such a row are ignored. A changed day file's earlier
+    version remains in irradiance/withdrawn/. If a row was removed, clean.csv is deleted too: rows
+    that are imported again with another clock can leave the day file's length as it was, and only
+    another length causes a new clean.csv.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

@@ -178,14 +178,15 @@ def report_command(
         page, rooms = write_overview(
             campaign, out or campaign_file.parent / "campaign", progress=show
         )
+    broken = [room for room in rooms if room.broken]
+    for room in broken:
+        say(f"skipped: {room.session}: {room.broken}")
     rows = None
     if table is not None:
         rows = (write_parquet if table.suffix.lower() == ".parquet" else write_csv)(campaign, table)
         say(f"{table}: {counted(rows, 'row')}")
-    broken = [room.session for room in rooms if room.broken]
     if as_json:
-        emit_json({"page": str(page), "passed_over": broken, "table_rows": rows})
+        names = [room.session for room in broken]
+        emit_json({"page": str(page), "passed_over": names, "table_rows": rows})
     else:
         click.echo(str(page))
-    for name in broken:
-        say(f"skipped: {name}")

@@ -160,7 +160,8 @@ def _toml(path: Path) -> Facts:
     raise InputError(
         path,
         f"a TOML file with the tables {', '.join(table) or '(none)'}",
-        "the TOML file of a site, a camera profile, an instrument profile or a session",
+        "[site] (a site), [camera] (a camera profile), [[entry]] (an instrument profile), or "
+        "[setup] and [plan] (a session)",
         "name such a file",
     )
 

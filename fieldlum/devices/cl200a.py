@@ -85,10 +85,11 @@ def _value(six: str) -> float:
 
 
 def parse_answer(reply: bytes) -> IlluminanceReading:
-    """Return the illuminance reading in the meter's answer to its measuring command (02).
+    """Return the illuminance reading in the meter's answer to command 02 (read Ev, x and y).
 
-    Raises DeviceError for a damaged answer, an error that the meter reports, over 200 000 lx or
-    another impossible value; NotReady if the meter changes its range or has not measured yet.
+    Raises DeviceError for a damaged answer, an error that the meter reports, an illuminance outside
+    0 to 200 000 lx, or an impossible x or y; NotReady, a DeviceError, if the meter changes its
+    range or has not measured yet.
     """
     body = unframe(reply)
     match = _ANSWER.fullmatch(body)

@@ -86,7 +86,10 @@ def parse_metadata(text: str) -> FrameMetadata:
 
 
 def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
-    """Return {number: (sensor, format)} of the cameras in the output of --list-cameras."""
+    """Return {number: (sensor, format)} of the cameras in the output of --list-cameras.
+
+    format : the text in brackets, such as "4056x3040 12-bit RGGB". Empty without cameras.
+    """
     return {int(m[1]): (m[2], m[3]) for m in _CAMERA_LINE.finditer(text)}
 
 

@@ -128,7 +128,10 @@ def _judge_camera_clock(offset_s: float) -> Finding:
     hours = round(offset_s / 3600.0)
     is_time_zone = hours and abs(offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S
     hint = (
-        ": full hours, probably a wrong time zone or daylight saving time" if is_time_zone else ""
+        ": full hours, so the camera's time zone or daylight saving time is probably wrong; "
+        "correct it in the camera's menu"
+        if is_time_zone
+        else ""
     )
     text = f"{offset_s:+.1f} s compared with this computer's clock{hint}"
     return Finding("camera clock", verdict, text)

@@ -9,8 +9,10 @@ from zoneinfo import ZoneInfo
 from fieldlum import sun
 from fieldlum.doctor.findings import CALIBRATION_YEARS, Finding, iso_date, owed_slots
 from fieldlum.profiles import CameraProfile, coverage_text, load_camera_profile
-from fieldlum.records import Slot, counted
+from fieldlum.records import Slot
 from fieldlum.session import Session, sha256
+from fieldlum.session.ledger import read_ledger
+from fieldlum.session.makeups import without_capture
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
@@ -28,11 +30,7 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
         )
         findings.append(Finding("plan", "fail", text, 3))
     if not ahead:
-        text = (
-            f"none of the plan's {counted(len(slots), 'slot')} is in the future: plan missed slots "
-            f"again with fieldlum plan {session.root} --replan"
-        )
-        return [*findings, Finding("plan", "warn", text)]
+        return [*findings, Finding("plan", "warn", _nothing_ahead(session, slots))]
     zone = ZoneInfo(session.site_file().site.timezone)
     first = ahead[0].t_utc.astimezone(zone)
     text = (
@@ -40,6 +38,19 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
         f"{first:%a %Y-%m-%d at %H:%M %Z}"
     )
     return [*findings, Finding("plan", "ok", text)]
+
+
+def _nothing_ahead(session: Session, slots: Sequence[Slot]) -> str:
+    """Return the text for a plan without a coming slot: how many were not captured, what to do."""
+    states = read_ledger(session).slots
+    captured = {slot for slot, state in states.items() if state.outcome == "done"}
+    missing, count = without_capture(slots, captured)
+    if not missing:
+        return f"no slot of the plan can still be captured: all {count} were captured"
+    return (
+        f"no slot of the plan can still be captured, and {missing} of {count} were not captured: "
+        f"add make-up slots with fieldlum plan {session.root} --replan"
+    )
 
 
 def check_profile(session: Session, today: date) -> list[Finding]:

@@ -155,7 +155,8 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
     if not turns.aligned.all():
         notes.append(
             f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "
-            "others: the camera was turned too far or moved; put them into a separate session"
+            f"others (aligned = 0 in {table}): the camera was turned too far or moved; put them "
+            "into a separate session"
         )
     return notes
 

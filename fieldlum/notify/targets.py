@@ -58,7 +58,10 @@ def _lines(path: Path) -> tuple[str, ...]:
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InputError(
-            path, str(why), "a readable file of addresses", "check the path after the @"
+            path,
+            str(why),
+            "a UTF-8 file that you may read, with one apprise address per line",
+            "check the path after the @, its permissions and its encoding",
         ) from None
     stripped = (line.strip() for line in text.splitlines())
     return tuple(line for line in stripped if line and not line.startswith("#"))

@@ -15,12 +15,12 @@ from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.ledger import read_ledger
+from fieldlum.session.makeups import MAKEUP, made_up_for
 from fieldlum.session.tables import PlanTable
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
 # Chosen as that half.
 SAME_DECLINATION_DEG = 0.2
-MAKEUP = "makeup:"  # tag, followed by the missed slot's id
 # The equation of time differs by up to half an hour between the two passages: 7.5 deg of hour
 # angle. Chosen with a margin.
 MOST_OFF_DEG = 12.0
@@ -130,26 +130,6 @@ def _first_free(
             }
             return replace(slot, t_utc=t, **position, tags=tags), off
     return None
-
-
-def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
-    """Return the make-up slots of each slot that has some, by the id of the original slot.
-
-    The make-up of a missed make-up counts for the first missed slot.
-    """
-    of = {
-        slot.id: tag.removeprefix(MAKEUP)
-        for slot in slots
-        for tag in slot.tags
-        if tag.startswith(MAKEUP)
-    }
-    makeups: dict[str, list[Slot]] = {}
-    for slot in slots:
-        if first := of.get(slot.id):
-            while first in of:
-                first = of[first]
-            makeups.setdefault(first, []).append(slot)
-    return makeups
 
 
 def run(session: Session, now_utc: datetime) -> MakeUpPlan:

@@ -162,12 +162,17 @@ def _unseen_notes(protection: Protection) -> list[str]:
     """Return a note on directions without a result, and a note on directions with bounds only."""
     notes = []
     for word, meaning in (
-        (NOT_SEEN, "have no result: the camera's lens saw too little of them"),
+        (
+            NOT_SEEN,
+            "have no result: the camera's lens saw less than half of them; turn the camera to more "
+            "headings, or use a lens that sees more",
+        ),
         (
             PARTLY_SEEN,
-            "have bounds only: the intervals assume that the unseen part of the view has between "
-            "0 cd/m2 and the larger of the sky's mean luminance and the brightest hundredth of "
-            "the seen pixels",
+            "have bounds only: the lens saw 50 to 98 % of them, and the intervals assume that the "
+            "unseen part has between 0 cd/m2 and the larger of the sky's mean luminance and the "
+            "brightest hundredth of the seen pixels; turn the camera to more headings for smaller "
+            "intervals",
         ),
     ):
         of = [

@@ -20,7 +20,8 @@ DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 HOURS_OF_YEAR = 8760  # of 365 days
 _HOUR = timedelta(hours=1)
 HOW = (
-    "columns days,start,end (mon-fri,08:00,18:00), or one column occupied with 8760 rows of 0 or 1"
+    "columns days,start,end (mon-fri,08:00,18:00), or a column occupied with 8760 rows of 0 or 1, "
+    "for the hours of local standard time from 1 January 00:00"
 )
 
 
@@ -72,7 +73,9 @@ def read_occupancy(path: Path) -> Occupancy:
     """Read a csv of when the room is used.
 
     Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
-    8760 rows of 0 or 1. Raises InputError for a file that cannot be read, or for other content.
+    8760 rows of 0 or 1, for the hours of local standard time from 1 January 00:00.
+
+    Raises InputError for a file that cannot be read, or for other content.
     """
     with input_errors(path, HOW, "check the path of the csv", OSError, UnicodeDecodeError):
         lines = path.read_text(encoding="utf-8-sig").splitlines()

@@ -75,8 +75,9 @@ def find_camera_profile(name: str) -> Path:
     raise InputError(
         name,
         "no such camera profile",
-        f"a TOML file or one of: {names}",
-        "correct profile under [camera], or --camera",
+        f"the path of a TOML file, or one of: {names}",
+        "correct --camera, or profile under [camera] in SITE.toml ([setup.camera] in the "
+        "session.toml of a planned session)",
     )
 
 

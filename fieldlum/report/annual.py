@@ -60,7 +60,7 @@ def answer(annual: Annual) -> tuple[str, str]:
     ends = best_and_worst(rows)
     if ends is None:
         return (
-            "No view direction can be judged: the camera saw too little of each.",
+            "No view direction can be judged: the camera saw less than half of each.",
             "Capture several headings (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
@@ -83,7 +83,7 @@ def _unseen_words(rows: Sequence[DirectionYear]) -> str:
     blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     if not blind:
         return ""
-    return f"No result for views to {', '.join(blind)}: the camera saw too little of them. "
+    return f"No result for views to {', '.join(blind)}: the camera saw less than half of them. "
 
 
 def _class_words(row: DirectionYear) -> str:

@@ -59,7 +59,7 @@ class ClickGrid:
 
 
 def read_clicks(path: Path) -> list[Click]:
-    """Read a csv with the columns kind, window, x_px, y_px.
+    """Read a csv with exactly the columns kind, window, x_px, y_px, in this order.
 
     Raises InputError for a file that cannot be read, other columns, or a wrong cell (with its
     line).
@@ -69,12 +69,12 @@ def read_clicks(path: Path) -> list[Click]:
         text = path.read_text(encoding="utf-8")
     reader = csv.DictReader(text.splitlines())
     if tuple(reader.fieldnames or ()) != COLUMNS:
-        names = ", ".join(reader.fieldnames or ())[:80]
+        names = ",".join(reader.fieldnames or ())[:80]
         raise InputError(
             path,
             f"columns {names}" if names else "an empty file",
-            f"columns {', '.join(COLUMNS)}",
-            "name the columns in the first line",
+            f"exactly the columns {','.join(COLUMNS)} in this order",
+            "correct the first line and the order of the columns",
         )
     return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
 

@@ -155,11 +155,12 @@ class BoxScene:
 
 
 def build(room: Room, where: str = "[room]") -> BoxScene:
-    """Build the boxes and openings of a box room.
+    """Build the floor, ceiling, walls, frames, obstructions, ground and openings of a box room.
 
     where : the source that errors name. Raises InputError for a room of another kind, or an
-    impossible one: a window outside its wall, overlapping windows, a camera outside, a reflectance
-    or transmittance out of range.
+    impossible one: a size of 0 or less, a window outside its wall, overlapping windows, a camera
+    outside the room or inside an obstruction, a reflectance below 0 or not below 1, a
+    transmittance not above 0 or over 0.92, or no pane.
     """
     if room.kind != "box":
         raise InputError(

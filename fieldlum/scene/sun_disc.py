@@ -31,7 +31,11 @@ class SunPatches:
 
 
 def disc_rays(toward: Floats, rings: int = 4) -> Floats:
-    """Return unit vectors to equal areas of the sun disc around `toward` [3]; 61 for 4 rings."""
+    """Return unit vectors to equal areas of the sun disc, [1 + 3 rings (rings + 1), 3].
+
+    toward : unit vector to the disc's centre [3]. The disc has the radius SUN_RADIUS_DEG; 4 rings
+    give 61 vectors.
+    """
     radius, angle = [0.0], [0.0]
     for ring in range(1, rings + 1):
         count = 6 * ring

@@ -51,16 +51,18 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
     )
 
 
-def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Dataset:
+def with_scene(
+    data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML, progress: Progress = quiet
+) -> Dataset:
     """Return the captures with the corrections of a scene.
 
     With chosen "fitted", heading and room are relative to true north, the sun is at the true times,
     and sun patches are computed from the fitted room. With "stated", only the patches change: they
-    are computed from the stated room. With "none", the patches are removed. Raises InputError if
-    heading (by over 0.05 degrees) or room of the captures differ from those that the fit started
-    at, and for an impossible room.
+    are computed from the stated room. With "none", the patches are removed. source: the scene's
+    file, for errors. Raises InputError if heading (by over 0.05 degrees) or room of the captures
+    differ from those that the fit started at, and for an impossible room.
     """
-    _check_stated(data, scene)
+    _check_stated(data, scene, source)
     about: UsedScene = {
         "north_deg": scene.north_deg,
         "clock_min": scene.clock_min,
@@ -86,23 +88,24 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
     return with_patches(turned, progress=progress)
 
 
-def _check_stated(data: Dataset, scene: Scene) -> None:
+def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
     """Raise InputError if the captures state another heading or room than the fit used."""
-    remedy = "fit the scene again (fieldlum scene fit), or train with --scene none"
+    fit_again, train = "fit the scene again (fieldlum scene fit)", "or train with --scene none"
     turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
     if turned_deg > _SAME_HEADING_DEG:
         raise InputError(
-            "the scene",
-            f"captures with heading {data.heading_deg:g} degrees",
-            f"heading {scene.stated_heading_deg:g} degrees, as when the scene was fitted",
-            remedy,
+            source,
+            f"fitted at heading {scene.stated_heading_deg:g} degrees, but the captures have "
+            f"heading {data.heading_deg:g} degrees",
+            "the same heading",
+            f"{fit_again}, restore the earlier heading, {train}",
         )
     if data.setup.room != scene.stated_room:
         raise InputError(
-            "the scene",
-            "captures with another [room] than the one from which the scene was fitted",
-            "the same [room] as when the scene was fitted",
-            remedy,
+            source,
+            "fitted from another [room] than that of the captures",
+            "the same [room]",
+            f"{fit_again}, restore the earlier [room], {train}",
         )
 
 
@@ -161,7 +164,7 @@ def in_scene(
     folder = Path(option) if option else beside
     if option != "none" and (option or (beside / SCENE_TOML).is_file()):
         scene = read_scene(folder)
-        data = with_scene(data, scene, progress=progress)
+        data = with_scene(data, scene, source=folder / SCENE_TOML, progress=progress)
         doubt = "" if scene.trusted else "WARNING: the scene is not trusted. "
         note = f"{doubt}scene {folder}: {scene.verdict}"
         data = replace(data, notes=(*data.notes, note))

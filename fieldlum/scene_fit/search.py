@@ -37,7 +37,7 @@ class GuessCost(Protocol):
 
     @property
     def pose(self) -> PosePrior | None:
-        """The prior of north, tilt, roll [deg] and clock [min] from sun discs, None without."""
+        """The prior of north, tilt, roll [deg] and clock [min]; None for under three sun discs."""
         ...
 
     def __call__(self, guess: Guess) -> float:
@@ -125,7 +125,7 @@ class ViewCost:
 
     @property
     def pose(self) -> PosePrior | None:
-        """The prior of north, tilt, roll and clock by sun discs; None without discs."""
+        """The prior of north, tilt, roll [deg] and clock [min]; None for under three sun discs."""
         return self.objective.pose
 
     def __call__(self, guess: Guess) -> float:

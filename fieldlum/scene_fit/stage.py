@@ -87,8 +87,8 @@ def judged_scene(
 ) -> Scene:
     """Return the fit as a scene, with the geometry that `judge_fit` chooses.
 
-    If the sunny captures have fewer than three separate directions of the sun, the misfit of
-    patches on held-out hours chooses alone (`choose_by_misfit`), the expected error is unknown
+    If the sunny hours have fewer than three blocks of sun directions (`outside_hours`), the misfit
+    of patches on held-out hours chooses alone (`choose_by_misfit`), the expected error is unknown
     (None), and the choice is not trusted. The choice is not trusted either with fewer than four
     held-out hours.
     """
@@ -119,10 +119,12 @@ def judged_scene(
 def judge_fit(
     data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
 ) -> SceneVerdict:
-    """Judge no patch, the stated box and the fitted scene, by transport models of the captures.
+    """Choose between no patch, the stated box and the fitted scene; return the choice with reasons.
 
-    Misfits are those of the fit's held-out hours; `judge` chooses. Raises NotEnoughDataError for
-    fewer than three separate directions of the sun.
+    The misfits of the fit's held-out hours decide first; if they agree within 10 %, the error that
+    a transport model with each geometry expects over a year decides (`choose_geometry`). seed: of
+    the drawn pixels and hours. Raises NotEnoughDataError if the sunny hours have fewer than three
+    blocks of sun directions (`outside_hours`).
     """
     from fieldlum.models.transport import fit as fit_transport
 

@@ -16,8 +16,8 @@ START_CLOCKS_MIN = (-6.0, 0.0, 6.0)  # slightly beyond the prior's 5 minutes; ch
 class StatedRoom:
     """What is known before the search: the stated room, and pose and clock by sun discs.
 
-    pose: None without discs. clock_sd_min: standard uncertainty of the stated times, used without
-    `pose`.
+    pose: None for under three sun discs. clock_sd_min: standard uncertainty of the stated times,
+    used without `pose`.
     """
 
     room: Room

@@ -123,8 +123,8 @@ def judge(
     """Choose among candidates of the same hours, as `choose_geometry`; simplest candidate first.
 
     fit: returns a transport model of captures with patch mode "absolute" or "none"; 250 pixels and
-    hours of a year, drawn by `seed`, give the expected errors. Raises NotEnoughDataError for fewer
-    than three separate directions of the sun.
+    hours of a year, drawn by `seed`, give the expected errors. Raises NotEnoughDataError if the
+    sunny hours have fewer than three blocks of sun directions (`outside_hours`).
     """
     first = candidates[0].data
     room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)

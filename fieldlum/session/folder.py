@@ -143,7 +143,8 @@ def open_session(root: Path) -> Session:
             "a session folder",
             "correct the path, or plan a session with: fieldlum plan SITE.toml",
         )
-    with input_errors(session.toml, "TOML", "restore session.toml from a copy", ValueError):
+    remedy = "correct that place, or restore session.toml from a copy"
+    with input_errors(session.toml, "TOML", remedy, ValueError):
         session.table()
     return session
 

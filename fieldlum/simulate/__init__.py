@@ -67,8 +67,9 @@ def sample_slots(
 ) -> list[Slot]:
     """Draw `count` daylight hours of a weather year at random; return them as slots in time order.
 
-    The slots have no exposures and no tags. without : times of hours that are not drawn. Raises
-    NotEnoughDataError if the year has fewer other hours.
+    Daylight: sun above the horizon, and DNI or DHI above 0. The slots have the times of the
+    weather's rows, no exposures and no tags. without : exact times of rows that are not drawn.
+    Raises NotEnoughDataError if the year has fewer other hours.
     """
     day = weather.daylight()
     taken = set(without)

@@ -161,9 +161,11 @@ class GroundTruth:
         return np.concatenate((outdoors, pieces))
 
     def pixels_cdm2(self, columns: Floats32) -> Floats32:
-        """Return the luminance of surfaces in the pixels without direct sun, [H W, n] cd/m2.
+        """Return the luminance of surfaces without their direct sunlight, in all pixels.
 
-        columns: the result of `columns`.
+        columns: the result of `columns`, [columns, n] for n moments; it includes sunlight after
+        bounces. Sky and plain that are seen through windows are not added. The result is [H W, n],
+        cd/m2.
         """
         return self.to_pixels @ (self.from_points @ columns)
 

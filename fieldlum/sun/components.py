@@ -129,8 +129,9 @@ def bsrn_limits(
 ) -> Limits:
     """Return BSRN's limits of irradiance: the physically possible ones, or the extremely rare ones.
 
-    Source: Long and Dutton 2002 (QCRad). altitude_deg, extraterrestrial (W/m2): [n]. extreme:
-    return the narrower limits, which are exceeded extremely rarely.
+    Source: Long and Dutton 2002 (QCRad). Each of GHI, DHI and DNI has a lowest and a highest value.
+    altitude_deg : [n], below 0 counts as 0; extraterrestrial : [n] on a plane normal to the sun,
+    W/m2. extreme : return the narrower limits, which are exceeded extremely rarely.
     """
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)

@@ -52,8 +52,10 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     if len(odd):
         shown = ", ".join(str(day) for day in odd[:5]) + (" ..." if len(odd) > 5 else "")
         texts.append(
-            f"WARNING: the captures of {shown} disagree with those of all other days: check "
-            "whether a blind was moved or a lamp was on"
+            f"WARNING: the held-out error of {shown} is over {ODD_TIMES:g} times that of the "
+            "median day: a blind was probably moved, a lamp was on, or the irradiance is wrong; "
+            "these captures are used in the training: mark what was different (fieldlum status "
+            "SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
         )
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())

@@ -74,13 +74,14 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
     sine = np.maximum(np.sin(np.radians(altitude)), 0.0)
     total = weather.dhi_wm2 + weather.dni_wm2 * sine
     _check_level(path, weather, station, total)
+    # Before the columns: with labels an hour off, low suns look like overcast hours with much DNI.
+    _check_labels(path, weather, station)
     top = sun.extraterrestrial_wm2(weather.t_utc)
     _check_limits(path, weather, altitude, top, up)
     overcast = up & (total < OVERCAST_CLEARNESS * top * sine) & (total > 10.0)
     _check_overcast(path, weather, total, overcast)
     _check_direct(path, weather)
     _check_closure(path, ghi_wm2, total, up & (ghi_wm2 > 50.0))
-    _check_labels(path, weather, station)
 
 
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:

@@ -239,8 +239,9 @@ def _signal(process: subprocess.Popen[bytes], name: str) -> None:
 def read_answers(session: Session) -> list[JsonTable]:
     """Return the stored answers (rows of watch/answers.json), oldest first.
 
-    An answer has the glare classes that `Worker` predicted at one time. The list is empty for a
-    missing or damaged file.
+    An answer is the result of one run of `Worker`: its time, number of captures, weather, warnings,
+    the glare class of each view direction over a predicted year, and hours to capture next. A
+    damaged row is skipped; the list is empty for a missing or damaged file.
     """
     try:
         rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))

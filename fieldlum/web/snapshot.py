@@ -16,11 +16,11 @@ from fieldlum.doctor.awake import has_lid, inhibitors
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
-from fieldlum.plan.makeup import made_up_for
 from fieldlum.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.ledger import SETTLED
+from fieldlum.session.makeups import made_up_for
 from fieldlum.web.answer import Moment
 from fieldlum.web.day_curve import day_curve
 from fieldlum.web.follow import IrradianceFollower, JournalFollower, JournalState

@@ -109,13 +109,17 @@ def recipes_for(
 
 @dataclass(frozen=True, slots=True)
 class SelectedRecipe:
-    """The kernel, inputs and recipe with the least error on held-out days.
+    """The kernel, inputs and recipe that held-out days support; their error need not be the least.
+
+    A coarse room model may be worse by a standard error, and fewer features by 5 %; skies in
+    windows and a lamp must lower the error clearly.
 
     features: of the n captures, as the kernel compares them; covariance: kernel between captures
     [n, n]; basis: its leading eigenvectors; held: prediction of each capture from other days;
-    table: recipes that were compared, each with its error and standard error over days; states:
-    lamps and blinds; sky_field: statistics of the skies in the windows, None if Perez's skies were
-    used; computed: whether light computed for the stated room is the prior mean.
+    table: compared recipes, each with its weighted mean squared log10 error and the standard error
+    of that over days; states: lamps and blinds; sky_field: statistics of the skies in the windows,
+    None if Perez's skies were used; computed: whether light computed for the stated room is the
+    prior mean.
     """
 
     kernel: Kernel
