@@ -30,6 +30,19 @@ def test_vignetting_from_a_uniform_field(tmp_path: Path) -> None:
     assert "order 4" in found.choice.line.split(";")[0]
 
 
+@pytest.mark.contract
+def test_frames_of_several_apertures_are_named(tmp_path: Path) -> None:
+    rng, field = np.random.default_rng(2), np.full((SIZE, SIZE, 3), 200.0)
+    paths = [
+        raw_frame(tmp_path / f"{number}.dng", field, Exposure(1 / 60, f_number), rng)
+        for number, f_number in enumerate((5.6, 5.6, 8.0))
+    ]
+    with pytest.raises(
+        InputError, match=r"\(f/5.6: 0.dng, 1.dng; f/8: 2.dng\).*each aperture separately"
+    ):
+        vignette.from_uniform(paths, PROFILE)
+
+
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> None:

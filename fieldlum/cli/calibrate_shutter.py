@@ -37,7 +37,7 @@ def command(sessions: tuple[Path, ...], refit: Refit) -> None:
     fitted = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
     refit.draw(lambda: pictures.of_shutter(fitted))
     for why in fitted.left_out:
-        terminal.say(f"note: not used: {why}")
+        terminal.say(f"note: not used: {why}; capture more brackets in steady light")
     rows = [
         {
             "nominal_s": t.nominal_s,
