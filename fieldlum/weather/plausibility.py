@@ -186,7 +186,11 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
     if against <= most:
         return
     other = {shift: _against(weather, station, shift) for shift in SHIFTS_MIN}
-    best = min(other, key=lambda shift: other[shift])
+    fewest = min(other.values())
+    equal = [shift for shift in SHIFTS_MIN if other[shift] == fewest]
+    best = equal[
+        len(equal) // 2
+    ]  # sunrise and sunset often permit several; the middle is likeliest
     if other[best] < 0.5 * against:
         raise InputError(
             path,
