@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ TRUE_S = {
 OFF = np.array([1.006, 0.986, 1.018, 0.978, 1.04])
 
 
-def profile(kind: str = "raw") -> CameraProfile:
+def profile(kind: Literal["raw", "jpeg"] = "raw") -> CameraProfile:
     return CameraProfile(
         CameraBody("small", kind, 160, 80),
         (Lens((80.0, 40.0), 39.0, 180.0),),  # type: ignore[arg-type]

@@ -291,6 +291,7 @@ def test_the_page_by_mouse_and_keyboard(
             page.open(address)
             page.until("document.body.dataset.ready === '1'")
             page.until("document.getElementById('picture').naturalWidth > 0")
+            left, top, scale = 0.0, 0.0, 1.0  # of the picture on the page, px
             for click in clicks:
                 page.run(
                     f"byId('kind').value = {click.kind!r};"
