@@ -16,6 +16,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.models import dense_training
 from fieldlum.models.data import Dataset
 from fieldlum.models.dense_network import Shape
+from fieldlum.models.dense_schedule import validation_split
 from fieldlum.models.scores import Scores
 from fieldlum.models.year_sample import light_of_year
 from fieldlum.projection import equirect_solid_angles
@@ -221,11 +222,19 @@ def test_a_network_that_saw_less_than_every_pixel_once_is_not_judged(
 
 
 @pytest.mark.contract
-def test_a_network_without_time_for_a_pass_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dense_training, "_pixels_per_second", lambda *_: 0.01)
+@pytest.mark.parametrize(("passes", "begins"), [(0.9, False), (20.0, True)])
+def test_a_network_without_time_for_a_pass_ends_at_once(
+    monkeypatch: pytest.MonkeyPatch, passes: float, begins: bool
+) -> None:
     few = DATA.take(range(0, len(DATA), 6))
-    record = dense_training.train(few, Shape(), budget_s=600.0, least_passes=1.0).record
-    assert record.steps == 1 and record.pixels_seen_per_pixel < 1.0
+    teach, _ = validation_split(len(few), 0)
+    per_s = passes * len(teach) * few.luminance_cdm2[0].size / 600.0
+    monkeypatch.setattr(dense_training, "_pixels_per_second", lambda *_: per_s)
+    record = dense_training.train(
+        few, Shape(), budget_s=600.0, least_passes=1.0, stop_after_epochs=1
+    ).record
+    assert (record.steps > 1) == begins
+    assert begins or record.pixels_seen_per_pixel < 1.0
 
 
 @pytest.mark.property

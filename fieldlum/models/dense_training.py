@@ -25,6 +25,8 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.dense_network import Net, Shape, bfloat16_pays, canvas, pick_device
 from fieldlum.models.dense_pixels import PixelSampler, pixels_of
 from fieldlum.models.dense_schedule import (
+    SHORT_EPOCHS,
+    SHORT_VALIDATION_PIXELS,
     Run,
     TrainingPlan,
     affordable_plan,
@@ -43,10 +45,7 @@ from fieldlum.session.provenance import data_digest
 
 RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
 _MICRO_PIXELS = {"cpu": 8192, "cuda": 131_072}  # pixels of a micro-batch; not measured
-_TIMED_BATCHES = 3  # number of micro-batches whose time decides between the schedules; not measured
-# A budget that allows less than this share of the passes that are needed is not used: the speed is
-# measured to better than a factor of two. Chosen.
-_HOPELESS_SHARE = 0.5
+_TIMED_BATCHES = 3  # micro-batches whose time decides between the schedules; not measured
 _ONE_UPDATE_S = 1e-3  # a budget that ends after one update
 
 
@@ -173,7 +172,7 @@ def train(
     patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. plan: length
     and learning rate. None uses the paper's schedule if there is no budget_s [s] or it fits in it,
     else a short one by measured speed. least_passes: without a plan, end after one update if the
-    budget allows less than half of these passes over the training pixels. checkpoint: path, written
+    budget does not allow this number of passes over the training pixels. checkpoint: path, written
     after each epoch; an existing one is continued, with its plan; None for none. stop_after_epochs:
     number of epochs after which this call ends early, as an interruption would. bfloat16: compute
     products in this precision; None does so where it is fast. Raises InputError for a checkpoint
@@ -194,7 +193,9 @@ def train(
     pixels = pixels_of(data.take(teach), base, shape, patch, device)
     exam = pixels_of(data.take(check), base, shape, patch, device)
     if plan is None:
-        plan, budget_s = _make_plan(net, pixels, budget_s, half, least_passes)
+        least = least_passes * len(pixels) + _validation_cost(len(exam)) if least_passes else 0.0
+        spent_s = distributed.agreed(time.monotonic() - start_s, device)
+        plan, budget_s = _make_plan(net, pixels, budget_s, half, spent_s, least)
     run, mark = Run(rate=plan.rate), data_digest(data.digest(), patch, seed)
     best = _weights(net)
     if checkpoint is not None and checkpoint.is_file():
@@ -254,24 +255,52 @@ def _weights(net: Net) -> dict[str, Tensor]:
 
 
 def _make_plan(
-    net: Net, pixels: PixelSampler, budget_s: float | None, half: bool, least_passes: float
+    net: Net,
+    pixels: PixelSampler,
+    budget_s: float | None,
+    half: bool,
+    spent_s: float,
+    least_pixels: float,
 ) -> tuple[TrainingPlan, float | None]:
-    """Return a plan and the time for it [s]; see `train`."""
+    """Return a plan and the time for it [s]; see `train`.
+
+    spent_s: part of the budget that is used already; least_pixels: number of uses of training
+    pixels below which a training must not begin, 0 to begin always. The speed with full micro-batches decides on the
+    schedule. The short schedule can have smaller, slower batches: their speed decides whether the
+    rest of the budget is enough.
+    """
     micro = _MICRO_PIXELS[pixels.target.device.type]
     if budget_s is None:
         return TrainingPlan(micro_pixels=micro), None
-    speed = distributed.agreed(_pixels_per_second(net, pixels, micro, half), pixels.target.device)
+    speed = _pixels_per_second(net, pixels, micro, micro, half)
     plan = affordable_plan(speed, len(pixels), budget_s, micro)
-    hopeless = budget_s * speed / len(pixels) < _HOPELESS_SHARE * least_passes
-    return plan, _ONE_UPDATE_S if hopeless else budget_s
+    if plan.schedule == "paper" or not least_pixels:
+        return plan, budget_s
+    if plan.batch_pixels < micro:
+        speed = min(speed, _pixels_per_second(net, pixels, plan.batch_pixels, micro, half))
+    return plan, budget_s if speed * (budget_s - spent_s) >= least_pixels else _ONE_UPDATE_S
 
 
-def _pixels_per_second(net: Net, pixels: PixelSampler, micro: int, half: bool) -> float:
-    """Return the measured speed of training; the first batch is not timed, as it also compiles."""
-    numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device)
-    numbers = numbers.repeat(distributed.world())
-    start_s = 0.0
-    for k in range(1 + _TIMED_BATCHES):
+def _validation_cost(count: int) -> float:
+    """Return how many uses of a training pixel cost as much as all validations of the short plan.
+
+    count: number of validation pixels. A validation has no gradient, which is two thirds of a use
+    (a matrix product forward, two backward).
+    """
+    return SHORT_EPOCHS * min(count, SHORT_VALIDATION_PIXELS) / 3.0
+
+
+def _pixels_per_second(net: Net, pixels: PixelSampler, batch: int, micro: int, half: bool) -> float:
+    """Return the measured speed of training with batches of `batch` pixels, at most `micro`.
+
+    As many pixels as in three micro-batches are timed; the batch before is not, because it also
+    compiles.
+    """
+    device = pixels.target.device
+    numbers = torch.arange(min(batch, len(pixels)), device=device).repeat(distributed.world())
+    batches, start_s = _TIMED_BATCHES * (micro // batch), 0.0
+    for k in range(1 + batches):
         start_s = time.monotonic() if k == 1 else start_s
         _loss_parts(net, pixels, numbers, micro, half, learn=True)
-    return _TIMED_BATCHES * len(numbers) / max(time.monotonic() - start_s, 1e-6)
+    seconds = max(time.monotonic() - start_s, 1e-6)
+    return distributed.agreed(batches * len(numbers) / seconds, device)
