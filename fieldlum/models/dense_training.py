@@ -265,9 +265,9 @@ def _make_plan(
     """Return a plan and the time for it [s]; see `train`.
 
     spent_s: part of the budget that is used already; least_pixels: number of uses of training
-    pixels below which a training must not begin, 0 to begin always. The speed with full micro-batches decides on the
-    schedule. The short schedule can have smaller, slower batches: their speed decides whether the
-    rest of the budget is enough.
+    pixels below which a training must not begin, 0 to begin always. The speed with full
+    micro-batches decides on the schedule. The short schedule can have smaller, slower batches:
+    their speed decides whether the rest of the budget is enough.
     """
     micro = _MICRO_PIXELS[pixels.target.device.type]
     if budget_s is None:

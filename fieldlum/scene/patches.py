@@ -18,7 +18,7 @@ from fieldlum.records import Progress, Room, SiteFile, quiet
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.points import SunPoints
 from fieldlum.scene.sun_disc import SunPatches, disc_rays
-from fieldlum.scene.trace import blocked
+from fieldlum.scene.trace import blocked_rays
 from fieldlum.scene.view import WINDOW_RAYS, look
 
 
@@ -178,6 +178,6 @@ def _free(scene: BoxScene, o: Opening, eye: Floats, rays: Floats) -> Mask:
         u, z = eye[o.along] + at * rays[:, o.along], eye[2] + at * rays[:, 2]
         free &= o.contains(u, z)
     which = scene.of_kind("frame", "obstruction")
-    for k in np.flatnonzero(free) if which else ():
-        free[k] = not blocked(scene.low[which], scene.high[which], eye[None], rays[k])[0]
+    if which:
+        free[free] = ~blocked_rays(scene.low[which], scene.high[which], eye, rays[free])
     return free

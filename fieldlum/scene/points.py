@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
-from fieldlum.scene.trace import EPSILON_M, blocked, may_block
+from fieldlum.scene.trace import EPSILON_M, hides, may_block
 
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
 # Sums of weights below about one leave 1e-16 when all points are subtracted; a lit point has more.
 _ROUNDING = 1e-12
 _TILE = 64  # points in a tile, which is skipped by its bounding box; decides speed only; chosen
+_PAIRS = 4096  # pairs of tile and box in work at a time; limits memory to some 10 MB; chosen
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class SunPoints:
                 total += glass * self._sum(self._through(o, toward), cosines)
         # Most points outside are lit: from the sum over all, those in shade are subtracted.
         total += np.where(cosines > _GRAZING, cosines, 0.0) @ self._sums_outside
-        total -= self._sum(self._dark_outside(toward), cosines)
+        total -= self._sum(self._dark_outside(cosines, toward), cosines)
         total[total < _ROUNDING] = 0.0
         return total.astype(np.float32)
 
@@ -128,6 +130,16 @@ class SunPoints:
         return np.flatnonzero(~self.inside)
 
     @cached_property
+    def _outside_by_face(self) -> tuple[tuple[Indices, Indices], ...]:
+        """Points outside that face each of six directions, in the order of `_face`.
+
+        For each direction: the points within the building's shell, then the others, ascending.
+        """
+        rows = self._outside_rows
+        face, own = self._face[rows], self._in_shell[rows]
+        return tuple((rows[(face == f) & own], rows[(face == f) & ~own]) for f in range(6))
+
+    @cached_property
     def _in_shell(self) -> Mask:
         """Mask of the points within the building's shell, [m]."""
         low, high = np.array(self.scene.shell)
@@ -141,18 +153,18 @@ class SunPoints:
         beyond = ((lows < low) | (highs > high)).any(axis=1)
         return np.vstack((low, lows[beyond])), np.vstack((high, highs[beyond]))
 
-    def _dark_outside(self, toward: Floats) -> Indices:
-        """Return the points beyond the panes that face the sun, but that a box hides from it."""
-        rows = self._facing(self._outside_rows, toward)
-        if not len(rows):
-            return rows
+    def _dark_outside(self, cosines: Floats, toward: Floats) -> Indices:
+        """Return the points beyond the panes that face the sun, but that a box hides from it.
+
+        cosines: of the sun with the six directions of `_face` [6].
+        """
+        facing = [self._outside_by_face[f] for f in np.flatnonzero(cosines > _GRAZING)]
+        own, other = (_merged(rows) for rows in zip(*facing, strict=True))
         # Points of outer reveals and frames are inside the shell: the walls themselves shade them.
-        own = self._in_shell[rows]
-        dark = np.zeros(len(rows), bool)
-        dark[~own] = self._hidden(rows[~own], *self._boxes_outside, toward)
         kinds = ("obstruction", "wall", "ceiling", "floor", "frame")
-        dark[own] = self._shaded(rows[own], toward, *kinds)
-        return rows[dark]
+        own = own[self._shaded(own, toward, *kinds)]
+        other = other[self._hidden(other, *self._boxes_outside, toward)]
+        return _merged((own, other))
 
     def _shaded(self, rows: Indices, toward: Floats, *kinds: str) -> Mask:
         """Return which points are hidden from the sun by a box of these kinds."""
@@ -168,13 +180,23 @@ class SunPoints:
         if not len(low) or not len(rows):
             return out
         tile = rows // _TILE
-        first = np.diff(tile, prepend=-1) > 0
-        tiles, tile = tile[first], np.cumsum(first) - 1
+        starts = np.flatnonzero(np.concatenate(([True], tile[1:] != tile[:-1])))  # [t], in `rows`
+        counts = np.diff(starts, append=len(rows))
+        tiles = tile[starts]
         possible = may_block(low, high, self.tile_low[tiles], self.tile_high[tiles], toward)
-        for k in np.flatnonzero(possible.any(axis=0)):
-            near = np.flatnonzero(possible[tile, k] & ~out)
-            out[near] = blocked(low[k : k + 1], high[k : k + 1], self.position[rows[near]], toward)
+        which, box = np.nonzero(possible)  # pairs of tile and box
+        for part in range(0, len(which), _PAIRS):
+            some, boxes = which[part : part + _PAIRS], box[part : part + _PAIRS]
+            size = counts[some]
+            at = np.arange(size.sum()) + np.repeat(starts[some] - np.cumsum(size) + size, size)
+            hit = hides(low, high, np.repeat(boxes, size), self.position[rows[at]], toward)
+            out[at[hit]] = True
         return out
+
+
+def _merged(rows: Sequence[Indices]) -> Indices:
+    """Return all of `rows`, of which each part is ascending, in ascending order."""
+    return np.sort(np.concatenate(rows), kind="stable")  # a merge, linear for few ascending parts
 
 
 def _rows_of(tiles: Mask, count: int) -> Indices:

@@ -119,6 +119,39 @@ def blocked(low: Floats, high: Floats, points: Floats, toward: Floats) -> Mask:
     return ((first < last) & (last > EPSILON_M)).any(axis=0)
 
 
+def hides(
+    low: Array, high: Array, box: NDArray[np.intp], points: NDArray[np.floating], toward: Array
+) -> NDArray[np.bool_]:
+    """Return whether one box hides a far light from each point, as a mask [k].
+
+    low, high : corners of the boxes [b, 3] m; box : index of each point's box [k]; points : [k, 3]
+    m; toward : direction of the light [3].
+    """
+    kind = points.dtype
+    d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
+    near, far = np.where(d > 0, low, high), np.where(d > 0, high, low)
+    enter, leave = (near / d).astype(kind), (far / d).astype(kind)  # [b, 3]
+    inverse = (1.0 / d).astype(kind)
+    first, last = np.full(len(points), -np.inf, kind), np.full(len(points), np.inf, kind)
+    for axis in range(3):
+        scaled = points[:, axis] * inverse[axis]
+        np.maximum(first, enter[box, axis] - scaled, out=first)
+        np.minimum(last, leave[box, axis] - scaled, out=last)
+    return (first < last) & (last > EPSILON_M)
+
+
+def blocked_rays(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
+    """Return the rays [k, 3] from the point `eye` [3] that meet any of the boxes, as a mask [k].
+
+    low, high : corners of the boxes [b, 3] m.
+    """
+    d = np.where(np.abs(rays) < 1e-9, 1e-9, rays)[:, None]  # [k, 1, 3]
+    start = eye * (1.0 / d)
+    first = (np.where(d > 0, low, high) / d - start).max(axis=2)  # [k, b]
+    last = (np.where(d > 0, high, low) / d - start).min(axis=2)
+    return ((first < last) & (last > EPSILON_M)).any(axis=1)
+
+
 def may_block(
     low: Floats, high: Floats, tile_low: Floats, tile_high: Floats, toward: Floats
 ) -> Mask:

@@ -38,7 +38,26 @@ MODES = 48  # number of singular modes that compare hours; not measured
 SUN_MODES, SKY_MODES = 300, 64
 _SKY_STEP_H = 41.0  # all hours of the day in all seasons; chosen
 FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`; chosen
+# Suns whose light on the pieces is stored: more than the captures of a campaign; limits the memory
+# to some 10 MB. Chosen.
+_STORED_SUNS = 1024
 _EMPTY = np.zeros((0, 0), np.float32)
+
+
+class UnitSunlight:
+    """Direct sun on the p surface pieces of a room, per lx on the sun's normal.
+
+    The results of the last suns are stored: the fits of one training have the same captures.
+    points: of the pieces; `of(x, y, z)` returns the pieces' illuminance [p] for a sun in this
+    direction in room axes.
+    """
+
+    def __init__(self, points: SunPoints) -> None:
+        self.points = points
+        self.of = lru_cache(maxsize=_STORED_SUNS)(self._of)
+
+    def _of(self, x: float, y: float, z: float) -> NDArray[np.float32]:
+        return self.points.direct(np.array((x, y, z)))
 
 
 @dataclass(frozen=True)
@@ -50,7 +69,8 @@ class Physics:
     position [m, 3], axis, sign, share, piece [m]: points of the pieces that are tested for sun, in
     room coordinates. Computed light on a panorama of 2 h^2 pixels, cd/m2: sun_light [k, 2 h^2] per
     unit of a mode; sky_modes [s, 2306] of the luminance of sky and ground; sky_light [s, 2 h^2] per
-    unit of these. The three are empty in models of earlier versions.
+    unit of these. The three are empty in models of earlier versions. on_pieces: the points as
+    `UnitSunlight`, None to prepare them when they are first needed.
     """
 
     room: Room
@@ -64,19 +84,17 @@ class Physics:
     sun_light: Floats32 = field(default_factory=lambda: _EMPTY)
     sky_modes: Floats32 = field(default_factory=lambda: _EMPTY)
     sky_light: Floats32 = field(default_factory=lambda: _EMPTY)
+    on_pieces: UnitSunlight | None = field(default=None, compare=False, repr=False)
 
     @cached_property
-    def _points(self) -> SunPoints:
-        place = self.position.astype(float)
-        pieces = self.modes.shape[1]
-        return sun_points(
-            build(self.room),
-            place,
-            self.axis,
-            self.sign,
-            self.share.astype(float),
-            self.piece,
-            pieces,
+    def _unit(self) -> UnitSunlight:
+        """Return `on_pieces`, prepared now if necessary."""
+        if self.on_pieces is not None:
+            return self.on_pieces
+        place, pieces = self.position.astype(float), self.modes.shape[1]
+        share = self.share.astype(float)
+        return UnitSunlight(
+            sun_points(build(self.room), place, self.axis, self.sign, share, self.piece, pieces)
         )
 
     def features(self, sunlight: Floats32) -> Floats32:
@@ -88,13 +106,13 @@ class Physics:
 
         They are divided by the hour's total light and by `norm`; 0 in hours without direct sun.
         """
-        points = self._points
-        toward = points.scene.to_room(light.shown_sun_direction)
+        unit = self._unit
+        toward = unit.points.scene.to_room(light.shown_sun_direction)
         beam = light.direct_lx / light.total_lx / self.norm
         out = np.zeros((len(light), len(self.modes)), np.float32)
 
         def one(k: int) -> None:
-            out[k] = self.modes @ (points.direct(toward[k]) * np.float32(beam[k]))
+            out[k] = self.modes @ (unit.of(*toward[k].tolist()) * np.float32(beam[k]))
 
         with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
             list(pool.map(one, np.flatnonzero(light.direct_lx > 0.0)))
@@ -145,6 +163,7 @@ def physics_of(setup: SiteFile, light: Light, heading_deg: float) -> Physics | N
         return None
     camera = replace(setup.camera, heading_deg=heading_deg)
     rough = _modes_of(replace(setup, camera=camera))
+    rough = replace(rough, on_pieces=rough._unit)
     size = np.linalg.norm(rough.features(rough.sunlight(light)), axis=1)  # [n]
     sunny = (light.direct_lx > FAINT_SUN_LX) & (size > 0.0)
     if not sunny.any():
