@@ -312,7 +312,10 @@ def run(
     learning = {"budget_min": how.budget_min, "seed": seed, "out": model}
     scores = stage("train", lambda p: train.run(load_pairs(session), MODEL, progress=p, **learning))
     annual, _ = stage(
-        "predict a year", lambda p: predict.run(model, weather, seed=seed, progress=p)
+        "predict a year",
+        lambda p: predict.run(
+            model, weather, seed=seed, scheduler=in_processes(workers), progress=p
+        ),
     )
     page = stage("report", lambda p: report.run(session, progress=p))
     figures = _figures(session, scores, annual, troubled=troubles is not None)

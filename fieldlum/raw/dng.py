@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from datetime import datetime
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -36,16 +37,19 @@ def channel_positions(cfa: str) -> tuple[tuple[int, int], ...]:
     return red, (red[0], blue[1]), (blue[0], red[1]), blue
 
 
+@lru_cache(maxsize=256)  # frames of a camera repeat the same values
+def _ratio(value: float | Fraction) -> tuple[int, int]:
+    return Fraction(value).limit_denominator(1_000_000).as_integer_ratio()
+
+
 def _packed(kind: int, value: Any) -> tuple[int, bytes]:
     if kind == _ASCII:
         text = value.encode("ascii", "replace") + b"\0"
         return len(text), text
     if kind in (_RATIONAL, _SRATIONAL):
         code = "i" if kind == _SRATIONAL else "I"
-        parts = [Fraction(v).limit_denominator(1_000_000) for v in value]
-        return len(parts), b"".join(
-            struct.pack(f"<2{code}", p.numerator, p.denominator) for p in parts
-        )
+        parts = [_ratio(v) for v in value]
+        return len(parts), b"".join(struct.pack(f"<2{code}", *part) for part in parts)
     return len(value), struct.pack(f"<{len(value)}{_FORMAT[kind]}", *value)
 
 

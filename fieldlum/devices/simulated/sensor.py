@@ -95,8 +95,9 @@ class RawSensor:
             np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0)
             + np.float32(sensor.read_noise_e**2)
         )
-        few = np.flatnonzero((electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0))
-        noisy.flat[few] += rng.poisson(electrons.flat[few]) - electrons.flat[few]
+        few = (electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0)
+        mean = electrons[few]
+        noisy[few] += rng.poisson(mean) - mean
         return np.clip(np.rint(noisy / np.float32(gain) + self._black), 0, self._full).astype(
             np.uint16
         )

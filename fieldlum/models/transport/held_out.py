@@ -20,7 +20,13 @@ from fieldlum.models.transport.pixel_fit import (
     second_own,
     with_patches,
 )
-from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
+from fieldlum.models.transport.ridge import (
+    HELD_OUT_CHUNK,
+    each_chunk,
+    held_out_days,
+    held_out_days_shared,
+    pair_products,
+)
 from fieldlum.models.transport.seasons import seasons
 
 FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the paper)
@@ -81,13 +87,37 @@ def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> Firs
     No fit is repeated: features, robust weights and pixel scales are those of the fit to all days.
     """
     taught = light_arrays(arrays, recipe)
-    scale = pixel_scale(taught)
-    fit = fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
-    least = least_surface(taught, fit, basis, scale)
+    scale, products = pixel_scale(taught), pair_products(basis.values)
+    found, target = np.empty(arrays.luminance.shape), np.empty(arrays.luminance.shape)
+
+    def one(part: slice) -> None:
+        found[:, part], target[:, part] = _hold_out_some(
+            arrays[part], taught[part], scale[part], basis, recipe, products
+        )
+
+    for _ in each_chunk(one, len(scale), HELD_OUT_CHUNK):
+        pass
+    return FirstStage(found, target, scale)
+
+
+def _hold_out_some(
+    arrays: TrainingArrays,
+    taught: TrainingArrays,
+    scale: Array,
+    basis: Basis,
+    recipe: Recipe,
+    products: tuple,
+) -> tuple[Array, Array]:
+    """Return `found` and `target` of `FirstStage` for some pixels, [n, P] each.
+
+    taught: result of `light_arrays` for `arrays`; products: result of `pair_products`.
+    """
+    unit = arrays.light.total_lx[:, None] * scale
+    fit = fit_chunk(taught, scale, basis, recipe, products)
     columns = fit.columns
     if basis.assumed is not None and taught.computed is not None:
         perez = replace(taught, computed=taught.computed.under_perez())
-        columns = columns_of(perez, arrays.light.total_lx[:, None] * scale, recipe)
+        columns = columns_of(perez, unit, recipe)
     whole = held_out_days(
         basis.values,
         fit.columns,
@@ -97,11 +127,12 @@ def hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> Firs
         arrays.days,
         basis.assumed,
         columns,
+        products,
     )
     direct = np.einsum("knp,pk->np", columns.values, fit.gains)
+    least = least_surface(taught, fit, basis, scale)
     predicted = compose(whole - direct, least, fit.gains, columns)
-    predicted = with_patches(predicted, arrays, arrays.light.total_lx[:, None] * scale, recipe)
-    return FirstStage(predicted, fit.target, scale)
+    return with_patches(predicted, arrays, unit, recipe), fit.target
 
 
 def hold_out(

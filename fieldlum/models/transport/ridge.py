@@ -137,43 +137,22 @@ def held_out_days(
     days: NDArray,
     assumed: Array | None = None,
     assumed_columns: Columns | None = None,
+    products: tuple | None = None,
 ) -> Array:
     """Return the target of each hour as predicted by a fit to the hours of other days, [n, P].
 
     days [n]: hours of equal values are held out together. assumed [n, r], assumed_columns: features
     and covariates with which hours are predicted, if they differ from those that are fitted; None
-    for `features`, `columns`. Other arguments: see `solve`.
+    for `features`, `columns`. Other arguments: see `solve`. Each pixel needs memory for n (r + k)
+    values several times: pass at most some hundred.
 
     The fit is not repeated. With hat matrix H = X A^-1 X' W of the full fit, residuals e and a
     day's rows D, the residuals without the day are d = (1 - H_DD)^-1 e_D (block form of the
     leave-one-out identity), and the fit without the day is the full fit minus A^-1 X_D' W_D d.
     Features and weights are those of the full fit.
     """
-    out = np.empty(target.shape)
-    products = pair_products(features)
     asked = features if assumed is None else assumed
     covariates = columns if assumed_columns is None else assumed_columns
-
-    def one(part: slice) -> None:
-        own = columns[part], target[:, part], weights[:, part]
-        out[:, part] = _held_out(features, *own, noise, days, products, asked, covariates[part])
-
-    for _ in each_chunk(one, target.shape[1], HELD_OUT_CHUNK):
-        pass
-    return out
-
-
-def _held_out(
-    features: Array,
-    columns: Columns,
-    target: Array,
-    weights: Array,
-    noise: float,
-    days: NDArray,
-    products: tuple,
-    assumed: Array,
-    assumed_columns: Columns,
-) -> Array:
     count = target.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     shared = np.broadcast_to(features, (count, *features.shape))
@@ -184,8 +163,8 @@ def _held_out(
     offset = np.einsum("knp,k->pn", columns.values, columns.mean)
     residual = target.T - offset - np.einsum("pna,pa->pn", design, solved[:, :, 0])
     w = weights.T / noise
-    shared = np.broadcast_to(assumed - features, (count, *features.shape))
-    own = (assumed_columns.values - columns.values).transpose(2, 1, 0)  # [P, n, k]
+    shared = np.broadcast_to(asked - features, (count, *features.shape))
+    own = (covariates.values - columns.values).transpose(2, 1, 0)  # [P, n, k]
     other = np.concatenate((shared, own), axis=2)  # [P, n, r + k]
     mean = np.concatenate((np.zeros(features.shape[1]), columns.mean))
     out = np.empty((count, len(days)))

@@ -135,7 +135,7 @@ def _basis(own: TransportTable, arrays: Mapping[str, Array]) -> LightBasis:
     captured = Features(*(arrays.get(f"train_{f.name}") for f in fields(Features)))  # pyright: ignore[reportArgumentType]
     physics = None
     if own["room"] is not None:
-        parts = {
+        parts: dict[str, Any] = {
             name: arrays[f"physics_{name}"]
             for name in PHYSICS_ARRAYS
             if f"physics_{name}" in arrays

@@ -167,17 +167,25 @@ def _likeliest(ratios: Array, directions: Array) -> SkyField | None:
     values = hours[np.isfinite(hours)]
     flat = max(-0.5 * float(((values / n) ** 2 + 2.0 * np.log(n)).sum()) for n in NOISES)
     fields = [SkyField(*settings) for settings in product(SDS, WIDTHS, NOISES)]
-    likelihoods = [_log_likelihood(field, hours, directions) for field in fields]
+    groups = [(s, r, hours[np.ix_(r, s)].T) for s, r in _by_patches_seen(hours)]
+    likelihoods = [_log_likelihood(field, groups, directions) for field in fields]
     best = int(np.argmax(likelihoods))
     return fields[best] if likelihoods[best] > flat else None
 
 
-def _log_likelihood(field: SkyField, ratios: Array, directions: Array) -> float:
-    """Return the log likelihood of ratios [n, k] without its constant."""
+def _log_likelihood(
+    field: SkyField,
+    groups: Sequence[tuple[Indices, Indices, Array]],
+    directions: Array,
+) -> float:
+    """Return the log likelihood of ratios without its constant.
+
+    groups: results of `_by_patches_seen`, each with its ratios [k, n]; directions: of all patches.
+    """
     covariance, total = field.noisy(directions), 0.0
-    for patches, rows in _by_patches_seen(ratios):
-        lower = np.linalg.cholesky(covariance[np.ix_(patches, patches)])
-        white = np.linalg.solve(lower, ratios[np.ix_(rows, patches)].T)
+    for seen, rows, ratios in groups:
+        lower = np.linalg.cholesky(covariance[np.ix_(seen, seen)])
+        white = np.linalg.solve(lower, ratios)
         total -= 0.5 * float((white**2).sum())
         total -= len(rows) * float(np.log(np.diagonal(lower)).sum())
     return total
