@@ -137,8 +137,8 @@ def _decide(
             "profile, and, unless the frames are dark, that the camera was turned between views"
         )
     line = (
-        f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; "
-        f"{by_chance[need]:.2g} would do so by chance"
+        f"bad pixels: {len(rows)}, which deviate from their neighbours in {need} or more of "
+        f"{len(views)} {kind}; {by_chance[need]:.2g} good pixels would do so by chance"
     )
     return PixelDefects(
         tuple((int(x), int(y)) for y, x in zip(rows, columns, strict=True)),

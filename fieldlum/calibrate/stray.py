@@ -139,13 +139,13 @@ def reading(
 
     inside = angle <= np.radians(max(radius_deg, 1.2 * 180.0 / height))
     flags = np.zeros(len(light), int) if picture.flags is None else picture.flags.ravel()
-    if (flags[inside] & (Flag.CLIPPED_HIGH | Flag.OUTSIDE_LENS)).any():
-        raise InputError(
-            file,
-            f"the dark place {label} is clipped (too bright), or outside the lens's field",
-            "an unclipped place inside the field",
-            "check azimuth_deg and altitude_deg in its row of the csv",
-        )
+    remedy = "check azimuth_deg and altitude_deg in its row of the csv, or use another place"
+    if (flags[inside] & Flag.OUTSIDE_LENS).any():
+        what = f"the dark place {label} is outside the lens's field"
+        raise InputError(file, what, "a place inside the field", remedy)
+    if (flags[inside] & Flag.CLIPPED_HIGH).any():
+        what = f"the dark place {label} is clipped (too bright)"
+        raise InputError(file, what, "an unclipped place", remedy)
     in_view = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
     use = in_view & ~inside & (light > 0)
     flux, away = (light * solid)[use], angle[use]

@@ -48,12 +48,13 @@ def no_look(path: Path) -> str:
 class BracketCapture:
     """Takes the frames of slots, one slot after the other (`take`).
 
-    A doubtful frame is taken once more while the slot's window is open.
-    check: checks a frame's EXIF; check_opens: reads its pixels; check_shortest: checks the darkest
-    frame for clipping. Each returns what is wrong, or "". between: called with each frame, and with
+    A doubtful frame is taken once more while the slot's window is open, unless an earlier second
+    frame of the bracket is doubtful too. check: compares a frame's EXIF with the requested
+    exposure; check_opens: reads its pixels; check_shortest: checks whether over half of the darkest
+    frame is clipped. Each returns what is wrong, or "". between: called with each frame, and with
     None while waiting, to log irradiance and to refresh the display. meter: illuminance meter, read
-    before the first frame and after the last one, None without one; frame_bytes: size of the
-    largest frame so far, for which the disk must have space.
+    before the first and after the last frame of each slot, None without one; frame_bytes: size of
+    the largest frame so far, for which the disk must have space.
     """
 
     session: Session

@@ -264,7 +264,8 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 def misfit(match: Match) -> tuple[int, float]:
     """Return a key that sorts the best match first.
 
-    The best has frames for most of the slot's exposures, then the smallest delay.
+    The best has frames for most of the slot's exposures, then the smallest time from the
+    slot, early or late.
     """
     return -fits(match.group, match.slot), abs(match.late_s)
 

@@ -182,7 +182,10 @@ class Recorder:
             self.days = DayFiles(self._session, flush=self.flush)
 
     def close(self) -> None:
-        """Write events and rows that wait in memory, close the files, delete the reserve file."""
+        """Write events and rows that wait in memory, close the files, delete the reserve file.
+
+        Errors of the disk are ignored; what cannot be written now is lost.
+        """
         with self._lock:
             self._flush_events()
             self._flush_rows()

@@ -40,9 +40,10 @@ def boot_id() -> str:
 class SteadyClock:
     """A `Clock`: UTC at the start plus the time since then, which includes sleep.
 
-    A step of the computer's clock is followed only if a time server controls that clock. Otherwise
-    the steady time continues, so that slots keep their sun position. `check` reports steps and
-    sleeps as journal events.
+    `check` compares it with the computer's clock and must be called regularly. A difference of up
+    to 2 s is drift and is followed. A larger one, a step, is followed only if a time server
+    controls that clock. Otherwise the steady time continues, so that slots keep their sun position.
+    `check` returns steps and sleeps as journal events.
     """
 
     def __init__(

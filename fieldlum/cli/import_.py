@@ -42,7 +42,7 @@ def _columns(
         if quantity not in QUANTITIES or not name:
             raise click.BadParameter(
                 f"{quantity}={name} is not QUANTITY=COLUMN: write, for example, "
-                f"ghi_wm2=SlrkW_Avg; quantities are {', '.join(QUANTITIES)}"
+                f"ghi_wm2=SlrW_Avg; quantities are {', '.join(QUANTITIES)}"
             )
     return named
 

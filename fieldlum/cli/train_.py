@@ -66,8 +66,9 @@ def command(
 
     PAIRS is a session, a pairs.csv, or a URL to which `pair --pairs-to` wrote. The budget limits
     the complete command: reading, held-out days, the stored model and the learning curve. Two
-    held-out folds of each model but dense, and the scan of north and clock, run in any case. If
-    captures and options have not changed, the model is trained again only with --force.
+    held-out folds of each model but dense, the scan of north and clock, and the fit of the stored
+    model run even after the budget is used up. If captures, options and fieldlum's version have
+    not changed, the model is trained again only with --force.
 
     \b
     Example:

@@ -160,7 +160,8 @@ class RpicamCamera:
         if abs(exposure.f_number / self._f_number - 1.0) > 0.02:
             raise DeviceError(
                 f"rpicam: f/{exposure.f_number:g} is planned, and the lens has "
-                f"f/{self._f_number:g}; give f_number=... in the URI, or correct the plan"
+                f"f/{self._f_number:g}; give f_number=... in the URI, or "
+                "correct f_number in [bracket] of the profile, then plan a new session"
             )
         if exposure.iso < ISO_OF_GAIN_1 * (1.0 - GAIN_TOLERANCE):
             raise DeviceError(

@@ -232,7 +232,8 @@ def _columns(
                 source,
                 f"the column {names[i]} is in '{units[i]}'",
                 "W/m^2",
-                f"choose another column: --column {quantity}=NAME",
+                f"choose another column (--column {quantity}=NAME), or convert its values and its "
+                "unit in the file",
             )
     if not any(q.endswith("_wm2") for q in columns):
         raise InputError(

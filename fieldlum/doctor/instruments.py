@@ -55,7 +55,7 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
 
 
 def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
-    """Return a failed finding if the camera cannot be set to some planned exposures.
+    """Return one failed finding if the camera cannot be set to some planned exposures, else [].
 
     refused: a sentence on each of these; planned: number of planned exposures.
     """

@@ -25,8 +25,8 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
     findings = []
     if about.get("sha256", "") != sha256(session.plan):
         text = (
-            "plan.csv differs from the plan that session.toml records: restore it, or plan the "
-            f"remaining slots again with fieldlum plan {session.root} --replan"
+            "plan.csv differs from the plan that session.toml records: restore it from a copy, or "
+            "plan a new session (fieldlum plan SITE.toml --set SET --out NEW)"
         )
         findings.append(Finding("plan", "fail", text, 3))
     if not ahead:

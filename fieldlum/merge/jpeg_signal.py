@@ -125,7 +125,11 @@ class JpegSignal:
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> Mask:
-        """Return a mask, True for values z [rows, W, 3] in the frame's range of codes."""
+        """Return a mask [rows, W, 3], True where the linear light z is in the frame's usable range.
+
+        counts: z [rows, W, 3]. The range is that of the codes low_code to high_code. The most
+        exposed frame has no lower limit; the least exposed frame is usable up to code 250.
+        """
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high

@@ -13,7 +13,7 @@ from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 from fieldlum.session.files.merge_report import NeighbourQuality
 from fieldlum.statistics import robust_sigma
 
-# rows and columns sampled from a frame, about 100 000 values; chosen to limit the time
+# rows (of raw frames: row pairs) and approximate number of columns to sample; chosen to limit time
 _ROWS, _COLUMNS = 96, 640
 _SNR_LONG = 30.0  # least signal-to-noise ratio of a pixel in the longer frame; not measured
 # Least signal-to-noise ratios in the shorter frame, tried from the highest, and number of pixels
@@ -58,7 +58,7 @@ class RatioCurve:
 
 
 def take_samples(store: FrameStore) -> list[Sample]:
-    """Return one sample of about 100 000 values for each frame, at the same places in all."""
+    """Return one sample of each frame: 60 000 to 250 000 pixels, at the same places in all."""
 
     def sample(signal: Signal) -> Sample:
         small, full = signal.sampled(_ROWS, _COLUMNS)

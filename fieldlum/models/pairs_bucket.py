@@ -24,6 +24,7 @@ from fieldlum.site_toml import site_from_table, site_table
 
 NAME = "pairs.zarr"
 FORMAT = 1
+_WRITE_AGAIN = "write it again with: fieldlum pair SESSION --pairs-to URL"
 _SHARD = 16  # captures in an object: 7 MB of luminance at 460 x 230; not measured
 _HOURS = {
     "dni_wm2": "direct normal irradiance, W m-2",
@@ -74,12 +75,14 @@ def read_pairs(url: str) -> Dataset:
             "training data",
             "write it with: fieldlum pair SESSION --pairs-to URL",
         )
-    if about.get("format") != FORMAT:
+    written = about.get("format")
+    if written != FORMAT:
+        is_newer = isinstance(written, int) and written > FORMAT
         raise InputError(
             store.target,
-            f"format {about.get('format')}",
+            f"format {written}",
             f"format {FORMAT}",
-            "read it with a newer fieldlum",
+            "read it with a newer fieldlum" if is_newer else _WRITE_AGAIN,
         )
     data = _read_store(store.target, about)
     if not store.is_made_from(data.digest()):
@@ -87,7 +90,7 @@ def read_pairs(url: str) -> Dataset:
             store.target,
             "content that was changed or damaged",
             "the content that fieldlum pair wrote",
-            "write it again with: fieldlum pair SESSION --pairs-to URL",
+            _WRITE_AGAIN,
         )
     return data
 

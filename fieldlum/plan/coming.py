@@ -242,7 +242,7 @@ def sentences(answer: RankedHours, site: Site) -> list[str]:
         f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
     )
     texts = [
-        f"{answer.captured} captures leave {share_left} of the uncertainty about the year"
+        f"{answer.captured} captures leave {share_left} of the model's variance over the year"
         + (f" (model {answer.model})" if answer.model else "")
     ]
     for hour in answer.hours:
@@ -252,10 +252,10 @@ def sentences(answer: RankedHours, site: Site) -> list[str]:
         )
         planned = "  (planned)" if hour.planned else ""
         share = f"{hour.reduction_percent:5.1f} %"
-        texts.append(f"  {when}  {where}  reduces this uncertainty by {share}{planned}")
+        texts.append(f"  {when}  {where}  reduces this variance by {share}{planned}")
     verdict = "more captures are useful" if answer.pays else "more captures add little"
     texts.append(
-        f"the best {BATCH} hours of a year would reduce this uncertainty by "
+        f"the best {BATCH} hours of a year would reduce this variance by "
         f"{answer.next_batch_percent:.0f} %: {verdict}"
     )
     return texts

@@ -163,9 +163,9 @@ def sentences(summary: PlanSummary) -> list[str]:
         )
     if summary.variance_left_percent is not None:
         texts.append(
-            f"after these captures {summary.variance_left_percent:.2g} % of the model's "
-            "uncertainty "
-            "about the year is left, if skies are as in the weather file"
+            f"after these captures {summary.variance_left_percent:.2g} % of the model's variance "
+            f"over the year is left ({10 * summary.variance_left_percent**0.5:.2g} % of its "
+            "standard uncertainty), if skies are as in the weather file"
         )
     if summary.month is not None:
         texts.append(
@@ -181,6 +181,6 @@ def _covered_text(coverage: Coverage) -> str:
     if coverage.irradiance_percent is None:
         return text
     return (
-        f"{text} and {coverage.irradiance_percent:.0f} % of the weather year's skies; "
-        f"{coverage.both_percent:.0f} % of the year's hours are covered in both"
+        f"{text} and the skies of {coverage.irradiance_percent:.0f} % of the weather year's "
+        f"daylight hours; {coverage.both_percent:.0f} % of these hours are covered in both"
     )

@@ -286,8 +286,8 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
 
 
 def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
-    for k, a in enumerate(openings):
-        for b in openings[:k]:
+    for k, a in enumerate(openings, start=1):
+        for j, b in enumerate(openings[: k - 1], start=1):
             same = (a.axis, a.outward) == (b.axis, b.outward)
             if same and all(
                 p[0] < q[1] - _ROUNDING_M and q[0] < p[1] - _ROUNDING_M
@@ -295,9 +295,9 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
             ):
                 raise InputError(
                     where,
-                    "two windows of one wall overlap",
+                    f"windows {j} and {k} of one wall overlap",
                     "windows that do not overlap",
-                    "correct left_m or width_m",
+                    "correct left_m, width_m, sill_m or height_m",
                 )
 
 

@@ -105,7 +105,8 @@ class Objective:
         """Return the cost of deviating from the stated numbers.
 
         It is `prior_unit` times the sum of squared deviations in standard deviations. If sun discs
-        determined a pose, north, tilt, roll and clock are compared with that pose instead.
+        determined a pose, north, tilt, roll and clock are compared with that pose instead: they
+        count by their squared Mahalanobis distance from it.
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
         z = [

@@ -146,8 +146,9 @@ def _remedy(finding: SettingFinding, setup: SiteFile, pixel_deg: float) -> str:
     minutes = a[-1]
     clock = (
         f"the recorded times of the pictures are {abs(minutes):.1f} min too "
-        f"{'late' if minutes > 0 else 'early'}: check the camera's clock and its offset "
-        "(fieldlum import --utc-offset)"
+        f"{'late' if minutes > 0 else 'early'}: correct the clock that recorded them (the "
+        "computer's for fieldlum capture, else the camera's), or import the card again with "
+        f"--utc-offset {'increased' if minutes > 0 else 'decreased'} by {abs(minutes):.1f} min"
     )
     if finding.cause == "north":
         return f"check the compass; in SITE.toml {wall} and {camera}, {again}"

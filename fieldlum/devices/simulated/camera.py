@@ -28,7 +28,8 @@ class SimulatedCamera:
     """A simulated camera; implements `Camera`.
 
     heading_deg : its view direction unless `expose` states another; clock_offset_s : its clock
-    minus the computer's; overhead_s : time between frames (None: the profile's).
+    minus the computer's; overhead_s : time of a frame in addition to its shutter time
+    [s] (None: the profile's).
     """
 
     def __init__(
@@ -101,16 +102,19 @@ class SimulatedCamera:
         if exposure.f_number not in apertures:
             raise DeviceError(
                 f"simulated camera: no f/{exposure.f_number:g}; expected "
-                f"{', '.join(f'f/{n:g}' for n in apertures)}; correct the plan"
+                f"{', '.join(f'f/{n:g}' for n in apertures)}; "
+                "correct f_number in [bracket] of the profile, then plan a new session"
             )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
-            filters = ", ".join(nd.name for nd in profile.nd) or "none"
+            filters = ", ".join(nd.name for nd in profile.nd) or "an exposure without a filter"
             raise DeviceError(
-                f"simulated camera: no filter '{exposure.nd}'; expected {filters}; correct the plan"
+                f"simulated camera: no filter '{exposure.nd}'; expected {filters}; correct nd in "
+                "[bracket] of the profile, or add the filter to [[nd]], then plan a new session"
             )
         if not 50 <= exposure.iso <= 6400:
             raise DeviceError(
-                f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400; correct the plan"
+                f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400; correct iso in "
+                "[bracket] of the profile, then plan a new session"
             )
         return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
 
