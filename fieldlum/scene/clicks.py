@@ -111,7 +111,7 @@ def _click(where: str, line: int, row: Any) -> Click:
         raise InputError(
             where,
             f"x_px, y_px or window is no number ({error})"[:120],
-            "numbers, for window a whole number (the number of the window)",
+            "numbers, for window an integer (the number of the window)",
             "correct the numbers",
         ) from None
     if not (np.isfinite(x) and np.isfinite(y)):
