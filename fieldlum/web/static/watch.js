@@ -527,7 +527,7 @@ function drawAnswer(a) {
     for (const hour of last.useful.slice(0, 4))
       next.push(
         `Useful coming hour: ${local(hour.t_utc)}${hour.planned ? ", planned" : ", not planned"} ` +
-          `(${number(hour.reduction_percent, 1)} % of the model's remaining variance over the year).`,
+          `(${number(hour.reduction_percent, 1)} % of the model's remaining variance).`,
       );
     for (const text of last.warnings.slice(0, 4)) next.push(`Doubt: ${text}`);
   }
