@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
@@ -156,7 +155,7 @@ def open_pyranometer(
     port, or an instrument that does not answer or gives an impossible value; InputError for a
     broken profile.
     """
-    options: dict[str, Any] = uri.read(
+    options = uri.read(
         kind=str,
         unit=integer_option(1, 247),
         dhi_unit=integer_option(1, 247),
