@@ -60,9 +60,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Chosen, not varied: clocks start half of the prior's 5 min off.
 SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
-RESTART_CLOCKS_MIN = (-3.0, 3.0)
+RESTART_CLOCKS_MIN = (-3.0, 3.0)  # chosen, not varied: half of the prior's 5 min
 RESTART_TURNS_DEG = (-2.0, 0.0, 2.0)  # of the walls against the picture: the prior's uncertainty
 # Chosen, for time: each solid costs a search. Trials start from the best proposals of the grid.
 MAX_SOLIDS = 8
