@@ -92,7 +92,8 @@ def warnings_of(setting: Setting, setup: SiteFile, pixel_deg: float) -> list[str
     others = [f"{_words(f)} ({f.gain / cause.gain:.0%} of that)" for f in setting.alike]
     text += f"; nearly as likely: {', '.join(others)}" if others else ""
     lines = [
-        f"{text}. Until this is fixed, hours that depend on sun patches have a larger uncertainty"
+        f"{text}. Until this is fixed, the transport model has a larger uncertainty in hours that "
+        f"depend on sun patches"
     ]
     lines += [f"to fix {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *setting.alike)]
     return lines
@@ -106,8 +107,8 @@ def _measure_warning(setting: Setting, measure: RoomError) -> str:
         f"changing {measure.name} by {measure.amount_m:+.2f} m would explain "
         f"{measure.gain / first.stated:.0%} of the misfit, changing {first.cause} "
         f"{first.gain / first.stated:.0%}. The captures do not show which is wrong: measure the "
-        f"camera's place and the windows again before changing anything else. Until then, hours "
-        f"that depend on sun patches have a larger uncertainty"
+        f"camera's place and the windows again before changing anything else. Until then, the "
+        f"transport model has a larger uncertainty in hours that depend on sun patches"
     )
 
 
