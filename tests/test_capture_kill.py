@@ -147,7 +147,11 @@ def frames_of(session: Session) -> dict[str, str]:
 
 
 def notes_of(session: Session) -> dict[str, Any]:
-    """capture.json of each slot, times rounded to the second (the journal keeps milliseconds)."""
+    """capture.json of each slot, its times cut to the second.
+
+    A bracket that continues after a kill has its times from the journal, which keeps milliseconds,
+    so that its middle may differ by one.
+    """
     notes = {}
     for path in session.raw.glob("*/capture.json"):
         table = json.loads(path.read_text())
@@ -156,6 +160,7 @@ def notes_of(session: Session) -> dict[str, Any]:
         notes[path.parent.name] = {
             **table,
             "t_open_utc": table["t_open_utc"][:19],
+            "t_mid_utc": table["t_mid_utc"][:19],
             "t_close_utc": "",
         }
     return notes
