@@ -205,7 +205,7 @@ class Features:
     light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: 1 000 lx
     over the total light while lamp l is on, else 0, None without lamps; changed [n, m]: 1 while the
     room is in state m (such as blind=down), which changes its response to daylight, else 0, None
-    without such states.
+    without such states; flux [n]: light of all sun patches in the picture, None if unknown.
     """
 
     sky: Floats32
@@ -215,6 +215,7 @@ class Features:
     bounced: Floats32 | None = None
     lamps: Floats | None = None
     changed: Floats | None = None
+    flux: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -229,6 +230,7 @@ class Features:
             None if self.bounced is None else self.bounced[rows],
             None if self.lamps is None else self.lamps[rows],
             None if self.changed is None else self.changed[rows],
+            None if self.flux is None else self.flux[rows],
         )
 
 
@@ -244,15 +246,16 @@ class Kernel:
     """Prior covariance, between two hours, of a pixel's luminance divided by the total light.
 
     Values are relative to the pixel's usual luminance per total light. Each field except
-    `facades` and `beam_width` is the weight (prior variance) of one term. beam_width: distance
-    between two unit vectors to the sun over which the facade term changes (0.5 is about 29
-    degrees). The defaults are from a study of one room and may change threefold with little
-    effect (docs/decisions/0003-light-kernel.md). constant: a room that follows total light,
-    direct sun, and sun on the ground;
+    `facades` and the two widths is the weight (prior variance) of one term. beam_width,
+    flux_width: distances between two unit vectors to the sun over which the terms of facades and
+    of flux change (0.5 is about 29 degrees). The defaults are from a study of one room and may
+    change threefold with little effect (docs/decisions/0003-light-kernel.md). constant: a room
+    that follows total light, direct sun, and sun on the ground;
     sky: distribution of the sky's light; facade: sun on the facades, smooth in the sun's
-    direction; cells: sun patches in cells of the picture; bounced: the sun's light in a coarse
-    model of the room; lamps: electric light, ten times the room's daylight at LAMP_LX outside;
-    changed: effect of a state of the room on its response to light.
+    direction; cells: sun patches in cells of the picture; flux: all sun patches together, half of
+    it smooth in the sun's direction (docs/decisions/0034-flux-of-sun-patches.md); bounced: the
+    sun's light in a coarse model of the room; lamps: electric light, ten times the room's daylight
+    at LAMP_LX outside; changed: effect of a state of the room on its response to light.
     """
 
     facades: Facades
@@ -261,6 +264,8 @@ class Kernel:
     beam_width: float = 0.5
     facade: float = 1.0
     cells: float = 0.5
+    flux: float = 1.0
+    flux_width: float = 0.8
     bounced: float = 5.0
     lamps: float = 100.0
     changed: float = 1.0
@@ -278,6 +283,9 @@ class Kernel:
         k += self.facade * on * np.exp((cosine - 1.0) / self.beam_width**2)
         if a.cells is not None and b.cells is not None:
             k += self.cells * (a.cells @ b.cells.T)
+        if a.flux is not None and b.flux is not None:
+            smooth = self.constant + np.exp((cosine - 1.0) / self.flux_width**2)
+            k += self.flux * np.outer(a.flux, b.flux) * smooth
         if a.bounced is not None and b.bounced is not None:
             k += self.bounced * (a.bounced @ b.bounced.T)
         if a.changed is not None and b.changed is not None:
@@ -293,6 +301,8 @@ class Kernel:
         k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
         if a.cells is not None:
             k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
+        if a.flux is not None:
+            k += self.flux * a.flux**2 * (self.constant + 1.0)
         if a.bounced is not None:
             k += self.bounced * np.einsum("ij,ij->i", a.bounced, a.bounced)
         if a.changed is not None:

@@ -87,23 +87,28 @@ def state_columns(light: Light) -> StateColumns:
 
 @dataclass(frozen=True, slots=True)
 class PatchDescriptor:
-    """How maps of sun patches become features: light of the patches in each cell of the picture.
+    """How maps of sun patches become features: their light in each cell and in the whole picture.
 
-    The picture is divided into at most 23 x 23 cells. cells_norm: divisor, from the captured hours,
-    so that the features are about one when the sun is in the room.
+    The picture is divided into at most 23 x 23 cells. cells_norm, flux_norm: divisors, from the
+    captured hours, so that the features are about one when the sun is in the room. flux_norm is
+    None for models of fieldlum 0.2.0, which do not use the flux.
     """
 
     cells_norm: float
+    flux_norm: float | None = None
 
     def add(self, features: Features, patch: Floats, light: Light, open_sky: NDArray) -> Features:
-        """Return `features` with `cells`: `patch_cells` divided by total light and `cells_norm`.
+        """Return `features` with `cells` and `flux`, divided by total light and by their norms.
 
         patch: luminance of sun patches [n, H, W] cd/m2; open_sky: mask [H, W], True at window
         pixels, which do not count.
         """
         cells = patch_cells(patch, open_sky)  # [n, c]
+        flux = None
+        if self.flux_norm is not None:
+            flux = flux_lx(cells, patch.shape[1:]) / (light.total_lx * self.flux_norm)  # [n]
         unit = light.total_lx[:, None] * self.cells_norm  # [n, 1]
-        return replace(features, cells=(cells / unit).astype(np.float32))
+        return replace(features, cells=(cells / unit).astype(np.float32), flux=flux)
 
 
 def _edges(size: int, count: int) -> Indices:
@@ -145,23 +150,32 @@ def direct_flux_lx(patch: Floats, open_sky: Mask) -> Array:
     patch: [n, H, W] cd/m2, clipped at 3e4; open_sky: mask [H, W], True at window pixels, which do
     not count.
     """
-    root = np.sqrt(cell_areas_sr(*patch.shape[1:]))
-    return np.asarray(patch_cells(patch, open_sky) @ root, float)
+    return flux_lx(patch_cells(patch, open_sky), patch.shape[1:])
+
+
+def flux_lx(cells: Floats, shape: tuple[int, ...]) -> Array:
+    """Return `direct_flux_lx` from the result of `patch_cells` [n, c]; shape: of the picture."""
+    return np.asarray(cells @ np.sqrt(cell_areas_sr(shape[0], shape[1])), float)
 
 
 def describe_patches(patch: Floats, light: Light, open_sky: Mask) -> PatchDescriptor:
-    """Return the descriptor that makes the cells of a typical sunny hour about one.
+    """Return the descriptor whose features are about one in a typical sunny hour.
 
-    Its norm is the 75th percentile over sunny hours of the cells' size per direct illuminance, at
-    least a tenth of the largest; 1 if there is no sunny hour. patch: [n, H, W] cd/m2; open_sky: [H,
-    W] marks windows.
+    Each norm is the 75th percentile over sunny hours of the size per direct illuminance, at least a
+    tenth of the largest; 1 if there is no sunny hour. patch: [n, H, W] cd/m2; open_sky: [H, W]
+    marks windows.
     """
     cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
     if not sunny.any() or not cells[sunny].any():
-        return PatchDescriptor(1.0)
-    size = np.linalg.norm(cells[sunny], axis=1) / light.direct_lx[sunny]  # [n sunny]
-    return PatchDescriptor(max(float(np.percentile(size, 75)), 0.1 * float(size.max())))
+        return PatchDescriptor(1.0, 1.0)
+
+    def norm(size: Array) -> float:
+        share = size[sunny] / light.direct_lx[sunny]
+        return max(float(np.percentile(share, 75)), 0.1 * float(share.max()))
+
+    flux = flux_lx(cells, patch.shape[1:])
+    return PatchDescriptor(norm(np.linalg.norm(cells, axis=1)), norm(flux))
 
 
 def facades_seen(data: Dataset) -> Facades:

@@ -311,7 +311,7 @@ def _doubted(
 
     The test is made if robust rounds had to correct patches.
     """
-    bare = replace(drawn, features=replace(drawn.features, cells=None))
+    bare = replace(drawn, features=replace(drawn.features, cells=None, flux=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
     best = doubting if doubting.held.judged.mean() < trusting.held.judged.mean() else trusting
     return replace(best, table=[*trusting.table, *doubting.table])

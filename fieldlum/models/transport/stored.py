@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from typing import Any, NotRequired, TypedDict
 
@@ -14,7 +14,6 @@ from fieldlum.light import Facades, Features, Kernel, Light
 from fieldlum.models.transport.features import (
     PatchDescriptor,
     StateColumns,
-    cell_areas_sr,
 )
 from fieldlum.models.transport.open_sky import OpenSky
 from fieldlum.models.transport.physics import Physics
@@ -34,7 +33,7 @@ TRUST_ARRAYS = ("inverse", "factors", "variances", "second")
 class TransportTable(TypedDict):
     """The table "transport" of config.json.
 
-    kernel: fields of `Kernel` without facades, in 0.1.0 those of `FluxKernel`; recipe: fields of
+    kernel: fields of `Kernel` without facades, absent ones have their defaults; recipe: fields of
     `Recipe`; patch_scale: factor on all sun patches; room: as in SITE.toml, None without a coarse
     room model (`Physics`); patchwork: fields of `PatchDescriptor`, None without sun patches;
     states: fields of `StateColumns`, absent in 0.1.0; trust: the single numbers of `Uncertainty`;
@@ -149,7 +148,7 @@ def _basis(own: TransportTable, arrays: Mapping[str, Array]) -> LightBasis:
         Light(unknown, nothing, nothing, altitude, azimuth),
         arrays["projector"],
         physics,
-        None if patches is None else PatchDescriptor(patches["cells_norm"]),
+        None if patches is None else PatchDescriptor(**patches),
         _states(own),
     )
 
@@ -164,41 +163,5 @@ def _states(own: TransportTable) -> StateColumns:
 def _kernel(own: TransportTable, arrays: Mapping[str, Array]) -> Kernel:
     facades = Facades(arrays["facade_azimuths"], arrays["facade_weights"])
     settings = dict(own["kernel"])
-    if "flux_width" not in settings:
-        return Kernel(facades, **settings)
-    width = settings.pop("flux_width")
-    settings.pop("around")  # 0 in every model of 0.1.0, where it could not be set
-    if "train_flux" not in arrays:
-        return Kernel(facades, **settings)
-    height, columns = arrays["seen"].shape
-    norms = own["patchwork"] or {}
-    share = np.sqrt(cell_areas_sr(height, columns)) * norms["cells_norm"] / norms["flux_norm"]
-    return FluxKernel(facades, **settings, flux_width=width, flux_of_cells=share)
-
-
-@dataclass(frozen=True, slots=True)
-class FluxKernel(Kernel):
-    """The kernel of models of fieldlum 0.1.0, with a term for the total light of the sun patches.
-
-    flux_width: distance between two unit vectors to the sun over which this term changes;
-    flux_of_cells: weight of each cell of `Features.cells` in the total [c].
-    """
-
-    flux_width: float = 0.8
-    flux_of_cells: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __call__(self, a: Features, b: Features) -> Array:
-        """Return the covariance matrix [len(a), len(b)]."""
-        k = Kernel.__call__(self, a, b)
-        if a.cells is None or b.cells is None:
-            return k
-        cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
-        smooth = np.exp((cosine - 1.0) / self.flux_width**2) + self.constant
-        return k + np.outer(a.cells @ self.flux_of_cells, b.cells @ self.flux_of_cells) * smooth
-
-    def diagonal(self, a: Features) -> Array:
-        """Return the prior variance of each hour of `a`, without a unit, [len(a)]."""
-        k = Kernel.diagonal(self, a)
-        if a.cells is None:
-            return k
-        return k + (a.cells @ self.flux_of_cells) ** 2 * (1.0 + self.constant)
+    settings.pop("around", None)  # 0 in every model of 0.1.0, where it could not be set
+    return Kernel(facades, **settings)
