@@ -87,7 +87,7 @@ def state_columns(light: Light) -> StateColumns:
 
 @dataclass(frozen=True, slots=True)
 class PatchDescriptor:
-    """How maps of sun patches become features: their light in each cell and in the whole picture.
+    """How maps of sun patches become features: their light in each cell, and all of it.
 
     The picture is divided into at most 23 x 23 cells. cells_norm, flux_norm: divisors, from the
     captured hours, so that the features are about one when the sun is in the room. flux_norm is
@@ -107,6 +107,7 @@ class PatchDescriptor:
         flux = None
         if self.flux_norm is not None:
             flux = flux_lx(cells, patch.shape[1:]) / (light.total_lx * self.flux_norm)  # [n]
+            flux[light.direct_lx == 0.0] = 0.0  # of a sun that no instrument measured
         unit = light.total_lx[:, None] * self.cells_norm  # [n, 1]
         return replace(features, cells=(cells / unit).astype(np.float32), flux=flux)
 
