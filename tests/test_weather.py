@@ -77,6 +77,19 @@ def _write_tmy3(path: Path, year: weather.Weather, zone: float = -8) -> None:
     path.write_text("\n".join(head + rows))
 
 
+@pytest.mark.analytic
+def test_hours_1_to_24_of_month_and_day_keep_the_last_hour_of_february(tmp_path: Path) -> None:
+    year = _year()
+    rows = ["month,day,hour,dni_wm2,dhi_wm2"]
+    for t, dhi in zip(year.t_utc, year.dhi_wm2, strict=True):
+        local = sun.standard_time(t, year.site.timezone)  # a full hour and a half
+        rows.append(f"{local.month},{local.day},{local.hour + 1},0,{dhi:.2f}")
+    (tmp_path / "y.csv").write_text("\n".join(rows))
+    read = weather.read_weather(tmp_path / "y.csv", year.site)
+    assert len(read) == 8760 and not any("missing" in text for text in read.repairs)
+    assert datetime(2027, 3, 1, 8, 0, tzinfo=UTC) in read.t_utc  # hour 24 of 28 February
+
+
 @pytest.mark.slow
 @pytest.mark.contract
 def test_the_formats_agree(tmp_path) -> None:

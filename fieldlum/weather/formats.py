@@ -275,12 +275,18 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
             "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2",
             "name the columns in the first row",
         )
-    rows = []
+    found = []
     for number, line in table[1:]:
         cells = dict(zip(names, next(csv.reader([line])), strict=False))
         if len(cells) < len(names):
             raise _bad_row(path, f"line {number}: {len(cells)} cells", f"{len(names)} cells")
-        when = _csv_moment(path, number, cells, dated, offset)
+        found.append((number, cells))
+    # Hour 24 of 28 February belongs to 29 February only in a file with that day.
+    leap = any(c.get("month") in ("2", "02") and c.get("day") == "29" for _, c in found)
+    year = "2024" if leap else "2023"
+    rows = []
+    for number, cells in found:
+        when = _csv_moment(path, number, cells, dated, year) - (timedelta() if dated else offset)
         dni, dhi, ghi = (
             _number(path, number, n, cells.get(n, "")) for n in ("dni_wm2", "dhi_wm2", "ghi_wm2")
         )
@@ -288,9 +294,8 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     return WeatherTable(rows, not dated, path.name, place)
 
 
-def _csv_moment(
-    path: Path, line: int, cells: dict[str, str], dated: bool, offset: timedelta
-) -> datetime:
+def _csv_moment(path: Path, line: int, cells: dict[str, str], dated: bool, year: str) -> datetime:
+    """Return the time of a row: UTC if dated, else local standard time in this year."""
     if not dated:
         try:
             hour = float(cells["hour"])
@@ -298,7 +303,7 @@ def _csv_moment(
             raise _bad_row(
                 path, f"line {line}: hour is '{cells['hour']}'", "a number such as 12.5"
             ) from None
-        return _moment(path, line, "2024", cells["month"], cells["day"], hour) - offset
+        return _moment(path, line, year, cells["month"], cells["day"], hour)
     try:
         return parse_utc(cells["t_utc"].strip())
     except ValueError as error:
