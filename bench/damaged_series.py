@@ -34,7 +34,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from fieldlum import irradiance
 from fieldlum.devices import ascii_lines, spn1, toa5
-from fieldlum.devices.ask_twice import agreed_answer
 from fieldlum.devices.learned_format import LineForm
 from fieldlum.errors import FieldlumError
 
@@ -197,13 +196,7 @@ def _asked_again(
     others do.
     """
     left = [came, *(maybe_damaged(whole[-1], before, rng) for _ in range(2))]
-    reading, _ = agreed_answer(
-        lambda: left.pop(0),
-        spn1.parse_reading,
-        spn1.apart_wm2,
-        (spn1.NOISE_WM2, spn1.AGREE_WM2),
-        spn1.in_line,
-    )
+    reading, _ = spn1.agreed_reading(lambda: left.pop(0))
     return (reading.total_wm2, reading.diffuse_wm2), [read(whole[-1])]
 
 

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from fieldlum.devices import open_pyranometer
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.serial_spn1 import Spn1
 from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.devices.spn1 import Spn1Reading, parse_reading, parse_status
+from fieldlum.devices.spn1 import Spn1, Spn1Reading, parse_reading, parse_status
 from fieldlum.errors import DeviceError
 
 START = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)

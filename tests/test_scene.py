@@ -220,9 +220,7 @@ def test_streaming_equals_all_at_once() -> None:
     lx = np.linspace(0, 6e4, 7)
     whole = scene.sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0)
     parts = list(
-        scene.iter_sun_patches(
-            CORNER, None, suns, lx, height=12, heading_deg=150.0, chunk=3, workers=2
-        )
+        scene.iter_sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0, chunk=3)
     )
     assert [len(p) for p in parts] == [3, 3, 1]
     assert np.array_equal(np.concatenate([p.luminance_cdm2 for p in parts]), whole.luminance_cdm2)

@@ -106,6 +106,7 @@ def command(
     from fieldlum.capture.remote import informed
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
+    from fieldlum.notify import read_address
     from fieldlum.raw import unreadable
     from fieldlum.records import counted
     from fieldlum.session import open_session, sha256
@@ -134,7 +135,7 @@ def command(
         on_misses=on_misses,
     )
     awake = nullcontext() if clock == "fast" else terminal.awake()
-    post, address = _post(notify), _heartbeat(heartbeat)
+    post, address = _post(notify), read_address(heartbeat) if heartbeat else ""
     if clock == "real":
         wait_for_clock(session, ticking, terminal.say)
     with (
@@ -186,12 +187,6 @@ def _post(option: str) -> Post | None:
     if note:
         terminal.say(f"note: {note}")
     return apprise_post(targets, option.removeprefix("@") or VARIABLE) if targets else None
-
-
-def _heartbeat(option: str) -> str:
-    from fieldlum.notify import read_address
-
-    return read_address(option) if option else ""
 
 
 def _real(*uris: str) -> str:

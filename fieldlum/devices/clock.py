@@ -39,11 +39,7 @@ class RealClock:
 
     def monotonic(self) -> float:
         """Return seconds since a fixed start; on Linux they stop while the computer sleeps."""
-        return (
-            time.clock_gettime(time.CLOCK_MONOTONIC)
-            if hasattr(time, "clock_gettime")
-            else time.monotonic()
-        )
+        return time.monotonic()
 
     def boottime(self) -> float:
         """Return seconds since a fixed start; on Linux they continue while the computer sleeps."""

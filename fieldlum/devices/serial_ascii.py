@@ -30,7 +30,7 @@ def open_pyranometer(
     options = uri.read(kind=kind, baud=integer_option(300, 921600), timeout=number(0.1, 60.0))
     if "kind" not in options:
         raise DeviceError(f"{uri.text}: no kind; add ?kind=spn1 or ?kind=ascii&profile=NAME")
-    from fieldlum.devices.serial_spn1 import Spn1
+    from fieldlum.devices.spn1 import Spn1
 
     return Spn1(
         uri.place, clock, baud=options.get("baud", 9600), timeout_s=options.get("timeout", 2.0)

@@ -136,7 +136,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     dgp, contrast = (np.full((n, k), np.nan) for k in (len(views.azimuths_deg), RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(asked)):
         part = data.take(rows)
-        dgp[rows] = _dgp(part.luminance_cdm2, part, views)
+        dgp[rows] = _glare(part.luminance_cdm2, part, views)["dgp"]
         contrast[rows] = _contrast(part.luminance_cdm2, part)
     room_disc = stated_disc_lx(data.setup, data.light) if glare else None
     return Truth(data, data.weights, views, asked, dgp, contrast, room_disc)
@@ -145,10 +145,6 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     for start in range(0, len(rows), CHUNK):
         yield rows[start : start + CHUNK]
-
-
-def _dgp(maps: Floats32, data: Dataset, views: Views) -> Floats:
-    return _glare(maps, data, views)["dgp"]
 
 
 def _glare(maps: Floats32, data: Dataset, views: Views) -> dict[str, Floats]:

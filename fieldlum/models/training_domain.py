@@ -50,9 +50,9 @@ class Domain:
         slack = RANGE_SLACK * (high - low) + 10.0
         sky_known = (light.dhi_wm2 >= low - slack) & (light.dhi_wm2 <= high + slack)
         beam_known = light.dni_wm2 <= self.dni_wm2[1] + RANGE_SLACK * self.dni_wm2[1] + 10.0
+        has_overcast = self.dni_wm2[0] < 2 * SUNNY_WM2
         return sky_known & (
-            self._sun_known(light) & beam_known
-            | (light.dni_wm2 < SUNNY_WM2) & self._has_dull(light)
+            self._sun_known(light) & beam_known | (light.dni_wm2 < SUNNY_WM2) & has_overcast
         )
 
     def _sun_known(self, light: Light) -> Mask:
@@ -60,9 +60,6 @@ class Domain:
             return np.zeros(len(light.dni_wm2), bool)
         nearest = (light.sun_direction @ self.sun_directions.T).max(axis=1)
         return nearest >= np.cos(np.radians(SUN_GAP_DEG))
-
-    def _has_dull(self, light: Light) -> Mask:
-        return np.full(len(light.dni_wm2), self.dni_wm2[0] < 2 * SUNNY_WM2)
 
     def state(self) -> DomainTable:
         """Return the domain as an object that JSON can store."""

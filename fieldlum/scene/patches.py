@@ -32,14 +32,13 @@ def iter_sun_patches(
     heading_deg: float | None = None,
     chunk: int = 64,
     sub: int = 3,
-    workers: int | None = None,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
     """Yield `sun_patches` in chunks of hours, so that a year does not fill the memory.
 
     sun_direction : [n, 3] unit vectors in world axes; normal_illuminance_lx : [n], of the sun
     outside on a plane normal to it. height : rows of the maps; chunk : hours in each result; sub :
-    rays of a pixel in each direction; workers : number of threads, by default up to 8.
+    rays of a pixel in each direction.
     """
     heading = _heading(setup, heading_deg)
     suns = np.atleast_2d(np.asarray(sun_direction, float))
@@ -54,7 +53,7 @@ def iter_sun_patches(
     points = _sun_points(room, height, heading, sub)
     toward = points.scene.to_room(suns)
     visible, through = disc_visibility(points.scene, toward)
-    with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 8)) as pool:
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
         for start in range(0, len(suns), chunk):
             progress(start, len(suns), "sun patches")
             rows = range(start, min(start + chunk, len(suns)))

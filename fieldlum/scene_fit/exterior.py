@@ -94,12 +94,12 @@ def is_outside(guess: Guess, solid: Solid) -> bool:
     )
 
 
-def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]:
+def exterior_parameters(number: int) -> list[Parameter]:
     """Return the six faces and three shifts of a solid outside as parameters without a prior.
 
-    number: index of the solid from 0; first_step: of the search [m]. A change that would make the
-    solid thinner than 8 cm or move it inside does nothing. Its albedo is not a parameter, because
-    no sun patch inside depends on it.
+    number: index of the solid from 0. A change that would make the solid thinner than 8 cm or move
+    it inside does nothing. Its albedo is not a parameter, because no sun patch inside depends on
+    it.
     """
 
     def parameter(name: str, move: Callable[[Solid, float], Solid]) -> Parameter:
@@ -112,7 +112,7 @@ def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]
             return trial if is_outside(trial, moved) else g
 
         label = f"solid {number + 1} {name}"
-        return Parameter(label, lambda _: 0.0, change, first_step, 0.02, np.inf)
+        return Parameter(label, lambda _: 0.0, change, 0.5, 0.02, np.inf)
 
     def face(which: Literal["low_m", "high_m"], axis: int) -> Parameter:
         def move(solid: Solid, by: float) -> Solid:

@@ -38,6 +38,8 @@ def draw(
     import matplotlib as mpl
 
     mpl.use("Agg")
+    from matplotlib import pyplot
+
     folder.mkdir(parents=True, exist_ok=True)
     makers = {
         "overlay.png": lambda: _overlay(data, fit, evidence),
@@ -48,15 +50,9 @@ def draw(
     for name, make in makers.items():
         figure = make()
         figure.savefig(folder / name, dpi=110, bbox_inches="tight")
-        _close(figure)
+        pyplot.close(figure)
         written.append(folder / name)
     return written
-
-
-def _close(figure: Any) -> None:
-    from matplotlib import pyplot
-
-    pyplot.close(figure)
 
 
 def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:

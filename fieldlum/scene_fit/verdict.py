@@ -82,15 +82,15 @@ class SceneVerdict:
     trusted_share: float = 1.0
 
 
-def sun_blocks(suns: Floats, reach_deg: float = BLOCK_DEG) -> Indices:
-    """Return a block number from 0 for each sun, [n]; suns closer than reach_deg share a block.
+def sun_blocks(suns: Floats) -> Indices:
+    """Return a block number from 0 for each sun, [n]; suns closer than BLOCK_DEG share one.
 
     suns: unit vectors [n, 3]. A chain of such neighbours is one block.
     """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
-    near = suns @ suns.T > np.cos(np.radians(reach_deg))
+    near = suns @ suns.T > np.cos(np.radians(BLOCK_DEG))
     return connected_components(csr_matrix(near), directed=False)[1].astype(np.intp)
 
 

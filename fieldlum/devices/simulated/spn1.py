@@ -117,7 +117,7 @@ def open_simulated(world: World, clock: Clock, seed: int, noise_wm2: float) -> P
     noise_wm2 : standard deviation of its noise [W/m2], drawn by `seed`. Raises DeviceError on a
     system without pseudo-terminals (Windows).
     """
-    from fieldlum.devices.serial_spn1 import Spn1
+    from fieldlum.devices.spn1 import Spn1
 
     if not hasattr(os, "openpty"):
         raise DeviceError(
