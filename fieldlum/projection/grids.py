@@ -7,6 +7,7 @@ import numpy as np
 from fieldlum.arrays import Floats
 from fieldlum.projection.lens import LensGeometry, lens_rays
 from fieldlum.projection.panorama import direction, equirect_solid_angles
+from fieldlum.projection.pose import turned
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +88,7 @@ class Fisheye:
 
     def view(self, heading_deg: float) -> str:
         """Return Radiance's view options; `heading_deg` is the azimuth of the panorama's centre."""
-        turn = np.radians(heading_deg)
-        rotation = np.array(
-            [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
-        )
-        _, up, forward = self.geometry.axes() @ rotation.T
+        _, up, forward = turned(self.geometry.axes(), heading_deg)
         vd, vu = (" ".join(f"{value:.6f}" for value in np.round(v, 6) + 0.0) for v in (forward, up))
         angle = f"{self.full_angle_deg:g}"
         return f"-vta -vd {vd} -vu {vu} -vv {angle} -vh {angle}"

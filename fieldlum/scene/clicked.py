@@ -19,6 +19,7 @@ from fieldlum.errors import InputError
 from fieldlum.projection import direction
 from fieldlum.records import Room, Window
 from fieldlum.scene.clicks import KINDS, Click, ClickGrid
+from fieldlum.scene.geometry import room_axes
 
 # standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
 CLICK_PX = 0.5
@@ -135,9 +136,9 @@ def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _S
     ]
     facing = rays[first, :2].sum(axis=0) if first else direction(0.0, grid.heading_deg)[:2]
     theta = _main_wall(ground, float(theta), np.asarray(facing))
-    xy = ground @ _turn(theta)[:2, :2].T
+    xy = ground @ room_axes(theta)[:2, :2].T
     distances = _distances(xy, where)
-    turned = rays @ _turn(theta).T
+    turned = rays @ room_axes(theta).T
     ceiling = [k for k, click in enumerate(clicks) if click.kind == "ceiling"]
     heights = [_reach(turned[k, :2], distances, corner=True) * turned[k, 2] for k in ceiling]
     values = [theta, *distances, h + float(np.mean(heights))]
@@ -162,15 +163,9 @@ def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _S
     return _Start(np.array(values, float), walls, sides)
 
 
-def _turn(theta_deg: float) -> Floats:
-    """Return the room's axes as rows in world axes, as in `BoxScene.turn`."""
-    a = np.radians(theta_deg)
-    return np.array([(-np.cos(a), np.sin(a), 0.0), (-np.sin(a), -np.cos(a), 0.0), (0.0, 0.0, 1.0)])
-
-
 def _spread(ground: Floats, theta_deg: float) -> float:
     """Return how far corners on one side are from a common line."""
-    xy = ground @ _turn(theta_deg)[:2, :2].T
+    xy = ground @ room_axes(theta_deg)[:2, :2].T
     total = 0.0
     for axis in (0, 1):
         for side in (xy[:, axis] < 0, xy[:, axis] >= 0):
@@ -183,7 +178,7 @@ def _main_wall(ground: Floats, theta_deg: float, facing: Floats) -> float:
     """Return the turn, of four possible ones, whose "south" wall is in a given direction."""
     for quarter in range(4):
         theta = (theta_deg + 90.0 * quarter) % 360.0
-        turn = _turn(theta)[:2, :2]
+        turn = room_axes(theta)[:2, :2]
         xy = ground @ turn.T
         if _wall_of(turn @ facing, _distances(xy, "clicks")) == "south":
             return theta
@@ -253,7 +248,7 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
 
     def residual(values: Floats) -> Floats:
         points = np.array([_point(values, start, clicks[k], start.sides[k], h) for k in used])
-        off = grid.pixels(points @ _turn(values[0])) - wanted
+        off = grid.pixels(points @ room_axes(values[0])) - wanted
         off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
         return off.ravel()
 
@@ -356,11 +351,9 @@ def _window(
 ) -> Window:
     wall: Any = start.walls[number]
     bars = sum(click.kind == "bar" and click.window == number for click in clicks)
+    axes, distances = room_axes(values[0]), values[1:5].tolist()
     transoms = [
-        h
-        + _on_wall(
-            _turn(values[0]) @ direction(*grid.angles(c.x_px, c.y_px)), wall, values[1:5].tolist()
-        )[1]
+        h + _on_wall(axes @ direction(*grid.angles(c.x_px, c.y_px)), wall, distances)[1]
         for c in clicks
         if c.kind == "transom" and c.window == number
     ]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -104,6 +104,18 @@ class Opening:
         return (u_m > left) & (u_m < right) & (z_m > bottom) & (z_m < top)
 
 
+@lru_cache(maxsize=64)  # a search for the scene asks for the same angles in many rooms
+def room_axes(wall_azimuth_deg: float) -> Floats:
+    """Return a room's axes as rows in world coordinates, [3, 3]: room = axes @ world.
+
+    wall_azimuth_deg: azimuth that the room's south wall faces, clockwise from north.
+    """
+    azimuth = np.radians(wall_azimuth_deg)
+    x = (-np.cos(azimuth), np.sin(azimuth), 0.0)  # azimuth - 90 degrees
+    y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)  # azimuth - 180 degrees
+    return np.array([x, y, (0.0, 0.0, 1.0)])
+
+
 @dataclass(frozen=True)
 class BoxScene:
     """The boxes, openings and camera of a box room.
@@ -136,10 +148,7 @@ class BoxScene:
     @cached_property
     def turn(self) -> Floats:
         """The room's axes as rows in world coordinates, [3, 3]: room = turn @ world."""
-        azimuth = np.radians(self.wall_azimuth_deg)
-        x = (-np.cos(azimuth), np.sin(azimuth), 0.0)  # azimuth - 90 degrees
-        y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)  # azimuth - 180 degrees
-        return np.array([x, y, (0.0, 0.0, 1.0)])
+        return room_axes(self.wall_azimuth_deg)
 
     def to_room(self, world: ArrayLike) -> Floats:
         """Return directions [..., 3] (x east, y north) in room axes."""

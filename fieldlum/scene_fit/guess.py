@@ -16,7 +16,7 @@ import numpy as np
 from fieldlum.arrays import Floats
 from fieldlum.projection import rotation
 from fieldlum.records import Obstruction, Room, Window
-from fieldlum.scene.geometry import WALLS, build
+from fieldlum.scene.geometry import WALLS, build, room_axes
 
 ARCH_STEPS = 12  # chosen: stairs of 1 to 13 cm in a half circle 2 m wide
 
@@ -110,7 +110,7 @@ class Guess:
 
         room = turn @ world. `north_deg` is not included.
         """
-        return _turn(self.wall_azimuth_deg)
+        return room_axes(self.wall_azimuth_deg)
 
     @property
     def camera_turn(self) -> Floats:
@@ -122,17 +122,9 @@ class Guess:
         return _camera_turn(self.wall_azimuth_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
 
 
-@lru_cache(maxsize=64)  # a search evaluates the same angles in many scenes
-def _turn(azimuth_deg: float) -> Floats:
-    azimuth = np.radians(azimuth_deg)
-    x = (-np.cos(azimuth), np.sin(azimuth), 0.0)
-    y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
-    return np.array([x, y, (0.0, 0.0, 1.0)])
-
-
 @lru_cache(maxsize=64)
 def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
-    return _turn(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
+    return room_axes(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
 
 
 def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:

@@ -14,6 +14,7 @@ import numpy as np
 from fieldlum.arrays import Array, Mask
 from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_rays, equirect_solid_angles
+from fieldlum.statistics import MAD_TO_SIGMA
 from fieldlum.train.agreement import Process, Rows, process_of, thinned
 
 _NOISE = 3e-3  # relative variance of a capture, when the other captures predict it; chosen
@@ -37,7 +38,6 @@ _SIZE_SR = (0.02, 1.5)  # smallest and largest region: a person at 6 m and at 0.
 # prediction fades out. Chosen.
 _MOST_OUTSIDE = 0.35
 _DARKEST_STEP = -0.9  # ln of light: a darker region is a wrong prediction, not furniture; chosen
-_MAD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
 
 
 def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
@@ -78,7 +78,7 @@ def _deviation(process: Process, rows: Rows, seen_mask: Mask) -> tuple[Array, Ar
     size, sd = np.abs(log), np.sqrt(out.variance)[:, None] / level
     usual = np.quantile(np.where(valid, size / sd, 0.0), _USUAL_SHARE, axis=0)  # [P]
     usual = sd * _around(usual, seen_mask)
-    own = np.sqrt((_MAD * _median(size, valid)) ** 2 + _LEAST_SD**2)
+    own = np.sqrt((MAD_TO_SIGMA * _median(size, valid)) ** 2 + _LEAST_SD**2)
     least = np.maximum(_OVER_USUAL * usual, np.maximum(_OVER_CAPTURE * own, _LEAST_LOG))
     return log, least, sd[:, 0]
 
@@ -123,7 +123,7 @@ def moved_object(data: Dataset, *, with_patch: bool) -> MovedObject | None:
         amount -= np.median(amount)
         log = np.where(amount > _DARKEST_STEP, np.log1p(np.maximum(amount, _DARKEST_STEP)), 0.0)
         sd = _around(spread, small.seen) / np.sqrt(weights @ step)
-        own = np.hypot(_MAD * np.median(np.abs(log)), _LEAST_SD)
+        own = np.hypot(MAD_TO_SIGMA * np.median(np.abs(log)), _LEAST_SD)
         least = np.maximum(_OVER_CAPTURE * np.hypot(sd, own), _LEAST_LOG)
         for sign in (-1.0, 1.0):
             signed, limit = (_on_grid(v, small.seen) for v in (sign * log, least))
