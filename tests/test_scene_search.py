@@ -329,6 +329,20 @@ def test_furniture_is_on_the_floor_or_a_table_top() -> None:
 
 
 @pytest.mark.analytic
+def test_no_solid_is_searched_to_the_place_of_the_camera(evidence: SceneEvidence) -> None:
+    """No room has it: the scene that such a search wrote could not be read."""
+    x, y, z = guess_of(ROOM).camera_m
+    around = Solid((x - 0.3, y - 0.3, 0.0), (x + 0.3, y + 0.3, z + 0.1), 0.5)
+    below = replace(around, high_m=(x + 0.3, y + 0.3, z - 0.1))
+    inside, free = (replace(guess_of(ROOM), solids=(solid,)) for solid in (around, below))
+    albedo = np.append(stated_albedo(ROOM), 0.5)
+    objective = Objective(evidence, free, room_parameters(free), albedo, 0.0)
+    assert objective(inside) == np.inf > objective(free)
+    with pytest.raises(InputError, match="camera is inside"):
+        sun_patches(room_of(inside, ROOM), None, [[0.0, -1.0, 0.5]], [1.0], height=8, heading_deg=0)
+
+
+@pytest.mark.analytic
 def test_the_albedo_of_a_solid_is_the_searched_one(evidence: SceneEvidence) -> None:
     """A list of albedos that a light estimate left behind must not replace it."""
     light, dark = (Solid((1.0, 1.0, 0.0), (2.4, 2.0, 0.7), albedo) for albedo in (0.7, 0.2))

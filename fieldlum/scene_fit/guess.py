@@ -122,6 +122,14 @@ class Guess:
         return _camera_turn(self.wall_azimuth_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
 
 
+def camera_is_free(guess: Guess) -> bool:
+    """Return whether the camera is in none of the guess's solids, as in each possible room."""
+    return not any(
+        all(a < e < b for a, e, b in zip(s.low_m, guess.camera_m, s.high_m, strict=True))
+        for s in guess.solids
+    )
+
+
 @lru_cache(maxsize=64)
 def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
     return room_axes(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)

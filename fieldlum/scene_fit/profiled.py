@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.guess import Guess, camera_is_free
 from fieldlum.scene_fit.light_below import LEAST_CDM2, LightBelow, levelled
 from fieldlum.scene_fit.parameters import Parameter
 from fieldlum.scene_fit.principal_axes import prior_curvature
@@ -105,7 +105,9 @@ class ProfiledCost:
         return np.concatenate([patches, evidence.view.residuals(guess)])
 
     def __call__(self, guess: Guess) -> float:
-        """Return the cost of a guess."""
+        """Return the cost of a guess, infinite if a solid holds the camera."""
+        if not camera_is_free(guess):
+            return np.inf
         return float(np.sum(self.residuals(guess) ** 2)) + self.objective.prior(guess)
 
     def _below(self, patch: Array) -> Array:

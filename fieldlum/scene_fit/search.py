@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import WIDTH, SceneEvidence
-from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect, camera_is_free
 from fieldlum.scene_fit.parameters import POSE_NAMES, SUN_DEG_PER_MIN, Change, Parameter
 from fieldlum.scene_fit.renderer import SHELL
 
@@ -70,7 +70,12 @@ class Objective:
         return self.evidence.mean_misfit(guess, self.albedo_of(guess)) + self.without_patches(guess)
 
     def without_patches(self, guess: Guess) -> float:
-        """Return the cost that all hours share: misfit of the windows' picture plus the prior."""
+        """Return the cost that all hours share: misfit of the windows' picture plus the prior.
+
+        It is infinite if a solid holds the camera.
+        """
+        if not camera_is_free(guess):
+            return np.inf
         key = replace(guess, north_deg=0.0, clock_min=0.0)  # neither moves the windows' picture
         if key != self._seen[0]:
             self._seen = key, self.evidence.view.misfit(guess)
