@@ -9,6 +9,8 @@ from typing import cast
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 from scene_captures import DAYS, room_captures
 from scene_captures import ROOM as ONE_PANE
 
@@ -17,13 +19,13 @@ from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.models.data import Dataset
 from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile
-from fieldlum.scene import sun_patches
+from fieldlum.scene import build, sun_patches
 from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.furniture import propose_columns, solid_parameters
-from fieldlum.scene_fit.guess import Guess, Solid, guess_of, room_of
+from fieldlum.scene_fit.guess import Guess, Solid, WindowRect, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import (
@@ -162,6 +164,35 @@ def test_a_guess_and_its_room_are_inverse() -> None:
     assert again.window[0].left_m == pytest.approx(room.window[0].left_m)
     assert again.window[0].sill_m == pytest.approx(room.window[0].sill_m)
     assert again.camera_x_m == room.camera_x_m
+
+
+@pytest.mark.property
+@given(data=st.data())
+def test_fitted_windows_always_form_a_room(data: st.DataObject) -> None:
+    """A glazed wall, a ribbon of windows: fitted edges pass walls and each other by centimetres."""
+    guess = guess_of(ROOM)
+    width, _, height = guess.size_m
+
+    def edges(extent: float) -> tuple[float, float]:
+        low = data.draw(st.floats(-0.1, extent - 0.4))
+        return low, data.draw(st.floats(low + 0.3, extent + 0.1))
+
+    rects = [
+        WindowRect("south", edges(width), edges(height), 0.8)
+        for _ in range(data.draw(st.integers(1, 3)))
+    ]
+    room = room_of(replace(guess, windows=tuple(rects)), ROOM)
+    openings = build(room).openings  # raises InputError for an impossible room
+    assert 1 <= len(openings) <= len(rects)
+    area = sum((o.u_m[1] - o.u_m[0]) * (o.z_m[1] - o.z_m[0]) for o in openings)
+    first = _area(rects[0], width, height)
+    assert first - 1e-9 <= area <= sum(_area(r, width, height) for r in rects) + 1e-9
+
+
+def _area(rect: WindowRect, width: float, height: float) -> float:
+    """Area inside the wall [m2]."""
+    (u0, u1), (z0, z1) = rect.u_m, rect.z_m
+    return (min(u1, width) - max(u0, 0.0)) * (min(z1, height) - max(z0, 0.0))
 
 
 @pytest.mark.slow

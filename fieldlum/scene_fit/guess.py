@@ -123,8 +123,9 @@ class Guess:
 
 
 def camera_is_free(guess: Guess) -> bool:
-    """Return whether the camera is in none of the guess's solids, as in each possible room."""
-    return not any(
+    """Return whether the camera is in the room and in none of its solids."""
+    inside = all(0.0 < e < size for e, size in zip(guess.camera_m, guess.size_m, strict=True))
+    return inside and not any(
         all(a < e < b for a, e, b in zip(s.low_m, guess.camera_m, s.high_m, strict=True))
         for s in guess.solids
     )
@@ -194,10 +195,11 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 def room_of(guess: Guess, stated: Room) -> Room:
     """Return the guess as a `Room`: bars, solids and arched or slanted tops become obstructions.
 
+    Windows end at the edges of their wall and at windows before them, beyond which no light enters.
     stated: the room from which other fields are taken, also the walls' azimuth; neither
     `guess.wall_azimuth_deg` nor `guess.north_deg` is applied.
     """
-    windows = tuple(_window(guess, rect) for rect in guess.windows)
+    windows = tuple(_window(guess, rect) for rect in _fitting(guess))
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
     solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
     blocks = tuple(
@@ -219,6 +221,39 @@ def room_of(guess: Guess, stated: Room) -> Room:
         window=windows,
         obstruction=bars + solids + blocks,
     )
+
+
+def _fitting(guess: Guess) -> list[WindowRect]:
+    """Return the windows without their parts beyond the wall or inside an earlier window.
+
+    Windows of which nothing remains are left out. Of two windows that overlap, the later one loses
+    the part in which its overlap is narrower, in width or in height.
+    """
+    kept: list[WindowRect] = []
+    for rect in guess.windows:
+        length = guess.size_m[1 - WALLS[rect.wall][0]]
+        u, z = _common(rect.u_m, (0.0, length)), _common(rect.z_m, (0.0, guess.size_m[2]))
+        for other in kept:
+            if other.wall != rect.wall:
+                continue
+            across, up = _common(u, other.u_m), _common(z, other.z_m)
+            width, height = across[1] - across[0], up[1] - up[0]
+            if width > 0.0 and height > 0.0:
+                u, z = (_without(u, across), z) if width <= height else (u, _without(z, up))
+        if u[1] > u[0] and z[1] > z[0]:
+            kept.append(replace(rect, u_m=u, z_m=z))
+    return kept
+
+
+def _common(first: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    """Return the part of two intervals that is in both; its end is not after its start if none."""
+    return max(first[0], other[0]), min(first[1], other[1])
+
+
+def _without(whole: tuple[float, float], part: tuple[float, float]) -> tuple[float, float]:
+    """Return the longer of the two ends that an interval has without a part of it."""
+    below, above = (whole[0], part[0]), (part[1], whole[1])
+    return below if below[1] - below[0] >= above[1] - above[0] else above
 
 
 def _window(guess: Guess, rect: WindowRect) -> Window:
