@@ -38,16 +38,28 @@ def propose_merged(guess: Guess) -> list[Guess]:
     """
     proposals: list[Guess] = []
     for first, second in combinations(guess.bars, 2):
-        if (first.window, first.upright) != (second.window, second.upright):
+        if not is_near(first, second):
             continue
-        (low, end), (start, high) = sorted((first.span_m, second.span_m))
-        if start - end > MAX_GAP_M:
-            continue
+        (low, end), (_, high) = sorted((first.span_m, second.span_m))
         wider = max(first, second, key=lambda bar: bar.span_m[1] - bar.span_m[0])
         merged = replace(wider, span_m=(low, max(end, high)))
         rest = [bar for bar in guess.bars if bar is not first and bar is not second]
         proposals.append(replace(guess, bars=(*rest, merged)))
     return proposals
+
+
+def without_bars(guess: Guess) -> Guess:
+    """Return the guess without bars up to 20 cm wide: blinds and curtains stay."""
+    covers = [bar for bar in guess.bars if bar.span_m[1] - bar.span_m[0] > MAX_BAR_M]
+    return replace(guess, bars=tuple(covers))
+
+
+def is_near(bar: Bar, other: Bar) -> bool:
+    """Return whether two bars of one window are parallel and at most 5 cm apart."""
+    if (bar.window, bar.upright) != (other.window, other.upright):
+        return False
+    (_, end), (start, _) = sorted((bar.span_m, other.span_m))
+    return start - end <= MAX_GAP_M
 
 
 @dataclass(frozen=True)
@@ -147,6 +159,25 @@ def seen_picture(view: WindowView, guess: Guess, number: int) -> WindowPicture:
     total, *_ = np.histogram2d(z, u, (z_m, u_m))
     mean, *_ = np.histogram2d(z, u, (z_m, u_m), weights=value)
     return WindowPicture(mean / np.maximum(total, 1.0), total, u_m, z_m)
+
+
+def bars_in_patches(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> list[Bar]:
+    """Return bars that the sun patches of a guess without bars show, in all its windows.
+
+    albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
+    """
+    bars: list[Bar] = []
+    for number in range(len(guess.windows)):
+        bars += propose_bars(window_picture(evidence, guess, number, albedo), guess, number)
+    return bars
+
+
+def bars_in_picture(view: WindowView, guess: Guess) -> list[Bar]:
+    """Return bars that the camera sees in the guess's windows; its own bars are ignored."""
+    bars: list[Bar] = []
+    for number in range(len(guess.windows)):
+        bars += propose_bars(seen_picture(view, guess, number), guess, number)
+    return bars
 
 
 def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:

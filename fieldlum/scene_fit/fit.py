@@ -19,7 +19,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
-from fieldlum.scene_fit.misfits import Misfits
+from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
@@ -151,7 +151,8 @@ def _searched(
     progress(75, 100, "all together")
     guess = search.restarted(search.bars(search.pruned(guess)), seed)
     guess = search.polish(guess)
-    misfits = search.misfits(guess)
+    held_out = search.evidence.hours(search.kept_out)
+    misfits = misfits_of(held_out, search.start, guess, search.albedo_with_solids(guess))
 
     def refined(share: float) -> None:
         progress(82 + round(9 * share), 100, "light below each scene")

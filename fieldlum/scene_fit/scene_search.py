@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from fieldlum.scene_fit.acceptance import BAR_GAIN, SHADE_GAIN, SOLID_GAIN, pays
 from fieldlum.scene_fit.bars import (
-    MAX_BAR_M,
     MIN_BAR_M,
-    propose_bars,
+    bars_in_patches,
+    bars_in_picture,
+    is_near,
     propose_merged,
-    seen_picture,
-    window_picture,
+    without_bars,
 )
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.exterior import (
@@ -28,8 +28,7 @@ from fieldlum.scene_fit.exterior import (
     propose_shapes,
 )
 from fieldlum.scene_fit.furniture import propose_columns, propose_solids, solid_parameters
-from fieldlum.scene_fit.guess import Bar, Guess, guess_of
-from fieldlum.scene_fit.misfits import Misfits, misfits_of
+from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.parameters import (
     Parameter,
     bar_parameters,
@@ -68,6 +67,8 @@ MAX_SOLIDS = 8
 MAX_SHADES = 2
 SHADE_TRIALS = 3
 SOLID_TRIALS = 3
+# Sunny hours for which `PRIOR_SHARE` was chosen: nine days of bench/scene_rooms.py have 25 to 60.
+PRIOR_HOURS = 30
 # In the last searches: of the stated numbers, of the windows' picture (decisions 31, 28).
 FINAL_PRIOR_WEIGHT, FINAL_VIEW_WEIGHT = 0.25, 0.2
 
@@ -91,7 +92,8 @@ class SceneSearch:
         self.parameters = room_parameters(self.start, clock_sd_min=stated.clock_sd_min)
         self.albedo = evidence.albedos(self.start, stated_albedo(stated.room))
         patch = evidence.patches(self.start, self.albedo)
-        self.prior_unit = PRIOR_SHARE * float(evidence.misfit(patch).mean())
+        few = max(1.0, PRIOR_HOURS / len(evidence))  # because the misfit is a mean over hours
+        self.prior_unit = few * PRIOR_SHARE * float(evidence.misfit(patch).mean())
 
     def objective(self, evidence: SceneEvidence) -> Objective:
         """Return the cost function of a guess (misfit plus prior) for some hours or pixels."""
@@ -119,10 +121,7 @@ class SceneSearch:
         found: list[Guess] = []
         for start in starts:
             trial, _ = pattern_search(cost, start, others, fine=2.0)
-            proposals: list[Bar] = []
-            for number in range(len(trial.windows)):
-                picture = seen_picture(self.evidence.view, trial, number)
-                proposals += propose_bars(picture, trial, number)
+            proposals = bars_in_picture(self.evidence.view, trial)
             trial = replace(trial, bars=(*trial.bars, *proposals))
             best, least = pattern_search(cost, trial, [*others, *bar_parameters(trial)], fine=2.0)
             for bar in best.bars[len(guess.bars) :]:
@@ -209,13 +208,8 @@ class SceneSearch:
         They replace those up to 20 cm wide if the cost falls. Bars of too little effect are
         removed. fine: factor on the last steps of the search.
         """
-        covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
-        bare = replace(guess, bars=tuple(covers))
-        albedo = self.albedo_with_solids(bare)
-        proposals = []
-        for number in range(len(guess.windows)):
-            picture = window_picture(self.fit_evidence, bare, number, albedo)
-            proposals += propose_bars(picture, bare, number)
+        bare = without_bars(guess)
+        proposals = bars_in_patches(self.fit_evidence, bare, self.albedo_with_solids(bare))
         if not proposals:
             return self._pruned(guess)
         objective = self.objective(self.fit_evidence.coarse())
@@ -228,12 +222,23 @@ class SceneSearch:
 
     def _pruned(self, guess: Guess) -> Guess:
         """Return the guess without thin bars and without bars of too little effect."""
-        bars = [b for b in guess.bars if b.span_m[1] - b.span_m[0] >= MIN_BAR_M]
-        guess = replace(guess, bars=tuple(bars))
-        for bar in list(guess.bars):
+        bars = tuple(b for b in guess.bars if b.span_m[1] - b.span_m[0] >= MIN_BAR_M)
+        guess = replace(guess, bars=bars)
+        for bar in bars:
             without = replace(guess, bars=tuple(b for b in guess.bars if b is not bar))
-            if not self._pays(without, guess, BAR_GAIN):
-                guess = without
+            guess = guess if self._pays(without, guess, BAR_GAIN) else without
+        return guess
+
+    def _barred(self, guess: Guess) -> Guess:
+        """Return the guess with more bars that pay: displaced patches did not show thin ones."""
+        objective = self.objective(self.fit_evidence)
+        albedo = self.albedo_with_solids(guess)
+        proposals = bars_in_patches(self.evidence, without_bars(guess), albedo)
+        for bar in sorted(proposals, key=lambda b: b.span_m[0] - b.span_m[1]):
+            if not any(is_near(bar, other) for other in guess.bars):
+                trial = replace(guess, bars=(*guess.bars, bar))
+                trial, _ = pattern_search(objective, trial, bar_parameters(trial)[-3:], fine=2.0)
+                guess = trial if self._pays(guess, trial, BAR_GAIN) else guess
         return guess
 
     def _merged(self, guess: Guess) -> Guess:
@@ -309,10 +314,9 @@ class SceneSearch:
 
     def _cleared(self, guess: Guess) -> Guess:
         """Return the guess without added solids that do not lower the misfit enough."""
-        for solid in list(guess.solids[len(self.start.solids) :]):
+        for solid in guess.solids[len(self.start.solids) :]:
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
-            if not self._pays(without, guess, SOLID_GAIN):
-                guess = without
+            guess = guess if self._pays(without, guess, SOLID_GAIN) else without
         return guess
 
     def albedo_with_solids(self, guess: Guess) -> Array:
@@ -369,7 +373,7 @@ class SceneSearch:
         self.is_late = True
         self.relight(guess)
         guess = self._cleared(self._adjusted(self._merged(guess), lambda s: tick(0.5 * s)))
-        more = self.furnished(self.shaded(guess), MAX_SOLIDS)
+        more = self.furnished(self._barred(self.shaded(guess)), MAX_SOLIDS)
         if more is not guess:
             guess = self._cleared(self._adjusted(more, lambda s: tick(0.5 + 0.5 * s)))
         return guess
@@ -393,8 +397,3 @@ class SceneSearch:
             outside = is_outside(guess, solid)
             parameters += exterior_parameters(number) if outside else solid_parameters(number)
         return parameters
-
-    def misfits(self, guess: Guess) -> Misfits:
-        """Return three misfits on held-out hours: no sun patch, the stated box, and the guess."""
-        evidence = self.evidence.hours(self.kept_out)
-        return misfits_of(evidence, self.start, guess, self.albedo_with_solids(guess))
