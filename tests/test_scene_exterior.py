@@ -10,7 +10,7 @@ import pytest
 from matplotlib.text import Annotation
 from test_scene_search import ROOM, captures
 
-from fieldlum.records import Obstruction
+from fieldlum.records import Obstruction, Room
 from fieldlum.scene_fit.acceptance import SOLID_GAIN, pays
 from fieldlum.scene_fit.bars import propose_merged
 from fieldlum.scene_fit.evidence import gather
@@ -24,8 +24,8 @@ from fieldlum.scene_fit.furniture import lattice, propose_solids
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.pictures import plan_of
 from fieldlum.scene_fit.principal_axes import principal_search
-from fieldlum.scene_fit.scene_search import SceneSearch
-from fieldlum.scene_fit.search import GuessCost
+from fieldlum.scene_fit.scene_search import PRIOR_HOURS, SceneSearch
+from fieldlum.scene_fit.search import PRIOR_SHARE, GuessCost
 from fieldlum.scene_fit.stated_room import StatedRoom
 
 HIDDEN_ELEVATION_DEG = 22.0
@@ -33,7 +33,12 @@ HIDDEN_ELEVATION_DEG = 22.0
 
 def _search(obstruction: tuple[Obstruction, ...]) -> tuple[SceneSearch, Guess]:
     """Return a search of captures of ROOM with obstructions, and the guess without them."""
-    data = captures(replace(ROOM, obstruction=obstruction))
+    return _search_of(replace(ROOM, obstruction=obstruction))
+
+
+def _search_of(room: Room) -> tuple[SceneSearch, Guess]:
+    """Return a search of captures of `room`, which the user states as ROOM, and ROOM as a guess."""
+    data = captures(room)
     data = replace(data, setup=replace(data.setup, room=ROOM))
     evidence = gather(data, ROOM, pixels=1500)
     number = np.arange(len(evidence))
@@ -260,3 +265,24 @@ def test_the_room_that_explains_the_captures_best_is_chosen_with_its_own_light()
     search.relight(turned[1])
     assert np.allclose(own, search.evidence.below, rtol=1e-9)
     assert tries == turned and steps == [0, 1, 2, 3]
+
+
+@pytest.mark.analytic
+def test_a_bar_that_the_guess_lacks_is_added_once() -> None:
+    barred = replace(ROOM, window=(replace(ROOM.window[0], panes=2, frame_m=0.1),))
+    search, guess = _search_of(barred)
+    search.relight(guess)
+    found = search.more_bars(guess)
+    middle = sum(guess.windows[0].u_m) / 2.0
+    assert [b for b in found.bars if b.upright and abs(np.mean(b.span_m) - middle) < 0.04]
+    assert search.more_bars(found).bars == found.bars
+
+
+@pytest.mark.analytic
+def test_stated_values_count_more_with_few_sunny_hours() -> None:
+    search, guess = _search(())
+    few = search.evidence.hours(np.arange(6))
+    number = np.arange(6)
+    again = SceneSearch(search.data, few, number[:4], number[4:], search.stated)
+    misfit = few.misfit(few.patches(guess, again.albedo)).mean()
+    assert again.prior_unit == pytest.approx(PRIOR_HOURS / 6 * PRIOR_SHARE * misfit)

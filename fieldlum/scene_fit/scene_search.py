@@ -229,7 +229,7 @@ class SceneSearch:
             guess = guess if self._pays(without, guess, BAR_GAIN) else without
         return guess
 
-    def _barred(self, guess: Guess) -> Guess:
+    def more_bars(self, guess: Guess) -> Guess:
         """Return the guess with more bars that pay: displaced patches did not show thin ones."""
         objective = self.objective(self.fit_evidence)
         albedo = self.albedo_with_solids(guess)
@@ -373,7 +373,7 @@ class SceneSearch:
         self.is_late = True
         self.relight(guess)
         guess = self._cleared(self._adjusted(self._merged(guess), lambda s: tick(0.5 * s)))
-        more = self.furnished(self._barred(self.shaded(guess)), MAX_SOLIDS)
+        more = self.furnished(self.more_bars(self.shaded(guess)), MAX_SOLIDS)
         if more is not guess:
             guess = self._cleared(self._adjusted(more, lambda s: tick(0.5 + 0.5 * s)))
         return guess
