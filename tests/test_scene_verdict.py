@@ -274,11 +274,11 @@ def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPa
     many = _fit_of(CAPTURES)
     m = many.misfits
     few = replace(
-        many, hours=9, misfits=Misfits(m.none[:3], m.stated[:3], m.fitted[:3], m.days[:3])
+        many, hours=15, misfits=Misfits(m.none[:5], m.stated[:5], m.fitted[:5], m.days[:5])
     )
     scene_ = stage.judged_scene(CAPTURES, few)
     assert scene_.chosen == "fitted" and not scene_.trusted
-    assert any("until there are 12 clear hours in all" in note for note in scene_.notes)
-    # Three held out of fifteen: four of them need twenty.
-    more = stage.judged_scene(CAPTURES, replace(few, hours=15))
-    assert any("until there are 20 clear hours in all" in note for note in more.notes)
+    assert any("until there are 18 clear hours in all" in note for note in scene_.notes)
+    # Five held out of twenty-five: six of them need thirty.
+    more = stage.judged_scene(CAPTURES, replace(few, hours=25))
+    assert any("until there are 30 clear hours in all" in note for note in more.notes)

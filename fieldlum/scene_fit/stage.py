@@ -25,9 +25,8 @@ from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, GeometryCandidate, SceneVe
 from fieldlum.session import Session
 from fieldlum.statistics import is_no_worse
 
-# With three hours or fewer, the relative uncertainty of the standard error of their mean misfit is
-# a half: (2 (n - 1)) ** -0.5. Chosen.
-MIN_HOURS_OUTSIDE = 4
+# With four or five, two of four scenes had 2.4 and 3.3 times their expected error (decision 35).
+MIN_HOURS_OUTSIDE = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,7 @@ def judged_scene(
 
     If the sunny hours have fewer than three blocks of sun directions (`outside_hours`), the misfit
     of patches on held-out hours chooses alone (`choose_by_misfit`), the expected error is unknown
-    (None), and the choice is not trusted. The choice is not trusted either with fewer than four
+    (None), and the choice is not trusted. The choice is not trusted either with fewer than six
     held-out hours.
     """
     try:

@@ -18,14 +18,12 @@ from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_file import Chosen, Scene
-from fieldlum.scene_fit.stage import MIN_HOURS_OUTSIDE
 from fieldlum.scene_fit.sunny import MIN_SUNNY_HOURS, sunny_hours
-from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, SAME_MISFIT
+from fieldlum.scene_fit.verdict import SAME_MISFIT
 
-# Clear hours that a trusted verdict on a fitted scene needs. With fewer, held-out days chose plain
-# recipes for patches of a tape-measured box in two rooms of four, with up to 2.6 times the error
-# (decision 24).
-MIN_CLEAR_HOURS = OUTSIDE_EVERY * MIN_HOURS_OUTSIDE
+# With fewer clear hours, held-out days chose plain recipes for patches of a tape-measured box in
+# two rooms of four, with up to 2.6 times the error (decision 24).
+MIN_CLEAR_HOURS = 12
 # Chosen: of the sum of two pictures of patches, beyond rounding; other patches are of a 3D model.
 MAX_OTHER_SHARE = 0.02
 
