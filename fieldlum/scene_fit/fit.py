@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
@@ -92,7 +93,8 @@ def fit_scene(
     def searched(number: int) -> Searched:
         return _searched(data, prior, pixels, seed + number, quiet if number else progress)
 
-    with ThreadPoolExecutor(starts) as pool:
+    # Two searches fill two cores; threads of BLAS would only wait for each other.
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
         tries = list(pool.map(searched, range(starts)))
     best = _cheapest(tries)
     search, guess, misfits = best.search, best.guess, best.misfits
