@@ -29,7 +29,8 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Room
-from fieldlum.scene_fit.apply import earlier, scene_of, with_patches, with_scene
+from fieldlum.scene_fit.apply import scene_of, with_scene
+from fieldlum.scene_fit.corrected import earlier, with_patches
 from fieldlum.scene_fit.evidence import PIXELS, gather
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.guess import guess_of, room_of

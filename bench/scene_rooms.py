@@ -30,7 +30,7 @@ from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene.geometry import glass_optics
 from fieldlum.scene.radiance import octree
 from fieldlum.scene.view import pixel_rays
-from fieldlum.scene_fit.apply import with_patches
+from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.sun_path import sun_earlier
 
 Array = NDArray[Any]

@@ -13,7 +13,7 @@ from fieldlum.bench import pieces
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.records import Room, Site
-from fieldlum.scene_fit.apply import with_patches
+from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.stated_box import judge_box, with_judged_box, with_same_box
 
 HEIGHT = 24

@@ -16,7 +16,7 @@ from fieldlum.models.transport import Transport, fit
 from fieldlum.models.year_sample import light_of_year
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
-from fieldlum.scene_fit.apply import with_patches
+from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import guess_of

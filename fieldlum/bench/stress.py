@@ -26,7 +26,7 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, evaluate, truth
 from fieldlum.records import Progress, quiet
-from fieldlum.scene_fit.apply import with_patches
+from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.train import patch_mode
 from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import scan, settle

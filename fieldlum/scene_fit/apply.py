@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 
-import numpy as np
-
-from fieldlum import sun
 from fieldlum.errors import InputError
-from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Progress, quiet
-from fieldlum.scene import sun_patches
+from fieldlum.scene_fit.corrected import corrected, with_patches
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
 from fieldlum.session.files.model_config import UsedScene
@@ -74,18 +69,9 @@ def with_scene(
         return replace(data, patch_cdm2=None, scene=about)
     if scene.chosen == "stated":
         return with_patches(replace(data, scene=about), progress=progress)
-    camera = replace(
-        data.setup.camera, heading_deg=(data.setup.camera.heading_deg + scene.north_deg) % 360.0
-    )
     about["room_draws"] = {name: list(v) for name, v in scene.room_draws.items()}
-    turned = replace(
-        data,
-        light=earlier(data.light, scene.clock_min, data),
-        heading_deg=(data.heading_deg + scene.north_deg) % 360.0,
-        setup=replace(data.setup, camera=camera, room=scene.room),
-        scene=about,
-    )
-    return with_patches(turned, progress=progress)
+    turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
+    return with_patches(replace(turned, scene=about), progress=progress)
 
 
 def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
@@ -107,45 +93,6 @@ def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
             "the same [room]",
             f"{fit_again}, restore the earlier [room], {train}",
         )
-
-
-def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
-    """Return the captures with sun patches computed from the room of `data.setup`, not None.
-
-    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises InputError for
-    an impossible room.
-    """
-    assert data.setup.room is not None
-    made = sun_patches(
-        data.setup.room,
-        data.setup,
-        data.light.shown_sun_direction,
-        data.light.direct_lx,
-        height=data.shape[0],
-        heading_deg=data.heading_deg,
-        progress=progress,
-    )
-    return replace(data, patch_cdm2=made.luminance_cdm2)
-
-
-def earlier(light: Light, minutes: float, data: Dataset) -> Light:
-    """Return the light with times and sun `minutes` earlier (negative: later).
-
-    Irradiance does not change. Recorded sun angles are not computed again, but shifted by the sun's
-    motion in that time, because a rendering has its own formula of the sun. data: the captures,
-    only for their site.
-    """
-    if minutes == 0.0:
-        return light
-    site = data.setup.site
-    times = tuple(t - timedelta(minutes=minutes) for t in light.t_utc)
-    stated, true = sun.position(light.t_utc, site), sun.position(times, site)
-    altitude = light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg
-    turn = signed_angle_deg(np.asarray(true.azimuth_deg - stated.azimuth_deg))
-    azimuth = (light.sun_azimuth_deg + turn) % 360.0
-    return replace(
-        light, t_utc=times, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth, perez=light.perez
-    )
 
 
 def in_scene(

@@ -20,11 +20,11 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
+from fieldlum.scene_fit.last_search import last_cost, last_search
 from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
-from fieldlum.scene_fit.profiled import FINE_SUB, STAGES, ProfiledCost
 from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.stated_room import StatedRoom
 from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, outside_hours
@@ -157,23 +157,19 @@ def _searched(
     misfits = misfits_of(held_out, search.start, guess, search.albedo_with_solids(guess))
 
     def refined(share: float) -> None:
-        progress(82 + round(9 * share), 100, "light below each scene")
+        progress(82 + round(6 * share), 100, "light below each scene")
 
-    return Searched(search, search.refined(guess, refined), misfits)
+    guess = search.refined(guess, refined)
+    progress(88, 100, "the last centimetres")
+    return Searched(search, last_search(search, guess), misfits)
 
 
 def _cheapest(tries: Sequence[Searched]) -> Searched:
     """Return the search whose guess costs least at the pixels of all searches."""
     if len(tries) == 1:
         return tries[0]
-    costs = [sum(_late_cost(other.search, one.guess) for other in tries) for one in tries]
+    costs = [sum(last_cost(other.search, one.guess) for other in tries) for one in tries]
     return tries[int(np.argmin(costs))]
-
-
-def _late_cost(search: SceneSearch, guess: Guess) -> float:
-    """Return the cost of a guess as in the last search, with the light below its own patches."""
-    objective = search.objective(search.evidence.finer(search.data, FINE_SUB))
-    return ProfiledCost(objective, search.data, guess, STAGES[-1].width)(guess)
 
 
 def _kept_out(data: Dataset, room: Room, evidence: SceneEvidence) -> NDArray[np.bool_]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from fieldlum.arrays import Floats, Indices
 from fieldlum.scene.geometry import WALLS
-from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
+from fieldlum.scene_fit.apply import scene_of, with_scene
 from fieldlum.scene_fit.bars import window_picture
+from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import Guess

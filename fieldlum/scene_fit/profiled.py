@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,24 +129,49 @@ class ProfiledCost:
         return np.maximum(below * self._level[:, pixels], LEAST_CDM2)
 
 
-def damped_search(
-    cost: ProfiledCost, guess: Guess, parameters: Sequence[Parameter], share: float
-) -> Guess:
-    """Return a guess of lower cost, by at most four steps of Levenberg and Marquardt.
+class LeastSquares(Protocol):
+    """A cost that is a sum of squared residuals plus the prior of `objective`."""
 
-    share: step of the slopes, which are central differences, in first steps of the parameters.
+    objective: Objective
+
+    def __call__(self, guess: Guess) -> float:
+        """Return the cost of a guess."""
+        ...
+
+    def residuals(self, guess: Guess) -> Array:
+        """Return numbers whose squares add up to the cost without prior, [k]."""
+        ...
+
+    def move_base(self, guess: Guess) -> None:
+        """Prepare for guesses near this one."""
+        ...
+
+
+def damped_search(
+    cost: LeastSquares,
+    guess: Guess,
+    parameters: Sequence[Parameter],
+    share: float,
+    *,
+    steps: int = _STEPS,
+    small_gain: float = _SMALL_GAIN,
+) -> Guess:
+    """Return a guess of lower cost, by at most `steps` steps of Levenberg and Marquardt.
+
+    share: step of the slopes, which are central differences, in first steps of the parameters;
+    small_gain: the search ends after a step that lowers the cost by a smaller share.
     """
     least = cost(guess)
     damping = _DAMPING
-    for _ in range(_STEPS):
+    for _ in range(steps):
         cost.move_base(guess)
         curvature, slope = _normal_equations(cost, guess, parameters, share)
         for _ in range(_TRIES):
             damped = curvature + damping * np.diag(np.diag(curvature))
             damped += 1e-9 * np.trace(curvature) * np.eye(len(parameters))
-            steps = np.clip(-np.linalg.solve(damped, slope), -_LONGEST, _LONGEST)
+            moves = np.clip(-np.linalg.solve(damped, slope), -_LONGEST, _LONGEST)
             found = guess
-            for p, step in zip(parameters, steps, strict=True):
+            for p, step in zip(parameters, moves, strict=True):
                 found = p.change(found, float(step * p.first_step))
             now = cost(found)
             if now < least:
@@ -156,13 +181,13 @@ def damped_search(
             return guess
         gain = 1.0 - now / least
         guess, least, damping = found, now, max(damping / _LESS, _LEAST_DAMPING)
-        if gain < _SMALL_GAIN:
+        if gain < small_gain:
             return guess
     return guess
 
 
 def _normal_equations(
-    cost: ProfiledCost, guess: Guess, parameters: Sequence[Parameter], share: float
+    cost: LeastSquares, guess: Guess, parameters: Sequence[Parameter], share: float
 ) -> tuple[Array, Array]:
     """Return half of the cost's curvature [p, p] and slope [p], by first steps of parameters."""
     objective = cost.objective

@@ -194,8 +194,7 @@ class SceneSearch:
 
     def _faced(self, guess: Guess) -> Guess:
         """Return the guess with the facade or canopy that lowers the misfit most."""
-        thin = self.fit_evidence.coarse()
-        cost = self._solid_cost(thin, guess, self.albedo_with_solids(guess))
+        cost = self._solid_cost(self.fit_evidence.coarse(), guess, self.albedo_with_solids(guess))
         parameters = exterior_parameters(len(guess.solids))
         trials = [replace(guess, solids=(*guess.solids, s)) for s in propose_exterior(guess)]
         best = sorted(trials, key=cost)[:SHADE_TRIALS]
@@ -362,9 +361,8 @@ class SceneSearch:
     def refined(self, guess: Guess, tick: Callable[[float], None]) -> Guess:
         """Search all parameters together, then shades and furniture; return the best guess.
 
-        The windows' picture, of rough reveals, and the prior lose most of their weight. Bars were
-        accepted with full weights, so they stay. From here on `relight` knows what patches reflect.
-        tick: called with the share done, 0 to 1.
+        The windows' picture, of rough reveals, and the prior lose most of their weight. Bars stay.
+        From here on `relight` knows what patches reflect. tick: called with the share done, 0 to 1.
         """
         view = self.evidence.view
         view = replace(view, weights=FINAL_VIEW_WEIGHT * view.weights)
@@ -384,16 +382,19 @@ class SceneSearch:
             tick(number / len(STAGES))
             evidence = self.evidence.thinned(stage.every).finer(self.data, FINE_SUB)
             cost = ProfiledCost(self.objective(evidence), self.data, guess, stage.width)
-            parameters = [*self.all_parameters(guess), *inset_parameters(guess)]
-            moved = [p for p in parameters if "slide" not in p.name]  # faces move it too
-            guess = damped_search(cost, guess, moved, stage.share)
+            guess = damped_search(cost, guess, self.free_parameters(guess), stage.share)
             self.relight(guess)
         return guess
+
+    def free_parameters(self, guess: Guess) -> list[Parameter]:
+        """Return all parameters and bars' insets, without slides: faces move solids too."""
+        every = (*self.all_parameters(guess), *inset_parameters(guess))
+        return [p for p in every if "slide" not in p.name]
 
     def all_parameters(self, guess: Guess) -> list[Parameter]:
         """Return the parameters of the room, its windows' shapes, its bars and its solids."""
         parameters = [*self.parameters, *self._shape_parameters(guess), *bar_parameters(guess)]
         for number, solid in enumerate(guess.solids):
-            outside = is_outside(guess, solid)
-            parameters += exterior_parameters(number) if outside else solid_parameters(number)
+            of = exterior_parameters if is_outside(guess, solid) else solid_parameters
+            parameters += of(number)
         return parameters

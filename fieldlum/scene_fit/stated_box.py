@@ -13,7 +13,8 @@ import numpy as np
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.data import Dataset
 from fieldlum.records import Progress, Room, quiet
-from fieldlum.scene_fit.apply import in_scene, with_patches, with_scene
+from fieldlum.scene_fit.apply import in_scene, with_scene
+from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
