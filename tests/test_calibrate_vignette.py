@@ -157,3 +157,15 @@ def test_angles_are_those_of_the_named_lens(tmp_path: Path) -> None:
     assert vignette.from_table(table, profile).lens == 0
     with pytest.raises(InputError, match="at most 60 deg"):
         vignette.from_table(table, profile, 1)
+
+
+@pytest.mark.contract
+def test_the_bad_reading_is_named() -> None:
+    r = np.linspace(0.0, 1.0, 9)
+    value = np.where(np.arange(9) == 5, 0.0, 100.0)
+    frames = (Path("d/f00.dng"), Path("d/f08.dng"))
+    samples = vignette.Samples(r, value, np.full(9, 0.002), 5.6, 0, frames)
+    with pytest.raises(
+        InputError, match=r"f00.dng to f08.dng: the reading at 62 % of the half angle is 0"
+    ):
+        vignette.fit(samples)

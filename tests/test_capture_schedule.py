@@ -164,6 +164,18 @@ def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:
     assert third.check() == []
 
 
+@pytest.mark.analytic
+def test_drift_is_followed_again_after_a_step_was_undone() -> None:
+    clock = FastClock(T0)
+    steady = SteadyClock(clock, lambda: False)
+    for seconds in (3600.0, -3600.5):
+        clock.step(seconds)
+        assert [name for name, _ in steady.check()] == ["clock-step"]
+    assert steady.now() == T0
+    assert steady.check() == []
+    assert steady.now() == T0 - timedelta(seconds=0.5)
+
+
 @pytest.mark.contract
 def test_a_clock_before_the_journal_is_refused(rig: Field) -> None:
     rig.run()

@@ -241,7 +241,7 @@ def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> 
 
 @pytest.mark.contract
 def test_it_says_that_hourly_means_are_not_instants(year: Annual) -> None:
-    assert any("hourly means" in note for note in year.about["notes"])
+    assert any("one value of the weather" in note for note in year.about["notes"])
 
 
 @pytest.mark.analytic

@@ -288,3 +288,7 @@ def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:
     room = Room(kind="radiance", file=str(path), viewpoint_m=(1.0, 1.0, 1.0))
     with pytest.raises(InputError, match=r"bad\.rad"):
         scene.window_fraction(room, None, 8, 180.0)
+    octree = tmp_path / "bad.oct"
+    octree.write_bytes(path.read_bytes())
+    with pytest.raises(InputError, match=r"bad\.oct: no header of a Radiance octree"):
+        scene.window_fraction(replace(room, file=str(octree)), None, 8, 180.0)

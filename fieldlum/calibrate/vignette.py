@@ -235,9 +235,11 @@ def fit(samples: Samples) -> VignettingFit:
             "further; add readings, and check that angles are in degrees"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
+        bad = int(np.flatnonzero(~(np.isfinite(value) & (value > 0)))[0])
+        names = (samples.frames[0], samples.frames[-1])
         raise InputError(
-            samples.frames[0],
-            "a reading that is zero, negative or not finite",
+            names[0] if names[0] == names[1] else f"{names[0]} to {names[1].name}",
+            f"the reading at {100 * r[bad]:.0f} % of the half angle is {value[bad]:g}",
             "linear values above zero",
             "correct or remove this reading",
         )

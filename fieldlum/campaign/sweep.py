@@ -31,8 +31,9 @@ def run_sweep(
 
     Write sweep.csv and sweep.md to `out`; return what failed (a fit of a model, room and seed, or a
     room without pairs.csv), and the Markdown table of means over seeds. seeds: number of them, for
-    each model and room; budget_min: time limit of each fit [min]. Raises InputError for a text that
-    is no model's name, such as the folder of a trained model.
+    each model and room; budget_min: time limit of the fits of one room, model and seed together
+    [min]. Raises InputError for a text that is no model's name, such as the folder of a trained
+    model.
     """
     units, failed = _units(campaign, models, seeds, budget_min)
     rows: dict[str, list[BenchRow]] = {room.session: [] for room in campaign.rooms}

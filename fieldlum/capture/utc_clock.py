@@ -42,7 +42,8 @@ class SteadyClock:
 
     `check` compares it with the computer's clock and must be called regularly. A difference of up
     to 2 s is drift and is followed. A larger one, a step, is followed only if a time server
-    controls that clock. Otherwise the steady time continues, so that slots keep their sun position.
+    controls that clock. Otherwise the steady time continues, so that slots keep their sun position,
+    and does not follow drift until the step is undone.
     `check` returns steps and sleeps as journal events.
     """
 
@@ -101,7 +102,8 @@ class SteadyClock:
             events.append(
                 ("clock-step", {"seconds": round(step - self._refused_s, 1), "followed": followed})
             )
-            self._refused_s = 0.0 if followed else step
+            is_undone = abs(step) <= STEP_S  # drift is followed again
+            self._refused_s = 0.0 if followed or is_undone else step
             if followed:
                 self._follow()
         elif self._refused_s == 0.0:

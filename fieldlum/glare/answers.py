@@ -151,7 +151,7 @@ def _level_warnings(views: list[ViewAnswer]) -> list[str]:
     return [
         f"Ev of {most:.0f} lx is more than sun and sky give ({MOST_EV_LX:.0f} lx): the luminance "
         "is not calibrated, or the pixels are in cd/m2 instead of Radiance's W/sr/m2; scale the "
-        "picture with --calibrate-ev"
+        "picture with --calibrate-ev LX, the vertical illuminance measured at the lens"
     ]
 
 

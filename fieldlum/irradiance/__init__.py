@@ -248,8 +248,8 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     if len(raw) == 0:
         cause = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
         raise NotEnoughDataError(
-            f"{session.irradiance}: {cause}; run fieldlum log {session.root}, or fieldlum import "
-            f"{session.root} --irradiance FILE"
+            f"{session.irradiance}: {cause}; run fieldlum log {session.root} "
+            f"--pyranometer URI, or fieldlum import {session.root} --irradiance FILE"
         )
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)

@@ -71,9 +71,9 @@ def read_pairs(url: str) -> Dataset:
     if about is None:
         raise InputError(
             store.target,
-            "no complete pairs.zarr at this URL",
+            "no complete pairs.zarr",
             "training data",
-            "write it with: fieldlum pair SESSION --pairs-to URL",
+            "write it with: fieldlum pair SESSION --pairs-to URL, with the URL of its folder",
         )
     written = about.get("format")
     if written != FORMAT:

@@ -36,9 +36,10 @@ from fieldlum.version import __version__
 from fieldlum.weather import Weather
 
 HOURLY_MEANS = (
-    "Weather files have hourly means. Under broken cloud the sun comes and goes within the "
-    "hour, but the mean shows a constant, dimmed sun: single moments are brighter and "
-    "darker than any hour here, and the number of glare hours can be too low or too high."
+    "Each hour of the year has one value of the weather. In most weather files it is a mean: under "
+    "broken cloud the sun comes and goes within the hour, but the mean shows a constant, dimmed "
+    "sun. In files of PVGIS it is one moment, which stands for the hour. So the number of glare "
+    "hours can be too low or too high."
 )
 # a larger share of occupied hours outside the captures is reported; not measured
 NOISY_TRUST = 0.05

@@ -233,14 +233,9 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
         and raw.raw_pattern.shape == (2, 2)
     )
     if not flat:
-        kind = (
-            "the raw file has an X-Trans mosaic"
-            if raw.raw_type == rawpy.RawType.Flat
-            else "the raw file has three colours in each pixel"
-        )
         raise InputError(
             path,
-            kind,
+            _other_than_bayer(raw),
             "a Bayer mosaic, with one colour in each pixel",
             "use a camera with a Bayer sensor",
         )
@@ -255,6 +250,19 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
             "use a camera with a Bayer sensor",
         )
     return cfa, index
+
+
+def _other_than_bayer(raw: Any) -> str:
+    """Return what a raw file without a 2 x 2 mosaic has instead."""
+    import rawpy
+
+    if raw.raw_type != rawpy.RawType.Flat:
+        return "the raw file has three colours in each pixel"
+    shape = (0, 0) if raw.raw_pattern is None else raw.raw_pattern.shape
+    if max(shape) <= 1:
+        return "the raw file has no colour filters (a monochrome sensor)"
+    name = "an X-Trans mosaic" if shape == (6, 6) else "a mosaic"
+    return f"the raw file has {name} of {shape[0]} x {shape[1]} colour filters"
 
 
 def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> Floats | None:

@@ -22,6 +22,9 @@ from fieldlum.scene.view import WINDOW_RAYS, pixel_rays
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
 # Direct light only, with all sources tested, and at most four reflections or transmissions.
 PATCH_RAYS = 2  # in each direction of a pixel: a process for each hour is slow; not measured
+# As oconv writes it after its command lines; the octree's own data follow.
+_OCTREE_FORMAT = b"FORMAT=Radiance_octree"
+_HEADER_BYTES = 1 << 16  # chosen: long command lines of oconv have some thousand
 _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 
@@ -182,6 +185,19 @@ def trace(
 # rooms from files
 
 
+def _require_octree(path: Path) -> None:
+    """Raise InputError if a file does not begin with the header of a Radiance octree."""
+    with path.open("rb") as file:
+        header = file.read(_HEADER_BYTES)
+    if _OCTREE_FORMAT not in header:
+        raise InputError(
+            path,
+            "no header of a Radiance octree",
+            "an octree, as oconv writes it",
+            f"write it again: oconv ROOM.rad > {path}",
+        )
+
+
 @contextmanager
 def _room_octree(room: Room) -> Iterator[Path]:
     """Yield the room's file as an octree. Raises InputError if it is missing or invalid."""
@@ -196,6 +212,7 @@ def _room_octree(room: Room) -> Iterator[Path]:
             "correct the key file in [room]",
         )
     if path.suffix.lower() == ".oct":
+        _require_octree(path)
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
@@ -235,7 +252,7 @@ def iter_traced(
 
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
     normal to the sun; chunk : hours in each result. Raises InputError for a missing or invalid room
-    file.
+    file, and for a viewpoint_m without three numbers.
     """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, PATCH_RAYS)
     with _room_octree(room) as base:

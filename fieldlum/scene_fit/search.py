@@ -50,9 +50,9 @@ class Objective:
     """Misfit plus prior of a guess, for some evidence.
 
     start: the stated guess; parameters: those that have a prior; albedo: of west, east, south and
-    north wall, floor, ceiling [6 or more; solids have their own]; prior_unit: cost of one standard
-    deviation of one parameter; pose: replaces the priors of north, tilt, roll and clock; count:
-    number of evaluations so far.
+    north wall, floor, ceiling [6 or more, of which 6 count: solids have their own]; prior_unit:
+    cost of one standard deviation of one parameter; pose: replaces the priors of north, tilt, roll
+    and clock; count: number of evaluations so far.
     """
 
     evidence: SceneEvidence

@@ -80,7 +80,7 @@ class Pieces:
 
     @cached_property
     def normals(self) -> Floats:
-        """Normal of each piece as a unit vector, [p, 3]."""
+        """Normal of each piece as a unit vector in the room's axes, [p, 3]."""
         out = np.zeros((len(self), 3))
         out[np.arange(len(self)), self.axis] = self.sign
         return out

@@ -99,7 +99,7 @@ class Snapshots:
             }
 
     def moment(self) -> Moment:
-        """Return the time to the next slot, whether a capture is busy, and the captured slots.
+        """Return the time to the next slot, whether a capture is busy, and how many are done.
 
         See `Moment`; the time is None unless a capture may be running on this computer.
         """
