@@ -30,10 +30,11 @@ def run_sweep(
     """Score models with seeds on held-out days of every room.
 
     Write sweep.csv and sweep.md to `out`; return what failed (a fit of a model, room and seed, or a
-    room without pairs.csv), and the Markdown table of means over seeds. seeds: number of them, for
-    each model and room; budget_min: time limit of the fits of one room, model and seed together
-    [min]. Raises InputError for a text that is no model's name, such as the folder of a trained
-    model.
+    room without pairs.csv), and the Markdown table of means over seeds. seeds: number of them,
+    for each model and room, of which models without randomness use one; budget_min: time for
+    the fits of one room, model and seed together [min], in which a quick model always runs two
+    held-out folds. Raises InputError for a text that is no model's name, such as the folder of
+    a trained model.
     """
     units, failed = _units(campaign, models, seeds, budget_min)
     rows: dict[str, list[BenchRow]] = {room.session: [] for room in campaign.rooms}

@@ -96,7 +96,7 @@ class ReplayCamera:
         )
 
     def close(self) -> None:
-        """Drop the frames that were not replayed."""
+        """Forget the frames that were not replayed; their files stay."""
         self._left = []
 
 

@@ -102,9 +102,9 @@ def _of_night(offset_wm2: float | None) -> list[str]:
         return []
     if offset_wm2 > NIGHT_LIGHT_WM2:
         return [
-            f"global irradiance of {offset_wm2:.0f} W/m2 at night (median): check for a lamp, and "
-            "check the "
-            "logger's clock, its --utc-offset, and longitude_deg"
+            f"global irradiance of {offset_wm2:.0f} W/m2 at night (median): check for a lamp, "
+            "the logger's clock, --utc-offset of fieldlum import, and longitude_deg; then import "
+            "the file again"
         ]
     return [
         f"global irradiance of {offset_wm2:+.1f} W/m2 at night instead of 0: clean and ventilate "
@@ -155,8 +155,8 @@ def _of_lines(broken: int) -> list[str]:
     if not broken:
         return []
     return [
-        f"skipped in the day files: {counted(broken, 'damaged line')}; check the disk, and do not "
-        "edit day files"
+        f"skipped in irradiance/YYYY-MM-DD.csv: {counted(broken, 'damaged line')}; check the disk, "
+        "and do not edit these files"
     ]
 
 

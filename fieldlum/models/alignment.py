@@ -148,9 +148,9 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
             for name, angle, error in zip(("heading", "tilt", "roll"), pose, u, strict=True)
         ]
         notes.append(
-            f"the camera was turned in {_captures(rows, days)} by {', '.join(parts)} degrees "
-            "(positive: clockwise, up, clockwise); the pictures were turned back in memory "
-            f"(angles of each capture: {table})"
+            f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
+            f"{', '.join(parts)} degrees (positive: clockwise, up, clockwise); the pictures "
+            f"were turned back in memory (angles of each capture: {table})"
         )
     if not turns.aligned.all():
         notes.append(

@@ -27,8 +27,8 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
 
     Its exposures are those of the last planned slot before it (of the first slot if there is none).
     It has the tag "extra". Raises InputError if the sun is down, if a coming extra slot is already
-    planned, if a coming slot is nearer than the duration of a bracket plus a minute, or if the plan
-    has no slots.
+    planned, if one is nearer to the new slot than the duration of a bracket plus a minute, or if
+    the plan has no slots.
     """
     at = (now_utc + LEAD).replace(second=0, microsecond=0) + timedelta(minutes=1)
     slots, setup = session.slots(), session.site_file()

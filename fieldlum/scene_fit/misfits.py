@@ -30,8 +30,9 @@ class Misfits:
 def misfits_of(evidence: SceneEvidence, stated: Guess, fitted: Guess, albedo: Floats) -> Misfits:
     """Return the shares of wrong pixels in the hours of `evidence` with three geometries.
 
-    albedo: of the fitted scene's west, east, south and north wall, floor, ceiling and solids [6 +
-    solids]. The stated box gets albedos of its own from these hours.
+    They are no sun patch, the stated box and the fitted scene. albedo: of the fitted scene's west,
+    east, south and north wall, floor, ceiling and solids [6 + solids]. The stated box gets albedos
+    of its own from these hours.
     """
     of_fitted = evidence.patches(fitted, albedo)
     of_stated = evidence.patches(stated, evidence.albedos(stated, albedo[:SHELL]))

@@ -25,7 +25,10 @@ _PRINCIPAL_GAIN = 0.02
 def principal_search(
     objective: Objective, guess: Guess, parameters: Sequence[Parameter]
 ) -> tuple[Guess, float]:
-    """Return the best guess along the principal axes, one after the other, and its cost."""
+    """Return the best guess along the principal axes of the misfit's curvature, and its cost.
+
+    The axes are searched one after the other.
+    """
     base = objective.residuals(guess)
     columns = [
         2.0 * (objective.residuals(p.change(guess, 0.5 * p.first_step)) - base) for p in parameters

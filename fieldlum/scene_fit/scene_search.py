@@ -229,7 +229,7 @@ class SceneSearch:
         return guess
 
     def more_bars(self, guess: Guess) -> Guess:
-        """Return the guess with more bars that pay: displaced patches did not show thin ones."""
+        """Return the guess with more window bars that pay; displaced patches hid thin ones."""
         objective = self.objective(self.fit_evidence)
         albedo = self.albedo_with_solids(guess)
         proposals = bars_in_patches(self.evidence, without_bars(guess), albedo)

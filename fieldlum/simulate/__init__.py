@@ -52,8 +52,8 @@ class Simulated:
 def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
     """Return the weather year of the file `path`.
 
-    Without a file, return the shipped year of Seattle for a site near it, and a synthetic year
-    drawn by `seed` for other sites.
+    Without a file, return the shipped year of Seattle for a site within 30 km of it, and a
+    synthetic year drawn by `seed` for other sites.
     """
     if path is not None:
         return read_weather(path, setup.site)

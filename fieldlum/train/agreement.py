@@ -204,10 +204,10 @@ def process_of(
 ) -> Process:
     """Return the captures as a process; values with a sun patch or flags are predicted ones.
 
-    with_patch: use the sun patches of `data`. The process has at most 200 pixels, drawn by solid
-    angle; with `complete`, all pixels of `thinned(data)` that the lens saw. Window pixels count as
-    not valid unless `windows` is True. seen_skies: assume for each capture the sky that its windows
-    show, not Perez's.
+    They are predicted from the other captures. with_patch: use the sun patches of `data`. The
+    process has at most 200 pixels, drawn by solid angle; with `complete`, all pixels of
+    `thinned(data)` that the lens saw. Window pixels count as not valid unless `windows` is True.
+    seen_skies: assume for each capture the sky that its windows show, not Perez's.
     """
     small = thinned(data)
     arrays = training_arrays_of(small, with_patch=with_patch)
