@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -13,8 +14,10 @@ from fieldlum.models.data import Dataset
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
 from fieldlum.scene.view import look
+from fieldlum.scene_fit.guess import Guess, guess_of
 
 DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
+SEATTLE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
 ROOM = Room(
     width_m=5.0,
     depth_m=6.0,
@@ -81,3 +84,11 @@ def window_captures(site: Site, height: int) -> Dataset:
         return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
 
     return room_captures(site, ROOM, height, rest_cdm2)
+
+
+def shifted(by_m: float) -> Guess:
+    """Return `ROOM` as a guess with its window moved to the east."""
+    guess = guess_of(ROOM)
+    (rect,) = guess.windows
+    u_m = (rect.u_m[0] + by_m, rect.u_m[1] + by_m)
+    return replace(guess, windows=(replace(rect, u_m=u_m),))

@@ -5,6 +5,7 @@ import os
 import struct
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -220,3 +221,23 @@ def test_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject
     with contextlib.suppress(InputError):
         frame = read(path)
         assert frame.exposure.shutter_s > 0
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("size", "named"),
+    [
+        (1, "no colour filters (a monochrome sensor)"),
+        (6, "an X-Trans mosaic of 6 x 6 colour filters"),
+        (4, "a mosaic of 4 x 4 colour filters"),
+    ],
+)
+def test_a_mosaic_other_than_bayers_is_named(size: int, named: str) -> None:
+    import rawpy
+
+    from fieldlum.raw import mosaic
+
+    raw = SimpleNamespace(raw_type=rawpy.RawType.Flat, raw_pattern=np.zeros((size, size), int))
+    with pytest.raises(InputError) as refused:
+        mosaic._pattern(Path("a.raf"), raw)  # pyright: ignore[reportPrivateUsage]
+    assert str(refused.value).startswith(f"a.raf: the raw file has {named}; expected a Bayer")

@@ -6,24 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene_captures import ROOM, window_captures
+from scene_captures import ROOM, SEATTLE, shifted, window_captures
 
 from fieldlum.models.data import Dataset
-from fieldlum.records import Site
 from fieldlum.scene_fit.evidence import SceneEvidence, gather
-from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.last_search import last_objective
 from fieldlum.scene_fit.learned_light import LearnedCost, LearnedLight, learned_light
 from fieldlum.scene_fit.parameters import room_parameters, stated_albedo
+from fieldlum.scene_fit.pose_prior import PosePrior
 from fieldlum.scene_fit.profiled import damped_search
+from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective
+from fieldlum.scene_fit.stated_room import StatedRoom
 
-SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
 WIDTH = 0.4  # log error at which a pixel counts as half wrong
 
 
 @pytest.fixture(scope="module")
 def data() -> Dataset:
-    return window_captures(SITE, 48)
+    return window_captures(SEATTLE, 48)
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +37,6 @@ def objective_of(evidence: SceneEvidence) -> Objective:
     true = guess_of(ROOM)
     parameters = room_parameters(true)
     return Objective(evidence, true, parameters, stated_albedo(ROOM), 1e-5 * PRIOR_SHARE)
-
-
-def shifted(by_m: float) -> Guess:
-    guess = guess_of(ROOM)
-    (rect,) = guess.windows
-    u_m = (rect.u_m[0] + by_m, rect.u_m[1] + by_m)
-    return replace(guess, windows=(replace(rect, u_m=u_m),))
 
 
 def log_errors(data: Dataset, evidence: SceneEvidence, light: LearnedLight) -> np.ndarray:
@@ -94,3 +89,19 @@ def test_the_last_search_ends_at_the_true_scene(
     off = {p.name: abs(p.read(found) - p.read(true)) for p in parameters}
     assert off["north_deg"] < 0.15
     assert all(value < 0.008 for name, value in off.items() if name.startswith("window"))
+
+
+@pytest.mark.property
+def test_a_pose_from_discs_keeps_its_weight(data: Dataset, evidence: SceneEvidence) -> None:
+    """The stated numbers lose weight in the last search; a measured pose does not."""
+    pose = PosePrior(np.zeros(4), np.diag([0.05, 0.05, 0.05, 0.2]) ** 2)
+    every = np.arange(len(evidence))
+    search = SceneSearch(data, evidence, every, every, StatedRoom(ROOM, pose, 5.0))
+    true = guess_of(ROOM)
+    turned = replace(true, north_deg=0.2)
+    before, last = (
+        [objective.prior(guess) for guess in (true, turned, shifted(0.1))]
+        for objective in (search.objective(evidence), last_objective(search))
+    )
+    assert last[1] - last[0] == pytest.approx(before[1] - before[0])
+    assert last[2] - last[0] == pytest.approx(0.01 * (before[2] - before[0]))

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene_captures import ROOM, window_captures
+from scene_captures import ROOM, SEATTLE, shifted, window_captures
 
 from fieldlum.models.data import Dataset
-from fieldlum.records import Site
 from fieldlum.scene_fit.evidence import SceneEvidence, gather
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
 from fieldlum.scene_fit.parameters import inset_parameters, room_parameters, stated_albedo
@@ -17,13 +16,12 @@ from fieldlum.scene_fit.profiled import FINE_SUB, ProfiledCost, damped_search
 from fieldlum.scene_fit.reflected import relit
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective
 
-SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
 WIDTH = 0.4  # log error at which a pixel counts as half wrong
 
 
 @pytest.fixture(scope="module")
 def data() -> Dataset:
-    return window_captures(SITE, 48)
+    return window_captures(SEATTLE, 48)
 
 
 @pytest.fixture(scope="module")
@@ -36,13 +34,6 @@ def objective_of(data: Dataset, evidence: SceneEvidence, lit_at: Guess) -> Objec
     true, albedo = guess_of(ROOM), stated_albedo(ROOM)
     own = relit(evidence, data, lit_at, albedo, reflects=False)
     return Objective(own, true, room_parameters(true), albedo, 1e-3 * PRIOR_SHARE)
-
-
-def shifted(by_m: float) -> Guess:
-    guess = guess_of(ROOM)
-    (rect,) = guess.windows
-    u_m = (rect.u_m[0] + by_m, rect.u_m[1] + by_m)
-    return replace(guess, windows=(replace(rect, u_m=u_m),))
 
 
 @pytest.mark.analytic

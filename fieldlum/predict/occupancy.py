@@ -83,7 +83,7 @@ def read_occupancy(path: Path) -> Occupancy:
     rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
     rows = [(number, row) for number, row in rows if any(row)]
     if not rows:
-        raise InputError(path, "an empty file", HOW, "write one row for each period")
+        raise InputError(path, "an empty file", HOW, "write a line of column names and its rows")
     names = rows[0][1]
     if names == ["days", "start", "end"]:
         return _weekly(path, rows[1:])

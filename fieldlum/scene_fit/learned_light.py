@@ -1,9 +1,10 @@
-"""Search the last centimetres of a scene below light that is learned from unlit values only.
+"""Learn the light below sun patches away from their edges, and compare scenes with it.
 
-`light_below` follows each trial, so that a scene can buy a lower cost with light far from its
-patches (decision 35). Here the light below stays, and no value within a pixel of a patch's edge
-teaches it: a Gaussian process with the kernel of the transport model predicts these values from
-other hours and from neighbouring pixels, and states how uncertain they are (decision 36).
+The light of `light_below` follows each trial, so that a scene can lower its cost by light far from
+its patches (decision 35). Here the light does not change during a search. Values within a pixel of
+a patch's edge teach it almost nothing, and values in a patch little: a Gaussian process with the
+kernel of the transport model predicts them from other hours and from neighbouring pixels, and
+states their uncertainty (decision 36).
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 # Chosen in rooms of bench/scene_rooms.py, draw 7 (decision 36).
-RANK = 60  # features of the process
+_RANK = 60  # features of the process
 _NOISE = 0.02  # relative standard deviation of a value far from patches
 _TONE_SD = 0.1  # of the luminance of a sun patch, as a share of it: albedos differ within a surface
 _EDGE_DEG = 1.0  # values nearer than this (at least a pixel) to an edge teach little
 _EDGE_FACTOR = 4.0  # on the variance by a displaced edge
-_ROUNDS = 3
+_ROUNDS = 3  # robust rounds
 _ROBUST_WIDTH = 0.15  # log residual at which a value has half weight; as in the transport model
 # What a neighbour on the same surface teaches, as a share of the pixel's own values.
 _NEIGHBOURS, _NEIGHBOUR_SHARE, _NEIGHBOUR_DEG = 16, 0.003, 5.0
@@ -100,7 +101,7 @@ def learned_light(objective: Objective, data: Dataset, guess: Guess, stated: Roo
     lit = with_patches(corrected(data, guess.north_deg, guess.clock_min, room))
     arrays = training_arrays_of(lit, with_patch=True)
     covariance = Kernel(arrays.facades)(arrays.features, arrays.features)  # [N, N]
-    basis = basis_of(covariance, RANK).values  # [N, r]
+    basis = basis_of(covariance, _RANK).values  # [N, r]
 
     maps = lit.patch_cdm2
     assert maps is not None
