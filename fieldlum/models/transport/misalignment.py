@@ -13,7 +13,8 @@ from fieldlum import sun
 from fieldlum.arrays import Array, Floats, Indices
 from fieldlum.light import Kernel, facades_of
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport.features import LEAST_CDM2, direct_flux_lx, training_arrays_of
+from fieldlum.models.transport.features import LEAST_CDM2, training_arrays_of
+from fieldlum.models.transport.patch_descriptor import direct_flux_lx
 from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.scene.points import SunPoints

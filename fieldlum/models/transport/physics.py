@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats32, Mask
 from fieldlum.light import Light, light_at
+from fieldlum.models.transport.patch_descriptor import FAINT_SUN_LX
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Room, Site, SiteFile
 from fieldlum.scene import build
@@ -37,7 +38,6 @@ MODES = 48  # number of singular modes that compare hours; not measured
 # 6 to 14 % more error than with 500; the basis of 64 skies costs nothing (decision 19).
 SUN_MODES, SKY_MODES = 300, 64
 _SKY_STEP_H = 41.0  # all hours of the day in all seasons; chosen
-FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`; chosen
 # Suns whose light on the pieces is stored: more than the captures of a campaign; limits the memory
 # to some 10 MB. Chosen.
 _STORED_SUNS = 1024

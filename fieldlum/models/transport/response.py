@@ -8,8 +8,9 @@ import numpy as np
 
 from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.light import Features, Kernel, Light, light_features
-from fieldlum.models.transport.features import USUAL, PatchDescriptor, StateColumns
+from fieldlum.models.transport.features import USUAL, StateColumns
 from fieldlum.models.transport.open_sky import OpenSky
+from fieldlum.models.transport.patch_descriptor import PatchDescriptor
 from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe, second_covariance
 
