@@ -22,8 +22,8 @@ from fieldlum.scene_fit.exterior import (
 )
 from fieldlum.scene_fit.furniture import lattice, propose_solids
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
+from fieldlum.scene_fit.least_squares import principal_search
 from fieldlum.scene_fit.pictures import plan_of
-from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.scene_search import PRIOR_HOURS, SceneSearch
 from fieldlum.scene_fit.search import PRIOR_SHARE, GuessCost
 from fieldlum.scene_fit.stated_room import StatedRoom

@@ -13,9 +13,9 @@ from fieldlum.scene_fit.evidence import SceneEvidence, gather
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.last_search import last_objective
 from fieldlum.scene_fit.learned_light import LearnedCost, LearnedLight, learned_light
+from fieldlum.scene_fit.least_squares import damped_search
 from fieldlum.scene_fit.parameters import room_parameters, stated_albedo
 from fieldlum.scene_fit.pose_prior import PosePrior
-from fieldlum.scene_fit.profiled import damped_search
 from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective
 from fieldlum.scene_fit.stated_room import StatedRoom

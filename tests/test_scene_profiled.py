@@ -11,8 +11,9 @@ from scene_captures import ROOM, SEATTLE, shifted, window_captures
 from fieldlum.models.data import Dataset
 from fieldlum.scene_fit.evidence import SceneEvidence, gather
 from fieldlum.scene_fit.guess import Bar, Guess, guess_of
+from fieldlum.scene_fit.least_squares import damped_search
 from fieldlum.scene_fit.parameters import inset_parameters, room_parameters, stated_albedo
-from fieldlum.scene_fit.profiled import FINE_SUB, ProfiledCost, damped_search
+from fieldlum.scene_fit.profiled import FINE_SUB, ProfiledCost
 from fieldlum.scene_fit.reflected import relit
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective
 

@@ -26,6 +26,7 @@ from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.furniture import propose_columns, solid_parameters
 from fieldlum.scene_fit.guess import Guess, Solid, WindowRect, guess_of, room_of
+from fieldlum.scene_fit.least_squares import principal_search
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import (
@@ -34,7 +35,6 @@ from fieldlum.scene_fit.parameters import (
     room_parameters,
     stated_albedo,
 )
-from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene

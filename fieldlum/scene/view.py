@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array, Floats, Floats32, Indices
+from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.projection import direction, rotation
 from fieldlum.records import Room
 from fieldlum.scene.geometry import BoxScene, build
@@ -16,6 +16,9 @@ from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_crossings
 
 WINDOW_RAYS = 3  # in each direction of a pixel, for its share of window; not measured
+
+
+_GROUND_SHARE = 0.1  # of a pixel, times the glass; chosen
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,15 @@ class SceneView:
     first_mirrored: int
     sky: Floats32
     plain: Floats32
+
+    @property
+    def ground(self) -> Mask:
+        """Pixels of which over a tenth shows the ground outside, [H, W]."""
+        straight = slice(self.first_mirrored)
+        is_ground = np.isin(self.box[straight], self.scene.of_kind("ground"))
+        weight = np.where(is_ground, self.weight[straight], 0.0)
+        share = np.bincount(self.pixel[straight], weight, self.plain.size)
+        return share.reshape(self.plain.shape) + self.plain > _GROUND_SHARE
 
     def sun_points(self, pixels: Indices | None = None) -> SunPoints:
         """Return the surface points of all pixels, or of the flat indices `pixels` [k].

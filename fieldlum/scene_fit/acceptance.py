@@ -6,8 +6,11 @@ element that only explains noise lowers the cost of the searched hours alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from fieldlum.scene_fit.guess import Guess
-from fieldlum.scene_fit.search import GuessCost
+
+Cost = Callable[[Guess], float]
 
 # Chosen, not varied: shares by which an element must lower the cost. A bar shades few pixels. A
 # solid that only explains noise gains less. A wrong shade moves north, clock and edges.
@@ -20,9 +23,7 @@ KEPT_OUT_GAIN = 0.001
 UNSEEN_GAIN = 0.02
 
 
-def pays(
-    fitted: GuessCost, kept_out: GuessCost, without: Guess, with_it: Guess, least: float
-) -> bool:
+def pays(fitted: Cost, kept_out: Cost, without: Guess, with_it: Guess, least: float) -> bool:
     """Return whether an element lowers the cost by enough.
 
     fitted, kept_out: costs in searched and in held-out hours. without, with_it: guesses without and

@@ -8,7 +8,7 @@ fitted scene) are those of the held-out hours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -96,7 +96,7 @@ def fit_scene(
     # Two searches fill two cores; threads of BLAS would only wait for each other.
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
         tries = list(pool.map(searched, range(starts)))
-    best = _cheapest(tries)
+        best = _cheapest(tries, pool)
     search, guess, misfits = best.search, best.guess, best.misfits
     progress(91, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
@@ -164,12 +164,15 @@ def _searched(
     return Searched(search, last_search(search, guess), misfits)
 
 
-def _cheapest(tries: Sequence[Searched]) -> Searched:
+def _cheapest(tries: Sequence[Searched], pool: Executor) -> Searched:
     """Return the search whose guess costs least at the pixels of all searches."""
     if len(tries) == 1:
         return tries[0]
-    costs = [sum(last_cost(other.search, one.guess) for other in tries) for one in tries]
-    return tries[int(np.argmin(costs))]
+
+    def costs(judge: Searched) -> list[float]:
+        return [last_cost(judge.search, one.guess) for one in tries]
+
+    return tries[int(np.argmin(np.sum(list(pool.map(costs, tries)), axis=0)))]
 
 
 def _kept_out(data: Dataset, room: Room, evidence: SceneEvidence) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ states their uncertainty (decision 36).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,7 @@ from fieldlum.scene_fit.search import Objective
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
+    from fieldlum.scene_fit.pose_prior import PosePrior
 
 # Chosen in rooms of bench/scene_rooms.py, draw 7 (decision 36).
 _RANK = 60  # features of the process
@@ -45,6 +47,9 @@ _ROBUST_WIDTH = 0.15  # log residual at which a value has half weight; as in the
 # What a neighbour on the same surface teaches, as a share of the pixel's own values.
 _NEIGHBOURS, _NEIGHBOUR_SHARE, _NEIGHBOUR_DEG = 16, 0.003, 5.0
 _HALF_WEIGHT_SD = 0.1  # standard deviation of ln luminance at which a value counts half
+# Standard deviation of the lit share of a pixel that has 4 x 4 rays. Without it a cost has kinks at
+# edges of solids, at which a search stops (decision 37).
+_PART_SD = 0.03
 _MOST_REFLECTED = 0.8  # share of a value's light; chosen, as in light_below
 
 
@@ -52,11 +57,13 @@ _MOST_REFLECTED = 0.8  # share of a value's light; chosen, as in light_below
 class LearnedLight:
     """Light below patches of n sunny hours at m pixels.
 
-    luminance: cd/m2 [n, m]; log_sd: standard deviation of its natural logarithm [n, m].
+    luminance: cd/m2 [n, m]; log_sd: standard deviation of its natural logarithm [n, m]. brightest:
+    luminance of the brightest patch within a pixel or a degree, 0 without one, cd/m2 [n, m].
     """
 
     luminance: Floats
     log_sd: Floats
+    brightest: Floats
 
 
 class LearnedCost:
@@ -69,6 +76,11 @@ class LearnedCost:
     def __init__(self, objective: Objective, light: LearnedLight, width: float) -> None:
         self.objective, self.light, self.width = objective, light, width
 
+    @property
+    def pose(self) -> PosePrior | None:
+        """The prior of north, tilt, roll [deg] and clock [min]; None for under three sun discs."""
+        return self.objective.pose
+
     def move_base(self, guess: Guess) -> None:
         """Change nothing: the light below does not depend on the guess."""
 
@@ -79,9 +91,19 @@ class LearnedCost:
         total = self.light.luminance + patch
         error = np.log(total) - evidence.log_seen  # [n, m]
         sd = self.light.log_sd * self.light.luminance / total
-        squared_width = self.width**2 * (1.0 + (sd / _HALF_WEIGHT_SD) ** 2)
+        part = _PART_SD * self.light.brightest / total  # a sliver of a patch in a dark pixel
+        squared_width = self.width**2 * (1.0 + (sd / _HALF_WEIGHT_SD) ** 2) + part**2
         scale = np.sqrt(evidence.weights / len(evidence))
         return (scale * error / np.sqrt(error**2 + squared_width)).ravel()
+
+    def at(self, hours: Indices) -> Callable[[Guess], float]:
+        """Return the cost of a guess in some of the n hours, without the prior."""
+
+        def cost(guess: Guess) -> float:
+            squares = self.residuals(guess).reshape(len(self.light.luminance), -1) ** 2
+            return float(squares[hours].sum())
+
+        return cost
 
     def __call__(self, guess: Guess) -> float:
         """Return the cost of a guess, infinite if a solid holds the camera."""
@@ -126,7 +148,8 @@ def learned_light(objective: Objective, data: Dataset, guess: Guess, stated: Roo
     scale = np.exp(np.average(np.log(y), axis=0, weights=1.0 / variance))  # [m]
     fit, sd = _process(basis, y / scale, variance, _neighbours(evidence, guess), evidence.rows)
     luminance = fit[evidence.rows] * scale * total[evidence.rows] + near[evidence.rows]
-    return LearnedLight(np.maximum(luminance, LEAST_CDM2), sd)
+    brightest = high[evidence.rows].astype(float)
+    return LearnedLight(np.maximum(luminance, LEAST_CDM2), sd, brightest)
 
 
 def _process(

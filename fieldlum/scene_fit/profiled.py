@@ -6,17 +6,14 @@ count as light below. A search that keeps this light stays where it starts (deci
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.scene_fit.guess import Guess, camera_is_free
 from fieldlum.scene_fit.light_below import LEAST_CDM2, LightBelow, levelled
-from fieldlum.scene_fit.parameters import Parameter
-from fieldlum.scene_fit.principal_axes import prior_curvature
 from fieldlum.scene_fit.reflected import reflected_once
 from fieldlum.scene_fit.search import Objective
 
@@ -51,14 +48,7 @@ STAGES = (
     Stage(1.6, 0.5, 2),
     Stage(1.6, 0.3, 2),
     Stage(0.8, 0.3, 2),
-    Stage(0.4, 0.2, 1),
-    Stage(0.4, 0.1, 1),
 )
-# Of Levenberg-Marquardt; chosen, as usual for it.
-_STEPS, _TRIES = 4, 6
-_DAMPING, _LEAST_DAMPING, _MORE, _LESS = 1e-2, 1e-4, 4.0, 6.0
-_LONGEST = 2.0  # first steps of a parameter in one step
-_SMALL_GAIN = 1e-3
 _SAME_PATCH = 1e-3  # share of a pixel's brightest patch: a smaller change is none
 
 
@@ -127,77 +117,3 @@ class ProfiledCost:
         direct[rows] = patch
         below = self._light(seen, direct, self._near[:, pixels], _ROUNDS)[rows]
         return np.maximum(below * self._level[:, pixels], LEAST_CDM2)
-
-
-class LeastSquares(Protocol):
-    """A cost that is a sum of squared residuals plus the prior of `objective`."""
-
-    objective: Objective
-
-    def __call__(self, guess: Guess) -> float:
-        """Return the cost of a guess."""
-        ...
-
-    def residuals(self, guess: Guess) -> Array:
-        """Return numbers whose squares add up to the cost without prior, [k]."""
-        ...
-
-    def move_base(self, guess: Guess) -> None:
-        """Prepare for guesses near this one."""
-        ...
-
-
-def damped_search(
-    cost: LeastSquares,
-    guess: Guess,
-    parameters: Sequence[Parameter],
-    share: float,
-    *,
-    steps: int = _STEPS,
-    small_gain: float = _SMALL_GAIN,
-) -> Guess:
-    """Return a guess of lower cost, by at most `steps` steps of Levenberg and Marquardt.
-
-    share: step of the slopes, which are central differences, in first steps of the parameters;
-    small_gain: the search ends after a step that lowers the cost by a smaller share.
-    """
-    least = cost(guess)
-    damping = _DAMPING
-    for _ in range(steps):
-        cost.move_base(guess)
-        curvature, slope = _normal_equations(cost, guess, parameters, share)
-        for _ in range(_TRIES):
-            damped = curvature + damping * np.diag(np.diag(curvature))
-            damped += 1e-9 * np.trace(curvature) * np.eye(len(parameters))
-            moves = np.clip(-np.linalg.solve(damped, slope), -_LONGEST, _LONGEST)
-            found = guess
-            for p, step in zip(parameters, moves, strict=True):
-                found = p.change(found, float(step * p.first_step))
-            now = cost(found)
-            if now < least:
-                break
-            damping *= _MORE
-        else:
-            return guess
-        gain = 1.0 - now / least
-        guess, least, damping = found, now, max(damping / _LESS, _LEAST_DAMPING)
-        if gain < small_gain:
-            return guess
-    return guess
-
-
-def _normal_equations(
-    cost: LeastSquares, guess: Guess, parameters: Sequence[Parameter], share: float
-) -> tuple[Array, Array]:
-    """Return half of the cost's curvature [p, p] and slope [p], by first steps of parameters."""
-    objective = cost.objective
-    base = cost.residuals(guess).astype(np.float32)
-    slopes = np.empty((len(parameters), len(base)), np.float32)
-    prior_slope = np.empty(len(parameters))
-    for k, p in enumerate(parameters):
-        step = share * p.first_step
-        ahead, behind = p.change(guess, step), p.change(guess, -step)
-        slopes[k] = (cost.residuals(ahead) - cost.residuals(behind)) / (2.0 * share)
-        prior_slope[k] = (objective.prior(ahead) - objective.prior(behind)) / (4.0 * share)
-    curvature = (slopes @ slopes.T).astype(float) + prior_curvature(objective, parameters)
-    return curvature, (slopes @ base).astype(float) + prior_slope

@@ -29,6 +29,7 @@ from fieldlum.scene_fit.exterior import (
 )
 from fieldlum.scene_fit.furniture import propose_columns, propose_solids, solid_parameters
 from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.least_squares import damped_search, principal_search
 from fieldlum.scene_fit.parameters import (
     Parameter,
     bar_parameters,
@@ -38,9 +39,8 @@ from fieldlum.scene_fit.parameters import (
     stated_albedo,
 )
 from fieldlum.scene_fit.pixel_depths import clustered_solids, pixel_depths
-from fieldlum.scene_fit.principal_axes import principal_search
 from fieldlum.scene_fit.profile import WALL
-from fieldlum.scene_fit.profiled import FINE_SUB, STAGES, ProfiledCost, damped_search
+from fieldlum.scene_fit.profiled import FINE_SUB, STAGES, ProfiledCost
 from fieldlum.scene_fit.reflected import relit
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (

@@ -5,7 +5,7 @@ Each step changes one number, or several numbers that compensate for each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -63,6 +63,14 @@ class Objective:
     pose: PosePrior | None = None
     count: int = field(default=0)
     _seen: tuple[Guess | None, float] = field(default=(None, 0.0), init=False)
+
+    @property
+    def objective(self) -> Objective:
+        """Itself, as for other costs of `least_squares`."""
+        return self
+
+    def move_base(self, guess: Guess) -> None:
+        """Change nothing: the light below stays."""
 
     def __call__(self, guess: Guess) -> float:
         """Return the misfits of sun patches and of the windows' picture, plus the prior."""
@@ -161,7 +169,9 @@ def pattern_search(
 
 
 def search_moves(
-    objective: GuessCost, guess: Guess, moves: Sequence[tuple[str, Change, float, float]]
+    objective: Callable[[Guess], float],
+    guess: Guess,
+    moves: Sequence[tuple[str, Change, float, float]],
 ) -> tuple[Guess, float]:
     """Search the guess of least cost by some moves from a start; return it and its cost.
 

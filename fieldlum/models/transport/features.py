@@ -25,9 +25,10 @@ from fieldlum.models.transport.patch_descriptor import (
     describe_patches,
     direct_flux_lx,
 )
-from fieldlum.models.transport.patch_edges import edge_weights
+from fieldlum.models.transport.patch_edges import edge_weights, refuted_patches
 from fieldlum.projection import equirect_pixel, equirect_rays
 from fieldlum.room_states import ADDED, OFF, indicators, parse_state
+from fieldlum.scene.view import look
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -128,7 +129,8 @@ class TrainingArrays:
     fitted scene's sun patch [n, P], None if all are equal;
     perez_sky: `Features.sky` of Perez's skies [n, 2305], set if `features` has the skies that the
     windows showed; fitted_patches: whether the patches are from a fitted room, so that their edges
-    are off by some centimetres; computed: light of the stated room, None if it is not used.
+    are off by some centimetres; computed: light of the stated room, None if it is not used;
+    refuted: pixels in which the captures show no computed patch [P], None if not compared.
     """
 
     light: Light
@@ -148,6 +150,7 @@ class TrainingArrays:
     perez_sky: Floats32 | None = None
     fitted_patches: bool = False
     computed: ComputedLight | None = None
+    refuted: Mask | None = None
 
     @property
     def trust(self) -> Array:
@@ -179,6 +182,7 @@ class TrainingArrays:
             weights=self.weights[pixels],
             counts=None if self.counts is None else self.counts[:, pixels],
             computed=None if self.computed is None else self.computed[pixels],
+            refuted=None if self.refuted is None else self.refuted[pixels],
         )
 
     def with_patch_scaled(self, factor: float) -> TrainingArrays:
@@ -230,6 +234,19 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         counts,
         fitted_patches=is_fitted,
     )
+
+
+def without_refuted(arrays: TrainingArrays, data: Dataset) -> TrainingArrays:
+    """Return the arrays without the sun on ground outside that the captures do not show.
+
+    data: captures, with the box room whose ground counts; without one nothing changes.
+    """
+    room = data.setup.room
+    if arrays.patch is None or room is None or room.kind != "box":
+        return arrays
+    ground = look(room, data.shape[0], data.heading_deg).ground[data.seen]
+    refuted = ground & refuted_patches(arrays.patch, arrays.luminance, arrays.trust)
+    return replace(arrays, patch=np.where(refuted, np.float32(0.0), arrays.patch), refuted=refuted)
 
 
 def light_variance(data: Dataset) -> Array:

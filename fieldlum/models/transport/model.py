@@ -23,6 +23,7 @@ from fieldlum.models.transport.features import (
     TrainingArrays,
     sun_is_unmeasured,
     training_arrays_of,
+    without_refuted,
 )
 from fieldlum.models.transport.held_out import hold_out_seasons
 from fieldlum.models.transport.physics import physics_of
@@ -247,7 +248,7 @@ def fit(
     kernel = Kernel(arrays.facades)
     scale = find_patch_gain(arrays, kernel) if with_patch else 1.0
     if with_patch:
-        arrays = arrays.with_patch_scaled(scale)
+        arrays = without_refuted(arrays.with_patch_scaled(scale), data)
     progress(5, 100, "light between surfaces")
     physics = physics_of(data.setup, data.light, data.heading_deg)
     progress(10, 100, "choosing by held-out days")

@@ -1,4 +1,4 @@
-"""Describe the edges of sun patches, where a patch that is displaced shows sun instead of shade."""
+"""Doubts about computed sun patches: displaced edges, and pixels in which no capture shows them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ from fieldlum.arrays import Floats, Floats32, Mask
 SCENE_SLIP_DEG = 0.5
 # Standard deviation of ln L at which a value has half weight; that of the robust rounds.
 _HALF_WEIGHT_SD = 0.15
+# A computed patch is refuted in a pixel if at least so many captures should show it, and in most of
+# them the whole pixel is darker than this share of it. Chosen: a displaced edge refutes single
+# captures, and leaves of a tree half of them.
+_LEAST_CAPTURES, _LEAST_SHARE, _MOST_POSSIBLE = 4, 0.8, 0.45
 
 
 def edge_range(patch: Floats32, slip_px: float) -> tuple[NDArray, NDArray, float]:
@@ -65,3 +69,16 @@ def edge_weights(
     gain = np.ones(luminance.shape[1], np.float32)
     variance = slip_variance(patch, seen, gain, dark, slip_px)
     return (1.0 / (1.0 + variance / _HALF_WEIGHT_SD**2)).astype(np.float16)
+
+
+def refuted_patches(patch: Floats32, luminance: Floats32, trust: Floats) -> NDArray[np.bool_]:
+    """Return the pixels whose captures are darker than their computed sun patch, [P].
+
+    So is the ground that a room model assumes where a picture shows a neighbour's shaded wall.
+    patch: luminance of sun patches [n, P] cd/m2; luminance: captured [n, P] cd/m2; trust: weight of
+    each value, 0 to 1 [n, P].
+    """
+    lit = (patch > _LEAST_SHARE * luminance) & (trust > 0.0)
+    possible = lit & (luminance > _LEAST_SHARE * patch)
+    count = lit.sum(axis=0)
+    return (count >= _LEAST_CAPTURES) & (possible.sum(axis=0) < _MOST_POSSIBLE * count)

@@ -305,6 +305,8 @@ def fit_pixels(
 
     for stop in each_chunk(one, count):
         tick(stop, count)
+    if arrays.refuted is not None:
+        out.patch_gain[arrays.refuted] = 0.0
     return out
 
 
