@@ -6,15 +6,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from learning_room import dataset, write_pairs
+from scene_captures import SEATTLE, window_captures
 from test_transport import TEST, TRAIN, log_mse, model_of_train
 
 from fieldlum.images import read_panorama, write_panorama
+from fieldlum.light import Kernel
 from fieldlum.models.data import load_pairs
 from fieldlum.models.teaching import joined_counts, pixel_counts
 from fieldlum.models.transport import fit
-from fieldlum.models.transport.features import light_variance, training_arrays_of
+from fieldlum.models.transport.features import (
+    light_variance,
+    training_arrays_of,
+    without_refuted,
+)
 from fieldlum.models.transport.patch_edges import edge_weights
+from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
 from fieldlum.records import Flag, Panorama
+from fieldlum.scene.view import look
+from fieldlum.scene_fit.corrected import with_patches
 
 SHAPE = (4, 8)
 
@@ -57,13 +66,45 @@ def test_edges_of_a_fitted_scenes_patches_teach_little() -> None:
 
 
 @pytest.mark.analytic
-def test_values_without_weight_do_not_correct_other_hours() -> None:
-    arrays = training_arrays_of(TRAIN, with_patch=False)
-    residual = np.ones_like(arrays.luminance)
-    assert (arrays.taught(residual) == 1.0).all()
-    counts = np.where(np.arange(len(arrays.weights)) % 2, 0.0, 0.5).astype(np.float16)
-    weighted = replace(arrays, counts=np.broadcast_to(counts, residual.shape))
-    assert np.array_equal(weighted.taught(residual)[0], counts)
+def test_a_flagged_value_does_not_correct_hours_of_the_same_sun() -> None:
+    """A wrong value without weight leaves the fit's second stage as it was."""
+    recipe = Recipe(0.02, second=0.2, below=True)
+    arrays = training_arrays_of(TRAIN, with_patch=False)[:4]
+    row = int(np.argmax(arrays.light.direct_lx))
+    counts = np.ones(arrays.luminance.shape, np.float16)
+    counts[row] = 0.0
+    wrong = arrays.luminance.copy()
+    wrong[row] *= 20.0
+    basis = basis_of(Kernel(arrays.facades)(arrays.features, arrays.features), 30)
+    right, flagged, unflagged = (
+        fit_pixels(replace(arrays, luminance=values, counts=weights), basis, recipe).second
+        for values, weights in ((arrays.luminance, counts), (wrong, counts), (wrong, None))
+    )
+    others = np.delete(np.arange(len(TRAIN)), row)
+    assert np.abs(flagged - right)[others].max() < 0.02
+    assert np.abs(unflagged - right)[others].max() > 0.2
+
+
+@pytest.mark.analytic
+def test_sun_on_ground_that_pictures_show_dark_is_left_out() -> None:
+    """A neighbour's shaded wall stands where the room model has sunlit ground."""
+    data = window_captures(SEATTLE, 30)
+    data = with_patches(data)
+    assert data.setup.room is not None and data.patch_cdm2 is not None
+    ground = look(data.setup.room, 30, data.heading_deg).ground
+    arrays = training_arrays_of(data, with_patch=True)
+    unchanged = without_refuted(arrays, data)
+    assert ground.sum() > 3 and unchanged.refuted is not None and not unchanged.refuted.any()
+
+    shaded = data.luminance_cdm2 - np.where(ground, 0.9 * data.patch_cdm2, 0.0)
+    dark = replace(data, luminance_cdm2=shaded.astype(np.float32))
+    arrays = without_refuted(training_arrays_of(dark, with_patch=True), dark)
+    assert arrays.refuted is not None and arrays.patch is not None
+    assert not arrays.refuted[~ground.ravel()].any()
+    assert arrays.refuted.sum() > 0.5 * ground.sum()
+    assert not arrays.patch[:, arrays.refuted].any()
+    gain = fit(dark).response.pixels.patch_gain
+    assert (gain[arrays.refuted] == 0.0).all() and (gain[~arrays.refuted] > 0.0).any()
 
 
 @pytest.mark.slow
