@@ -19,6 +19,7 @@ from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import WALLS, build, room_axes
 
 ARCH_STEPS = 12  # chosen: stairs of 1 to 13 cm in a half circle 2 m wide
+ROUND_SLABS = 12  # chosen: of a table 1.3 m wide they are within 2 cm of its edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +72,30 @@ class Bar:
 class Solid:
     """An opaque box in room axes, from corner `low_m` to corner `high_m`, each (x, y, z).
 
-    It is furniture, a column or a building outside. albedo: 0 to 1.
+    It is furniture, a column or a building outside. albedo: 0 to 1. is_round: it is the upright
+    cylinder whose plan is the largest ellipse in that of the box, such as a round table's top.
     """
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
     albedo: float
+    is_round: bool = False
+
+    def boxes(self) -> list[Solid]:
+        """Return the solid as boxes: itself, or for a cylinder slabs of the same area in plan."""
+        if not self.is_round:
+            return [self]
+        (x0, y0, z0), (x1, y1, z1) = self.low_m, self.high_m
+        across = np.cos(np.linspace(np.pi, 0.0, ROUND_SLABS + 1))  # -1 to 1
+        angle = np.arcsin(across)
+        area = np.diff((angle + across * np.cos(angle)) / 2.0)  # under half a circle
+        half = area / np.diff(across) * (x1 - x0) / 2.0
+        middle = (x0 + x1) / 2.0
+        y = (y0 + y1) / 2.0 + across * (y1 - y0) / 2.0
+        return [
+            Solid((middle - w, a, z0), (middle + w, b, z1), self.albedo)
+            for w, a, b in zip(half.tolist(), y[:-1].tolist(), y[1:].tolist(), strict=True)
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +212,7 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 
 
 def room_of(guess: Guess, stated: Room) -> Room:
-    """Return the guess as a `Room`: bars, solids and arched or slanted tops become obstructions.
+    """Return the guess as a `Room`: bars, solids and arched or slanted tops become boxes.
 
     Windows end at the edges of their wall and at windows before them, beyond which no light enters.
     stated: the room from which other fields are taken, also the walls' azimuth; neither
@@ -201,7 +220,8 @@ def room_of(guess: Guess, stated: Room) -> Room:
     """
     windows = tuple(_window(guess, rect) for rect in _fitting(guess))
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
-    solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
+    boxes = [box for solid in guess.solids for box in solid.boxes()]
+    solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in boxes)
     blocks = tuple(
         _obstruction(s.low_m, s.high_m, s.albedo)
         for rect in guess.windows

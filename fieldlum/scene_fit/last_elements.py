@@ -15,7 +15,7 @@ from fieldlum.scene_fit.acceptance import pays
 from fieldlum.scene_fit.bars import propose_merged
 from fieldlum.scene_fit.exterior import is_outside
 from fieldlum.scene_fit.furniture import solid_parameters
-from fieldlum.scene_fit.guess import Bar, Guess
+from fieldlum.scene_fit.guess import Bar, Guess, Solid
 from fieldlum.scene_fit.learned_light import LearnedCost
 from fieldlum.scene_fit.parameters import bar_parameters, inset_parameters
 from fieldlum.scene_fit.scene_search import SceneSearch
@@ -26,6 +26,8 @@ _LEAST_GAIN = 0.02
 _MERGED_LOSS = 0.01  # by which a bar in place of two may raise the cost
 # The bars of a scan: width, distance, most depth. As wide and deep as those of the study's office.
 _BAR_M, _BAR_STEP_M, _BAR_DEPTH_M = 0.06, 0.04, 0.12
+_LEVEL_M = 0.05  # between heights of parts of one table's top; a top's thickness
+_ROUGHLY = 1.2  # cost of a round solid, over the guess's, from which a fine search starts; chosen
 _MOST_BARS = 6  # added in one pass; chosen, for time
 
 
@@ -49,8 +51,11 @@ class Elements:
             guess = more
         for number, solid in enumerate(guess.solids):
             if not is_outside(guess, solid):
-                guess, _ = pattern_search(self.cost, guess, solid_parameters(number), fine=0.5)
-        return guess
+                guess, _ = pattern_search(
+                    self.cost, guess, solid_parameters(number), coarse=0.5, fine=0.5
+                )
+                guess = self._rounded(guess, number)
+        return self.pruned(guess)
 
     def _pays(self, without: Guess, with_it: Guess) -> bool:
         fitted, kept_out = (self.cost.at(h) for h in (self.search.fit_hours, self.search.kept_out))
@@ -66,6 +71,23 @@ class Elements:
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
             guess = guess if self._pays(without, guess) else without
         return guess
+
+    def _rounded(self, guess: Guess, number: int) -> Guess:
+        """Return the guess with a round solid in place of an added one, if it pays."""
+        if number < len(self.search.start.solids) or guess.solids[number].is_round:
+            return guess
+        box = guess.solids[number]
+        level = [s for s in guess.solids if _is_level(s, box) and not s.is_round]
+        low, high = np.min([s.low_m for s in level], 0), np.max([s.high_m for s in level], 0)
+        whole = replace(box, low_m=tuple(low.tolist()), high_m=tuple(high.tolist()))
+        trials = [_with_solid(guess, number, replace(s, is_round=True)) for s in {box, whole}]
+        moves = solid_parameters(number)
+        found = [pattern_search(self.cost, g, moves, coarse=0.5, fine=4.0) for g in trials]
+        best, cost = min(found, key=lambda pair: pair[1])
+        if cost > _ROUGHLY * self.cost(guess):
+            return guess
+        best, _ = pattern_search(self.cost, best, moves, coarse=0.25, fine=0.5)
+        return best if self._pays(guess, best) else guess
 
     def _merged(self, guess: Guess) -> Guess:
         """Return the guess with one bar for two neighbours that hardly explain more."""
@@ -86,6 +108,20 @@ class Elements:
             return guess
         moves = [*bar_parameters(trial)[-3:], inset_parameters(trial)[-1]]
         return pattern_search(self.cost, trial, moves)[0]
+
+
+def _with_solid(guess: Guess, number: int, solid: Solid) -> Guess:
+    """Return the guess with another solid in place of solid `number` (from 0)."""
+    return replace(guess, solids=(*guess.solids[:number], solid, *guess.solids[number + 1 :]))
+
+
+def _is_level(solid: Solid, other: Solid) -> bool:
+    """Return whether two solids overlap in plan and end at the same height, like parts of a top."""
+    overlap = all(
+        solid.low_m[k] < other.high_m[k] and other.low_m[k] < solid.high_m[k] for k in (0, 1)
+    )
+    heights = zip((solid.low_m[2], solid.high_m[2]), (other.low_m[2], other.high_m[2]), strict=True)
+    return overlap and all(abs(a - b) < _LEVEL_M for a, b in heights)
 
 
 def scanned_bars(guess: Guess) -> list[Bar]:

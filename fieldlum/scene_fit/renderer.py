@@ -1,9 +1,9 @@
 """Compute direct sun on the surfaces of a guessed scene, at sampled pixels, in milliseconds.
 
 `fieldlum.scene` renders a complete panorama of one room exactly. A search needs thousands of scenes
-at a few thousand pixels, so this renderer knows only boxes: a ray from the camera ends on the shell
-of the room or on a solid; from there the sun is seen if the line towards it passes the inner and
-the outer rectangle of a window, misses its bars and misses all solids.
+at a few thousand pixels, so this renderer knows only boxes and upright cylinders: a ray from the
+camera ends on the shell of the room or on a solid; from there the sun is seen if the line towards
+it passes the inner and the outer rectangle of a window, misses its bars and misses all solids.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.scene.geometry import WALLS, glass_optics
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
-from fieldlum.scene_fit.sunlit import box_entries, end_points, lit_pairs, shaded, shell_ends
+from fieldlum.scene_fit.sunlit import end_points, entered, lit_pairs, shaded, shell_ends
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.floating]
@@ -132,8 +132,12 @@ def entries(
     These are k ray indices, distances to the entry in m, and axes of the face that is entered (0 x,
     1 y, 2 z). A ray that starts within the solid does not count.
     """
-    low, high = np.array(solid.low_m, np.float32), np.array(solid.high_m, np.float32)
-    return box_entries(low, high, rays.eye_m, rays.inverse, nearest)
+    return entered(_solid_numbers(solid), rays.eye_m, rays.inverse, nearest)
+
+
+def _solid_numbers(solid: Solid) -> Float32:
+    """Return a solid's numbers for the compiled loops, [3, 3]."""
+    return np.array([solid.low_m, solid.high_m, (solid.is_round, 0, 0)], np.float32)
 
 
 def _wall_surface(wall: str) -> int:
@@ -215,8 +219,7 @@ def lit_entries(guess: Guess, ends: Surfaces, suns_room: Float32) -> LitEntries:
     faces_down = (ends.axis == 2) & (ends.sign < 0.0)
     face = (ends.axis + np.where(ends.sign > 0.0, 0, 3)).astype(np.int8)
     face[faces_down | (ends.surface == OUTSIDE)] = -1
-    corners = [(solid.low_m, solid.high_m) for solid in guess.solids]
-    solids = np.array(corners, np.float32).reshape(-1, 2, 3)
+    solids = np.array([_solid_numbers(s) for s in guess.solids], np.float32).reshape(-1, 3, 3)
     suns = suns_room.astype(np.float32)
     parts = []
     for number, rect in enumerate(guess.windows):
@@ -277,8 +280,7 @@ def shades(
     position: in room axes, m [r, 3]; suns: unit vectors to the sun in room axes [n, 3]; hour, ray:
     indices into these [k].
     """
-    low, high = np.array(solid.low_m, np.float32), np.array(solid.high_m, np.float32)
-    return shaded(low, high, position, suns, hour, ray)
+    return shaded(_solid_numbers(solid), position, suns, hour, ray)
 
 
 def unit_patches(

@@ -1,4 +1,4 @@
-"""Follow rays to boxes, and lines from there through a window to the sun: compiled loops.
+"""Follow rays to solids, and lines from there through a window to the sun: compiled loops.
 
 A search follows some 10^10 pairs of hour and ray. `fieldlum.scene_fit.renderer` calls these loops;
 its docstrings describe the arrays. Lengths are in m, in room axes; numbers are float32.
@@ -47,13 +47,35 @@ def shell_ends(
 
 
 @compiled
-def box_entries(
-    low: Floats32, high: Floats32, eye: Floats32, inverse: Floats32, nearest: Floats32
-) -> tuple[Indices, Floats32, NDArray[np.int8]]:
-    """Return rays that enter a box before they are `nearest` [r] m long: index, length, face [k].
+def _round_crossing(
+    solid: Floats32, x: np.float32, y: np.float32, dx: np.float32, dy: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Return where a line enters and leaves an upright cylinder, in lengths of its direction.
 
-    low, high: corners [3]. A ray that starts within the box does not count.
+    The plan is the ellipse that touches the sides of a box. Without a crossing it leaves first.
     """
+    half_x = _HALF * (solid[1, 0] - solid[0, 0])
+    half_y = _HALF * (solid[1, 1] - solid[0, 1])
+    px, py = (x - solid[0, 0]) / half_x - _ONE, (y - solid[0, 1]) / half_y - _ONE
+    ex, ey = dx / half_x, dy / half_y
+    a, b, c = ex * ex + ey * ey, px * ex + py * ey, px * px + py * py - _ONE
+    root = b * b - a * c
+    if root <= _ZERO or a <= _ZERO:
+        return _INFINITE, -_INFINITE
+    root = np.sqrt(root)
+    return (-b - root) / a, (-b + root) / a
+
+
+@compiled
+def entered(
+    solid: Floats32, eye: Floats32, inverse: Floats32, nearest: Floats32
+) -> tuple[Indices, Floats32, NDArray[np.int8]]:
+    """Return rays that enter a solid before they are `nearest` [r] m long: index, length, face [k].
+
+    solid: low corner, high corner, and 1 in the third row's first number if it is round [3, 3]. A
+    ray that starts within the solid does not count. The face of a round side is the nearer axis.
+    """
+    low, high, is_round = solid[0], solid[1], solid[2, 0] > _ZERO
     count = len(nearest)
     rows = np.empty(count, np.intp)
     lengths = np.empty(count, np.float32)
@@ -61,7 +83,18 @@ def box_entries(
     entered = 0
     for ray in range(count):
         near, far, face = _ZERO, nearest[ray], -1
-        for axis in range(3):
+        if is_round:
+            dx, dy = _ONE / inverse[0, ray], _ONE / inverse[1, ray]
+            first, last = _round_crossing(solid, eye[0], eye[1], dx, dy)
+            if first > near:
+                near = first
+                across = (eye[0] + first * dx - _HALF * (low[0] + high[0])) / (
+                    high[0] - low[0]
+                ) ** 2
+                along = (eye[1] + first * dy - _HALF * (low[1] + high[1])) / (high[1] - low[1]) ** 2
+                face = 0 if abs(across) > abs(along) else 1
+            far = min(far, last)
+        for axis in range(2 if is_round else 0, 3):
             a = (low[axis] - eye[axis]) * inverse[axis, ray]
             b = (high[axis] - eye[axis]) * inverse[axis, ray]
             first, last = min(a, b), max(a, b)
@@ -93,12 +126,14 @@ def end_points(
 
 
 @compiled
-def _is_shaded(
-    low: Floats32, high: Floats32, position: Floats32, ray: int, inverse: Floats32, hour: int
-) -> bool:
-    """Return whether a box is between a position [r, 3] and the sun; inverse: of suns [n, 3]."""
+def _is_shaded(solid: Floats32, position: Floats32, ray: int, inverse: Floats32, hour: int) -> bool:
+    """Return whether a solid is between a position [r, 3] and the sun; inverse: of suns [n, 3]."""
+    low, high, is_round = solid[0], solid[1], solid[2, 0] > _ZERO
     enters, leaves = -_INFINITE, _INFINITE
-    for axis in range(3):
+    if is_round:
+        dx, dy = _ONE / inverse[hour, 0], _ONE / inverse[hour, 1]
+        enters, leaves = _round_crossing(solid, position[ray, 0], position[ray, 1], dx, dy)
+    for axis in range(2 if is_round else 0, 3):
         start = (low[axis] - position[ray, axis]) * inverse[hour, axis]
         extent = (high[axis] - low[axis]) * inverse[hour, axis]
         enters = max(enters, start + min(extent, _ZERO))
@@ -108,16 +143,17 @@ def _is_shaded(
 
 @compiled
 def shaded(
-    low: Floats32, high: Floats32, position: Floats32, suns: Floats32, hour: Indices, ray: Indices
+    solid: Floats32, position: Floats32, suns: Floats32, hour: Indices, ray: Indices
 ) -> NDArray[np.bool_]:
-    """Return whether a box is between position and sun, for k pairs of hour and ray, [k].
+    """Return whether a solid is between position and sun, for k pairs of hour and ray, [k].
 
-    position [r, 3]; suns: unit vectors [n, 3]; hour, ray: indices into these [k].
+    solid: as in `entered` [3, 3]; position [r, 3]; suns: unit vectors [n, 3]; hour, ray: indices
+    into these [k].
     """
     hidden = np.empty(len(hour), np.bool_)
     inverse = _inverse(suns)
     for k in range(len(hour)):
-        hidden[k] = _is_shaded(low, high, position, ray[k], inverse, hour[k])
+        hidden[k] = _is_shaded(solid, position, ray[k], inverse, hour[k])
     return hidden
 
 
@@ -179,7 +215,7 @@ def lit_pairs(
 
     axis: of the wall's normal, 0 or 1. window: inner face, outward (1 or -1), thickness of the
     wall, u from and to, z from and to, arch, slant [9]. bars: upright (1 or 0), span from and to,
-    depth from and to [b, 5]. solids: low and high corners [s, 2, 3]. face: axis of the normal, plus
+    depth from and to [b, 5]. solids: as in `entered` [s, 3, 3]. face: axis of the normal, plus
     3 where it points to lower numbers, -1 for rays that the sun cannot reach [r]. glass:
     transmittance at each hour [n]. The strength is described at `renderer.LitEntries`.
     """
@@ -239,7 +275,7 @@ def lit_pairs(
                     continue
                 hidden = False
                 for solid in range(len(solids)):
-                    if _is_shaded(solids[solid, 0], solids[solid, 1], position, ray, inverse, hour):
+                    if _is_shaded(solids[solid], position, ray, inverse, hour):
                         hidden = True
                         break
                 if hidden:
