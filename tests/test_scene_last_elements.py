@@ -12,7 +12,7 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene_fit.evidence import gather
-from fieldlum.scene_fit.guess import Bar, Guess, guess_of
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of, room_of
 from fieldlum.scene_fit.last_elements import Elements, scanned_bars
 from fieldlum.scene_fit.last_search import last_objective
 from fieldlum.scene_fit.learned_light import LearnedCost, learned_light
@@ -26,13 +26,14 @@ UNLIT = Obstruction(x_m=0.1, y_m=5.5, z_m=2.6, width_m=0.3, depth_m=0.4, height_
 UPRIGHT = [bar for bar in TRUE.bars if bar.upright]  # two of the frame, two between panes
 
 
+def rest_cdm2(light: Light) -> np.ndarray:
+    """What the room shows besides its sun patches, [n, 1, 1]."""
+    return (0.004 * light.diffuse_lx + 0.0005 * light.direct_lx)[:, None, None]
+
+
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     """Captures of the room with bars."""
-
-    def rest_cdm2(light: Light) -> np.ndarray:
-        return (0.004 * light.diffuse_lx + 0.0005 * light.direct_lx)[:, None, None]
-
     return room_captures(SEATTLE, BARRED, 48, rest_cdm2)
 
 
@@ -92,6 +93,28 @@ def test_a_stated_object_stays(data: Dataset) -> None:
     search = search_from(data, replace(ROOM, obstruction=(UNLIT,)))
     found = corrected(search, replace(TRUE, solids=search.start.solids))
     assert len(found.solids) == 1
+
+
+@pytest.mark.analytic
+def test_a_square_top_in_place_of_a_round_one_becomes_round() -> None:
+    round_top = Solid((1.5, 1.0, 0.69), (2.7, 2.2, 0.74), 0.4, is_round=True)
+    room = room_of(replace(TRUE, solids=(round_top,)), BARRED)
+    data = room_captures(SEATTLE, room, 48, rest_cdm2)
+    search = search_from(data, ROOM)
+    square = replace(round_top, low_m=(1.55, 1.1, 0.69), high_m=(2.65, 2.15, 0.74), is_round=False)
+    (found,) = corrected(search, replace(TRUE, solids=(square,))).solids
+    assert found.is_round
+    assert found.low_m == pytest.approx(round_top.low_m, abs=0.03)
+    assert found.high_m == pytest.approx(round_top.high_m, abs=0.03)
+
+
+@pytest.mark.analytic
+def test_a_square_top_stays_square() -> None:
+    square = Solid((1.5, 1.0, 0.69), (2.7, 2.2, 0.74), 0.4)
+    room = room_of(replace(TRUE, solids=(square,)), BARRED)
+    search = search_from(room_captures(SEATTLE, room, 48, rest_cdm2), ROOM)
+    (found,) = corrected(search, replace(TRUE, solids=(square,))).solids
+    assert not found.is_round
 
 
 @pytest.mark.property

@@ -71,6 +71,28 @@ def test_values_in_a_patch_do_not_teach_the_light_below(
     assert (np.abs(change[lit]) < 2.0 * first.log_sd[lit]).mean() > 0.9
 
 
+@pytest.mark.analytic
+def test_a_sliver_of_a_patch_in_a_dark_pixel_counts_less(
+    data: Dataset, evidence: SceneEvidence
+) -> None:
+    """Of 16 rays in a pixel one more or less is lit, which is much in a pixel without patch."""
+    objective = objective_of(evidence)
+    light = learned_light(objective, data, guess_of(ROOM), ROOM)
+    moved = shifted(0.02)
+    sharp = np.abs(LearnedCost(objective, without_patches_near(light), 0.2).residuals(moved))
+    soft = np.abs(LearnedCost(objective, light, 0.2).residuals(moved))
+    near = light.brightest.ravel() > 0.0
+    assert soft[~near] == pytest.approx(sharp[~near])
+    assert (soft[near] <= sharp[near] + 1e-12).all()
+    patch = evidence.patches(guess_of(ROOM), objective.albedo).ravel()
+    sliver = near & (patch == 0.0) & (sharp > 0.5 * sharp.max())
+    assert sliver.any() and (soft[sliver] < sharp[sliver]).all()
+
+
+def without_patches_near(light: LearnedLight) -> LearnedLight:
+    return replace(light, brightest=np.zeros_like(light.brightest))
+
+
 @pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("by_m", [-0.02, 0.0, 0.02])

@@ -1,8 +1,8 @@
 """Correct a scene's elements once the light below is learned: bars, and faces of solids.
 
 In the searches before, light below that follows each trial hides thin bars and displaced solids.
-Below learned light a true element lowers the cost by 5 % or more and one that explains noise by at
-most 1 % (decision 37), and a trial takes milliseconds, so that whole windows are scanned for bars.
+Below learned light a true element lowers the cost by 5 % or more, and one that explains noise by at
+most 1.2 % (decision 37). A trial takes milliseconds, so that each window is scanned for bars.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
     stated: the room before the fit, drawn in blue. The "south" wall is at the bottom.
     """
     from matplotlib import pyplot
-    from matplotlib.patches import Rectangle
+    from matplotlib.patches import Ellipse, Rectangle
 
     figure, axis = pyplot.subplots(figsize=(5.5, 8))
     before = Rectangle(
@@ -133,8 +133,11 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
         axis.plot(*ends, color="#ff9900", lw=5, solid_capstyle="butt")
     for solid in guess.solids:
         (x0, y0, _), (x1, y1, top) = solid.low_m, solid.high_m
-        axis.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color="0.75"))
-        axis.annotate(f"{top:.2f} m", ((x0 + x1) / 2, (y0 + y1) / 2), ha="center", fontsize=8)
+        middle, sides = ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0)
+        shape = Ellipse(middle, *sides) if solid.is_round else Rectangle((x0, y0), *sides)
+        shape.set_color("0.75")
+        axis.add_patch(shape)
+        axis.annotate(f"{top:.2f} m", middle, ha="center", fontsize=8)
     axis.plot(*guess.camera_m[:2], "k^", ms=9)
     north = np.radians(guess.wall_azimuth_deg + guess.north_deg)
     x, y = guess.camera_m[:2]

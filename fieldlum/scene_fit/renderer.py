@@ -132,10 +132,10 @@ def entries(
     These are k ray indices, distances to the entry in m, and axes of the face that is entered (0 x,
     1 y, 2 z). A ray that starts within the solid does not count.
     """
-    return entered(_solid_numbers(solid), rays.eye_m, rays.inverse, nearest)
+    return entered(solid_numbers(solid), rays.eye_m, rays.inverse, nearest)
 
 
-def _solid_numbers(solid: Solid) -> Float32:
+def solid_numbers(solid: Solid) -> Float32:
     """Return a solid's numbers for the compiled loops, [3, 3]."""
     return np.array([solid.low_m, solid.high_m, (solid.is_round, 0, 0)], np.float32)
 
@@ -219,7 +219,7 @@ def lit_entries(guess: Guess, ends: Surfaces, suns_room: Float32) -> LitEntries:
     faces_down = (ends.axis == 2) & (ends.sign < 0.0)
     face = (ends.axis + np.where(ends.sign > 0.0, 0, 3)).astype(np.int8)
     face[faces_down | (ends.surface == OUTSIDE)] = -1
-    solids = np.array([_solid_numbers(s) for s in guess.solids], np.float32).reshape(-1, 3, 3)
+    solids = np.array([solid_numbers(s) for s in guess.solids], np.float32).reshape(-1, 3, 3)
     suns = suns_room.astype(np.float32)
     parts = []
     for number, rect in enumerate(guess.windows):
@@ -280,7 +280,7 @@ def shades(
     position: in room axes, m [r, 3]; suns: unit vectors to the sun in room axes [n, 3]; hour, ray:
     indices into these [k].
     """
-    return shaded(_solid_numbers(solid), position, suns, hour, ray)
+    return shaded(solid_numbers(solid), position, suns, hour, ray)
 
 
 def unit_patches(

@@ -16,7 +16,7 @@ SCENE_SLIP_DEG = 0.5
 # Standard deviation of ln L at which a value has half weight; that of the robust rounds.
 _HALF_WEIGHT_SD = 0.15
 # A computed patch is refuted in a pixel if at least so many captures should show it, and in most of
-# them the whole pixel is darker than this share of it. Chosen: a displaced edge refutes single
+# them the pixel is darker than this share of it. Chosen: a displaced edge refutes single
 # captures, and leaves of a tree half of them.
 _LEAST_CAPTURES, _LEAST_SHARE, _MOST_POSSIBLE = 4, 0.8, 0.45
 
