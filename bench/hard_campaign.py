@@ -23,20 +23,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from predicted_glare import predicted_year
 
-from fieldlum import models, plan, simulate, sun
+from fieldlum import plan, simulate, sun
+from fieldlum.arrays import Floats
 from fieldlum.bench import markdown
 from fieldlum.demo import troubles_named
 from fieldlum.glare import glare_directions, view_azimuths_deg
-from fieldlum.glare.standards import class_of, exceeded_in_share
-from fieldlum.models import Fitted, fit
+from fieldlum.models import fit
 from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.models.disc_in_view import stated_disc_lx
 from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.predict.blocks import room_of
-from fieldlum.predict.glare_summary import judge
-from fieldlum.predict.occupancy import default_occupancy
-from fieldlum.predict.year import measure
 from fieldlum.profiles import shipped
 from fieldlum.records import Slot
 from fieldlum.session import create_session, open_session
@@ -61,21 +58,6 @@ COLUMNS = {
     "decided": "decided",
     "named": "named",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Year:
-    """A predicted year against its truth; all counts are of the ten directions.
-
-    inside: share of hours and directions whose DGP is inside its interval; year_inside: directions
-    whose exceeded DGP is; decided, wrong: directions with a stated class, and with a false one.
-    """
-
-    inside: float
-    year_inside: int
-    decided: int
-    wrong: int
-    directions: int
 
 
 def main() -> None:
@@ -243,7 +225,10 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     present = troubles.names if troubles is not None else ()
     named = troubles_named(notes)
     turned = troubles is not None and troubles.north is not None
-    year = _year(fitted, data, tests.turned_year if turned else tests.year, folder)
+    hours = tests.turned_year if turned else tests.year
+    true_dgp = _dgp(hours, hours.luminance_cdm2, None)
+    occupied = 10 * len(np.unique(hours.days))  # 08:00 to 18:00
+    year = predicted_year(fitted, data, hours, true_dgp, folder, occupied_hours=occupied)
     return dict(scores) | {
         "hours_over": over,
         "named": named,
@@ -253,37 +238,7 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     }
 
 
-def _year(fitted: Fitted, data: Dataset, year: Dataset, folder: Path) -> Year:
-    """Predict the hours of `year` as `fieldlum predict` does, and compare."""
-    models.save(folder / "model", fitted, data, patch="absolute")
-    room = room_of(models.read_config(folder / "model"), folder / "model")
-    azimuths = view_azimuths_deg(room.heading_deg)
-    annual, doubt, u_of_maps = measure(
-        folder / "model", room, year.light, azimuths, folder / "predicted"
-    )
-    occupied = default_occupancy().at(annual.t_utc, year.setup.site.timezone)
-    annual.hours["occupied"][:] = occupied
-    hours = 10 * len(np.unique(year.days))  # 08:00 to 18:00
-    found = judge(annual, doubt, u_of_maps, hours, 0)
-    assert found.low is not None and found.high is not None
-    true = _dgp(year, year.luminance_cdm2, None)
-    views = annual.views
-    inside = (true >= views["dgp_low"] - 1e-3) & (true <= views["dgp_high"] + 1e-3)
-    exceeded = exceeded_in_share(true[occupied], hours)
-    held = (exceeded >= found.low - 1e-3) & (exceeded <= found.high + 1e-3)
-    right = np.array([class_of(float(v)) for v in exceeded]) == np.array(found.classes)
-    return Year(
-        float(inside[occupied].mean()),
-        int(held.sum()),
-        int(found.certain.sum()),
-        int((found.certain & ~right).sum()),
-        len(azimuths),
-    )
-
-
-def _dgp(
-    test: Dataset, maps: NDArray[np.float32], disc_lx: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
+def _dgp(test: Dataset, maps: NDArray[np.float32], disc_lx: Floats | None) -> Floats:
     """Return DGP in ten directions, [n, d]; disc_lx: None for the true disc."""
     disc = test.disc_lx if disc_lx is None else disc_lx
     light = replace(test.light)

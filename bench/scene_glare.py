@@ -13,79 +13,35 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from predicted_glare import Year, predicted_year
 from scene_generators import ROOMS
 from scene_judge import fitted as with_fitted
 from scene_judge import user_of
 from scene_rooms import with_box
 
-from fieldlum import models
-from fieldlum.glare import view_azimuths_deg
-from fieldlum.glare.standards import class_of, exceeded_in_share
 from fieldlum.models import fit
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.predict.blocks import room_of
-from fieldlum.predict.glare_summary import judge
-from fieldlum.predict.occupancy import default_occupancy
-from fieldlum.predict.year import measure
 from fieldlum.scene_fit.apply import with_scene
 from fieldlum.scene_fit.evidence import PIXELS
 from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.stage import judged_scene
 
-TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
 
-
-@dataclass(frozen=True)
-class Glare:
-    """Predicted glare of one room against its truth; counts are of the ten directions."""
-
-    dgp_mse: float
-    inside: float
-    directions_inside: int
-    decided: int
-    wrong: int
-
-
-def glare_of(data: Dataset, test: Dataset) -> Glare:
-    """Train on captures, predict the test hours, and compare DGP with that of the true discs."""
+def glare_of(data: Dataset, test: Dataset) -> tuple[float, Year]:
+    """Train on captures, predict the test hours; return the MSE of DGP, and both compared."""
     patch = "none" if data.patch_cdm2 is None else "absolute"
     model = fit("transport", data, patch=patch, seed=0)
     known = truth(test)
-    figures = summary(evaluate(model, known))
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        models.save(folder / "model", model, data, patch=patch)
-        room = room_of(models.read_config(folder / "model"), folder / "model")
-        azimuths = view_azimuths_deg(room.heading_deg)
-        annual, doubt, u_of_maps = measure(
-            folder / "model", room, test.light, azimuths, folder / "predicted"
-        )
-    occupied = default_occupancy().at(annual.t_utc, test.setup.site.timezone)
-    annual.hours["occupied"][:] = occupied
-    hours = int(occupied.sum())
-    stated = judge(annual, doubt, u_of_maps, hours, 0)
-    assert stated.low is not None and stated.high is not None
-    views = annual.views
-    low, high = views["dgp_low"] - TOLERANCE, views["dgp_high"] + TOLERANCE
-    inside = (known.dgp >= low) & (known.dgp <= high)
-    exceeded = exceeded_in_share(known.dgp[occupied], hours)
-    held = (exceeded >= stated.low - TOLERANCE) & (exceeded <= stated.high + TOLERANCE)
-    right = np.array([class_of(float(v)) for v in exceeded]) == np.array(stated.classes)
-    mse = figures["dgp_mse_own_disc"]
+    mse = summary(evaluate(model, known))["dgp_mse_own_disc"]
     assert mse is not None
-    return Glare(
-        mse,
-        float(inside[occupied].mean()),
-        int(held.sum()),
-        int(stated.certain.sum()),
-        int((stated.certain & ~right).sum()),
-    )
+    with tempfile.TemporaryDirectory() as name:
+        return mse, predicted_year(model, data, test, known.dgp, Path(name), patch=patch)
 
 
 def true_disc_lx(path: Path) -> NDArray[np.float64]:
@@ -118,10 +74,10 @@ def main() -> None:
             "fitted scene": (chosen, with_fitted(test, found, captures=False)),
         }
         for label, (data, hours) in cases.items():
-            glare = glare_of(data, hours)
-            cells = [f"{glare.dgp_mse:.1e}", f"{100.0 * glare.inside:.0f} %"]
-            cells += [f"{glare.directions_inside} of 10", f"{glare.decided} of 10"]
-            print("| " + " | ".join([name, label, *cells, str(glare.wrong)]) + " |", flush=True)
+            mse, year = glare_of(data, hours)
+            cells = [f"{mse:.1e}", f"{100.0 * year.inside:.0f} %"]
+            cells += [f"{year.year_inside} of 10", f"{year.decided} of 10"]
+            print("| " + " | ".join([name, label, *cells, str(year.wrong)]) + " |", flush=True)
 
 
 if __name__ == "__main__":

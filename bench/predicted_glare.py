@@ -1,0 +1,79 @@
+"""Predicted glare of many hours against its truth: for `scene_glare.py` and `hard_campaign.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fieldlum import models
+from fieldlum.arrays import Floats
+from fieldlum.glare import view_azimuths_deg
+from fieldlum.glare.standards import class_of, exceeded_in_share
+from fieldlum.models import Fitted
+from fieldlum.models.data import Dataset
+from fieldlum.predict.blocks import room_of
+from fieldlum.predict.glare_summary import judge
+from fieldlum.predict.occupancy import default_occupancy
+from fieldlum.predict.year import measure
+
+TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
+
+
+@dataclass(frozen=True, slots=True)
+class Year:
+    """Predicted hours against their truth; all counts are of the ten view directions.
+
+    inside: share of occupied hours and directions whose DGP is inside its 95 % interval;
+    year_inside: directions whose exceeded DGP is; decided, wrong: directions with a stated class of
+    EN 17037, and with a false one.
+    """
+
+    inside: float
+    year_inside: int
+    decided: int
+    wrong: int
+    directions: int
+
+
+def predicted_year(
+    model: Fitted,
+    data: Dataset,
+    hours: Dataset,
+    true_dgp: Floats,
+    folder: Path,
+    *,
+    patch: Literal["none", "absolute"] = "absolute",
+    occupied_hours: int | None = None,
+) -> Year:
+    """Predict hours as `fieldlum predict` does, and compare.
+
+    data: captures that trained the model; true_dgp: of the hours in ten directions [n, d]; folder:
+    for the model and its prediction; occupied_hours: that the exceeded share refers to, None for
+    those of `hours`.
+    """
+    models.save(folder / "model", model, data, patch=patch)
+    room = room_of(models.read_config(folder / "model"), folder / "model")
+    azimuths = view_azimuths_deg(room.heading_deg)
+    annual, doubt, u_of_maps = measure(
+        folder / "model", room, hours.light, azimuths, folder / "predicted"
+    )
+    occupied = default_occupancy().at(annual.t_utc, hours.setup.site.timezone)
+    annual.hours["occupied"][:] = occupied
+    count = int(occupied.sum()) if occupied_hours is None else occupied_hours
+    stated = judge(annual, doubt, u_of_maps, count, 0)
+    assert stated.low is not None and stated.high is not None
+    low, high = annual.views["dgp_low"] - TOLERANCE, annual.views["dgp_high"] + TOLERANCE
+    inside = (true_dgp >= low) & (true_dgp <= high)
+    exceeded = exceeded_in_share(true_dgp[occupied], count)
+    held = (exceeded >= stated.low - TOLERANCE) & (exceeded <= stated.high + TOLERANCE)
+    right = np.array([class_of(float(v)) for v in exceeded]) == np.array(stated.classes)
+    return Year(
+        float(inside[occupied].mean()),
+        int(held.sum()),
+        int(stated.certain.sum()),
+        int((stated.certain & ~right).sum()),
+        len(azimuths),
+    )
