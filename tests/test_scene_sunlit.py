@@ -18,7 +18,7 @@ from fieldlum.scene_fit.renderer import (
     solid_numbers,
     surfaces,
 )
-from fieldlum.scene_fit.small_systems import packed_index, solve_packed
+from fieldlum.scene_fit.small_systems import solve_packed
 from fieldlum.scene_fit.sunlit import entered, shaded
 
 pytestmark = pytest.mark.slow
@@ -40,7 +40,7 @@ def test_packed_systems_have_the_solutions_of_numpy() -> None:
     root = rng.standard_normal((300, 16, 16))
     matrix = root @ root.transpose(0, 2, 1) + 4.0 * np.eye(16)
     right = rng.standard_normal((300, 16))
-    row, column = packed_index(16)
+    row, column = np.tril_indices(16)
     packed = np.ascontiguousarray(matrix[:, row, column].T.astype(np.float32))
     found = solve_packed(packed, np.ascontiguousarray(right.T.astype(np.float32)))
     expected = np.linalg.solve(matrix, right[..., None])[..., 0]

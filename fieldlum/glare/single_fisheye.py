@@ -76,13 +76,18 @@ def single_picture_glare(
     return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share)
 
 
-def _seen_figures(pixels: Floats, grid: PictureGrid, parts: dict[str, float]) -> dict[str, Any]:
+def _seen_figures(
+    pixels: Floats, grid: PictureGrid, parts: dict[str, float]
+) -> dict[str, str | float]:
     """Return how much of the view was seen, the grade, and bounds of DGP for a partly seen view.
 
     pixels : [H, W] cd/m2; grid : their weights; parts : figures by `glare_of_pixels`.
     """
     coverage = picture_coverage(grid)
-    row: dict[str, Any] = {"seen": coverage.words[0], "seen_share": float(coverage.seen_share[0])}
+    row: dict[str, str | float] = {
+        "seen": coverage.words[0],
+        "seen_share": float(coverage.seen_share[0]),
+    }
     if not coverage.judged[0]:
         return row | {"verdict": NOT_SEEN}
     if not coverage.partly[0]:

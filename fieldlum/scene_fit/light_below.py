@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Kernel, facades_of, light_features
-from fieldlum.scene_fit.small_systems import packed_index, solve_packed
+from fieldlum.scene_fit.small_systems import solve_packed
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -46,7 +46,7 @@ class LightBelow:
         scale = np.sqrt(np.mean(basis**2) * rank)
         # float32 is precise to 1e-5 of the light, and twice as fast
         terms = (np.column_stack([basis, np.ones(len(data))]) / scale).T.astype(np.float32)
-        row, column = packed_index(len(terms))
+        row, column = np.tril_indices(len(terms))
         self.basis = terms  # [k, n]
         self.products = terms[row] * terms[column]  # [k (k + 1) / 2, n], packed
         self.diagonal = np.flatnonzero(row == column)  # [k]

@@ -8,15 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldlum.arrays import Floats32, Indices
+from fieldlum.arrays import Floats32
 from fieldlum.compiled import compiled
 
 _CHUNK = 128  # systems in work at a time, so that their factors stay in the processor's cache
-
-
-def packed_index(terms: int) -> tuple[Indices, Indices]:
-    """Return row and column of each number of a packed lower triangle, [terms (terms + 1) / 2]."""
-    return np.tril_indices(terms)
 
 
 @compiled
