@@ -18,7 +18,7 @@ from fieldlum.projection import rotation
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import WALLS, build, room_axes
 
-ARCH_STEPS = 12  # chosen: stairs of 1 to 13 cm in a half circle 2 m wide
+ARCH_STEPS = 24  # chosen: stairs of up to 12 cm in a half circle 2 m wide
 ROUND_SLABS = 12  # chosen: of a table 1.3 m wide they are within 2 cm of its edge
 
 
