@@ -14,7 +14,7 @@ from fieldlum.scene_fit.bars import window_picture
 from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.fit import SceneFit
-from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.guess import Guess, Solid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,6 +112,12 @@ def _windows(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> Any:
     return figure
 
 
+def _is_above(solid: Solid, place: tuple[float, float], top: float) -> bool:
+    """Return whether a solid covers a place in plan and is higher than `top`."""
+    sides = zip(solid.low_m, place, solid.high_m, strict=False)
+    return solid.high_m[2] > top and all(low <= at <= high for low, at, high in sides)
+
+
 def plan_of(guess: Guess, stated: Room) -> Figure:
     """Draw the room from above: walls, windows, furniture, camera, and north as a labelled arrow.
 
@@ -137,7 +143,8 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
         shape = Ellipse(middle, *sides) if solid.is_round else Rectangle((x0, y0), *sides)
         shape.set_color("0.75")
         axis.add_patch(shape)
-        axis.annotate(f"{top:.2f} m", middle, ha="center", fontsize=8)
+        if not any(_is_above(other, middle, top) for other in guess.solids):
+            axis.annotate(f"{top:.2f} m", middle, ha="center", fontsize=8)
     axis.plot(*guess.camera_m[:2], "k^", ms=9)
     north = np.radians(guess.wall_azimuth_deg + guess.north_deg)
     x, y = guess.camera_m[:2]
