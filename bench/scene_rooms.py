@@ -1,10 +1,10 @@
 """Rooms that are no boxes of ours, and users who measured them badly.
 
-    python bench/scene_rooms.py OUT [NAME ...] [--height 76] [--tests 150]
+    python bench/scene_rooms.py OUT [NAME ...] [--height 76] [--tests 150] [--set 9-day]
 
-writes OUT/NAME.npz: nine days and random test hours of a synthetic year, by rays of Radiance and
-the radiosity of `scene_truth.py`, with the Perez sky and the sun; the sun patches by shadow rays
-alone. `scene_judge.py` fits scenes to them.
+writes OUT/NAME.npz: nine days (or a month) and random test hours of a synthetic year, by rays of
+Radiance and the radiosity of `scene_truth.py`, with the Perez sky and the sun; the sun patches by
+shadow rays alone. `scene_judge.py` fits scenes to them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fieldlum import plan, simulate, sun
 from fieldlum.light import Light, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.projection import rotation
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Slot, Window, slot_id
 from fieldlum.scene.geometry import glass_optics
 from fieldlum.scene.radiance import octree
 from fieldlum.scene.view import pixel_rays
@@ -45,14 +45,23 @@ NOISY = ("canopy", "mullions")  # rooms that a simulated camera sees
 # rendering, in room axes
 
 
-def hours_of(setup: SiteFile, tests: int) -> tuple[Light, Array]:
-    """Light of the nine days, then of the test hours, and which are tests."""
+def hours_of(setup: SiteFile, tests: int, days: str) -> tuple[Light, Array]:
+    """Light of a set of days, then of the test hours, and which are tests.
+
+    The test hours are those of the nine days for every set.
+    """
     weather = simulate.weather_for(setup, seed=5)
-    start = date(YEAR, 1, 1)
-    nine = plan.make_plan(setup, plan.Request("9-day", start, None, YEAR), weather).slots
-    other = simulate.sample_slots(setup, weather, tests, seed=7, without=[s.t_utc for s in nine])
+
+    def planned(name: str) -> list[Slot]:
+        request = plan.Request(name, date(YEAR, 1, 1), None, YEAR)
+        return list(plan.make_plan(setup, request, weather).slots)
+
+    nine = [s.t_utc for s in planned("9-day")]
+    other = simulate.sample_slots(setup, weather, tests, seed=7, without=nine)
+    asked = {s.t_utc for s in other}
+    captured = [s for s in planned(days) if s.t_utc not in asked]
     by_time = {t: k for k, t in enumerate(weather.t_utc)}
-    slots = [s for s in (*nine, *other) if s.t_utc in by_time]
+    slots = [s for s in (*captured, *other) if s.t_utc in by_time]
     rows = [by_time[s.t_utc] for s in slots]
     light = light_at([s.t_utc for s in slots], SITE, weather.dni_wm2[rows], weather.dhi_wm2[rows])
     usable = light.dni_wm2 + light.dhi_wm2 > 0
@@ -72,12 +81,12 @@ def without_glass(text: str) -> str:
     return "".join(line for line in lines if not line.startswith(("pane ", "void glass")))
 
 
-def render(name: str, out: Path, height: int, tests: int) -> None:
+def render(name: str, out: Path, height: int, tests: int, days: str) -> None:
     begin = time.process_time(), sum(os.times()[2:4])
     room, text = ROOMS[name]()
     heading = room.wall_azimuth_deg
     setup = SiteFile(SITE, CameraSetup(heading_deg=heading), room)
-    light, test = hours_of(setup, tests)
+    light, test = hours_of(setup, tests, days)
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     pixel, world = pixel_rays(height, heading, PIXEL_SUB)
     order = np.argsort(pixel, kind="stable")
@@ -216,10 +225,11 @@ def main() -> None:
     parser.add_argument("names", nargs="*")
     parser.add_argument("--height", type=int, default=76)
     parser.add_argument("--tests", type=int, default=150)
+    parser.add_argument("--set", default="9-day", help="of capture days, as in fieldlum plan")
     wanted = parser.parse_args()
     wanted.out.mkdir(parents=True, exist_ok=True)
     for name in wanted.names or ROOMS:
-        render(name, wanted.out, wanted.height, wanted.tests)
+        render(name, wanted.out, wanted.height, wanted.tests, wanted.set)
 
 
 if __name__ == "__main__":
