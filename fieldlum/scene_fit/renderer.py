@@ -8,6 +8,7 @@ it passes the inner and the outer rectangle of a window, misses its bars and mis
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 
 from fieldlum.scene.geometry import WALLS, glass_optics
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
-from fieldlum.scene_fit.sunlit import end_points, entered, lit_pairs, shaded, shell_ends
+from fieldlum.scene_fit.sun_through_window import add_to_pixels, lit_blocks, lit_pairs
+from fieldlum.scene_fit.sunlit import end_points, entered, shaded, shell_ends
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.floating]
@@ -216,23 +218,30 @@ def lit_entries(guess: Guess, ends: Surfaces, suns_room: Float32) -> LitEntries:
     ends: of r rays; suns_room: unit vectors to the sun in room axes, one for each hour [n, 3]. Bars
     and solids shade; surfaces that face down and rays through a window are never lit.
     """
+    count = len(ends.surface)
+    parts = [lit_pairs(*blocks, count) for blocks in _lit_blocks(guess, ends, suns_room)]
+    hour, ray, strength = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return LitEntries(hour, ray, strength)
+
+
+def _lit_blocks(
+    guess: Guess, ends: Surfaces, suns_room: Float32
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Float32]]:
+    """Yield what the sun reaches through each window, as `lit_blocks` returns it."""
     faces_down = (ends.axis == 2) & (ends.sign < 0.0)
     face = (ends.axis + np.where(ends.sign > 0.0, 0, 3)).astype(np.int8)
     face[faces_down | (ends.surface == OUTSIDE)] = -1
     solids = np.array([solid_numbers(s) for s in guess.solids], np.float32).reshape(-1, 3, 3)
     suns = suns_room.astype(np.float32)
-    parts = []
     for number, rect in enumerate(guess.windows):
         axis, _ = WALLS[rect.wall]
         glass = _glass(rect.transmittance, suns[:, axis])
         window = _numbers(guess, rect)
         bars = [_bar_numbers(bar) for bar in guess.bars if bar.window == number]
         bars = np.array(bars, np.float32).reshape(-1, 5)
-        parts.append(
-            lit_pairs(axis, window, bars, solids, ends.position_m, face, ends.spread_m, suns, glass)
+        yield lit_blocks(
+            axis, window, bars, solids, ends.position_m, face, ends.spread_m, suns, glass
         )
-    hour, ray, strength = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return LitEntries(hour, ray, strength)
 
 
 def _numbers(guess: Guess, rect: WindowRect) -> Float32:
@@ -299,8 +308,8 @@ def unit_patches(
     such as albedo, None for 1 [r]. Times the sun's illuminance, times albedo over pi, the result is
     the luminance of the sun patch.
     """
-    lit = lit_entries(guess, ends, suns_room)
-    strength = lit.strength if tone is None else lit.strength * tone[lit.ray]
-    flat = lit.hour * pixels + pixel[lit.ray]
-    total = np.bincount(flat, strength, len(suns_room) * pixels)
-    return (total / sub**2).reshape(len(suns_room), pixels).astype(np.float32)
+    total = np.zeros((len(suns_room), pixels), np.float32)
+    factor = np.ones(len(pixel), np.float32) if tone is None else tone.astype(np.float32)
+    for blocks in _lit_blocks(guess, ends, suns_room):
+        add_to_pixels(*blocks, factor, pixel, total)
+    return total / np.float32(sub**2)

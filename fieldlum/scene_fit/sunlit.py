@@ -1,12 +1,10 @@
-"""Follow rays to solids, and lines from there through a window to the sun: compiled loops.
+"""Follow rays to solids, and lines from there to the sun: compiled loops.
 
-A search follows some 10^10 pairs of hour and ray. `fieldlum.scene_fit.renderer` calls these loops;
-its docstrings describe the arrays. Lengths are in m, in room axes; numbers are float32.
+`fieldlum.scene_fit.renderer` calls these loops; its docstrings describe the arrays. Lengths are in
+m, in room axes; numbers are float32.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +12,10 @@ from numpy.typing import NDArray
 from fieldlum.arrays import Floats32, Indices
 from fieldlum.compiled import compiled
 
-_AHEAD_M = np.float32(1e-3)  # chosen: a surface does not shade itself, and no object is as thin
-_GRAZING = np.float32(1e-4)  # chosen: cosine of a sun 0.006 degrees above the glass
+AHEAD_M = np.float32(1e-3)  # chosen: a surface does not shade itself, and no object is as thin
 _SMALLEST = np.float32(1e-9)  # of a direction along an axis: avoids a division by zero; chosen
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _INFINITE = np.float32(np.inf)
-# Neighbouring rays that are left out together if no line of them passes the window; chosen.
-_BLOCK = 32
 
 
 @compiled
@@ -126,7 +121,7 @@ def end_points(
 
 
 @compiled
-def _is_shaded(
+def is_shaded(
     solids: Floats32, number: int, position: Floats32, ray: int, inverse: Floats32, hour: int
 ) -> bool:
     """Return whether a solid is between a position [r, 3] and the sun.
@@ -145,7 +140,7 @@ def _is_shaded(
             enters, leaves = max(enters, first), min(leaves, last)
     first, last = _slab(solids, number, position, ray, inverse, hour, 2)
     enters, leaves = max(enters, first), min(leaves, last)
-    return bool(leaves > enters and leaves > _AHEAD_M and enters > -_AHEAD_M)
+    return bool(leaves > enters and leaves > AHEAD_M and enters > -AHEAD_M)
 
 
 @compiled
@@ -171,14 +166,14 @@ def shaded(
     """
     hidden = np.empty(len(hour), np.bool_)
     solids = solid.reshape(1, 3, 3)
-    inverse = _inverse(suns)
+    inverse = inverses_of(suns)
     for k in range(len(hour)):
-        hidden[k] = _is_shaded(solids, 0, position, ray[k], inverse, hour[k])
+        hidden[k] = is_shaded(solids, 0, position, ray[k], inverse, hour[k])
     return hidden
 
 
 @compiled
-def _inverse(suns: Floats32) -> Floats32:
+def inverses_of(suns: Floats32) -> Floats32:
     """Return one over each component, at most 10^9."""
     inverse = np.empty_like(suns)
     for hour in range(len(suns)):
@@ -186,133 +181,3 @@ def _inverse(suns: Floats32) -> Floats32:
             toward = suns[hour, axis]
             inverse[hour, axis] = _ONE / (toward if abs(toward) >= _SMALLEST else _SMALLEST)
     return inverse
-
-
-@compiled
-def _passed(beyond: np.float32, spread: np.float32) -> np.float32:
-    """Return the share of a ray's spread beyond an edge that its middle passes by so much."""
-    reach = _HALF * spread
-    if beyond >= reach:
-        return _ONE
-    if beyond <= -reach:
-        return _ZERO
-    return beyond / spread + _HALF
-
-
-@compiled
-def _top(window: Floats32, u: np.float32) -> np.float32:
-    """Return the height of a window's upper edge; see `guess.WindowRect.top_m`."""
-    u0, u1, z1, arch, slant = window[3], window[4], window[6], window[7], window[8]
-    x = min(max((u + u - u0 - u1) / (u1 - u0), -_ONE), _ONE)
-    fallen = arch * (_ONE - np.sqrt(_ONE - x * x))
-    return z1 - fallen - abs(slant) * (_ONE + np.sign(slant) * x) * _HALF
-
-
-@compiled
-def _blocks(
-    position: Floats32, axis: int, window: Floats32, spread: Floats32
-) -> tuple[Floats32, Floats32]:
-    """Return the least and the largest u, z, distance to the wall, and spread of blocks, [b, 4]."""
-    inner, outward = window[0], window[1]
-    count = (len(position) + _BLOCK - 1) // _BLOCK
-    least, most = np.full((count, 4), _INFINITE), np.full((count, 4), -_INFINITE)
-    for ray in range(len(position)):
-        block = ray // _BLOCK
-        across = (inner - position[ray, axis]) * outward
-        bounds = position[ray, 1 - axis], position[ray, 2], across, spread[ray]
-        for k in range(4):
-            least[block, k] = min(least[block, k], bounds[k])
-            most[block, k] = max(most[block, k], bounds[k])
-    return least, most
-
-
-@compiled
-def lit_pairs(
-    axis: int, window: Floats32, bars: Floats32, solids: Floats32, position: Floats32,
-    face: NDArray[np.int8], spread: Floats32, suns: Floats32, glass: Floats32,
-) -> tuple[Indices, Indices, Floats32]:  # fmt: skip
-    """Return the pairs of hour and ray that the sun reaches through one window, and its strength.
-
-    axis: of the wall's normal, 0 or 1. window: inner face, outward (1 or -1), thickness of the
-    wall, u from and to, z from and to, arch, slant [9]. bars: upright (1 or 0), span from and to,
-    depth from and to [b, 5]. solids: as in `entered` [s, 3, 3]. face: axis of the normal, plus
-    3 where it points to lower numbers, -1 for rays that the sun cannot reach [r]. glass:
-    transmittance at each hour [n]. The strength is described at `renderer.LitEntries`.
-    """
-    inner, outward, thickness = window[0], window[1], window[2]
-    level_top = window[7] == _ZERO and window[8] == _ZERO
-    least, most = _blocks(position, axis, window, spread)
-    inverse = _inverse(suns)
-    room = 1024
-    hours, rays = np.empty(room, np.intp), np.empty(room, np.intp)
-    strengths = np.empty(room, np.float32)
-    count = 0
-    for hour in range(len(suns)):
-        toward = suns[hour, axis] * outward
-        if toward <= _GRAZING or suns[hour, 2] <= _ZERO:
-            continue
-        slope_u, slope_z = suns[hour, 1 - axis] / toward, suns[hour, 2] / toward
-        shift_u, shift_z = slope_u * thickness, slope_z * thickness
-        low_u, high_u = window[3] - min(shift_u, _ZERO), window[4] - max(shift_u, _ZERO)
-        low_z, high_z = window[5] - min(shift_z, _ZERO), window[6] - max(shift_z, _ZERO)
-        for block in range(len(least)):
-            reach = _HALF * most[block, 3]
-            ends_u = slope_u * least[block, 2], slope_u * most[block, 2]
-            if least[block, 0] + min(ends_u[0], ends_u[1]) >= high_u + reach:
-                continue
-            if most[block, 0] + max(ends_u[0], ends_u[1]) <= low_u - reach:
-                continue
-            if least[block, 1] + slope_z * least[block, 2] >= high_z + reach:
-                continue
-            if most[block, 1] + slope_z * most[block, 2] <= low_z - reach:
-                continue
-            for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(position))):
-                across = (inner - position[ray, axis]) * outward
-                u = position[ray, 1 - axis] + slope_u * across
-                z = position[ray, 2] + slope_z * across
-                width = spread[ray]
-                reach = _HALF * width
-                outside = u <= low_u - reach or u >= high_u + reach
-                if outside or z <= low_z - reach or z >= high_z + reach:
-                    continue
-                if face[ray] < 0 or across <= _ZERO:
-                    continue
-                share = _passed(u - low_u, width) * _passed(high_u - u, width)
-                share *= _passed(z - low_z, width) * _passed(high_z - z, width)
-                if not level_top:
-                    share *= _passed(_top(window, u) - z, width)
-                    share *= _passed(_top(window, u + shift_u) - z - shift_z, width)
-                for bar in range(len(bars)):
-                    upright = bars[bar, 0] > _ZERO
-                    at, slope = (u, slope_u) if upright else (z, slope_z)
-                    first, last = at + slope * bars[bar, 3], at + slope * bars[bar, 4]
-                    below, above = bars[bar, 1] - max(first, last), min(first, last) - bars[bar, 2]
-                    share *= _ONE - _passed(-below, width) * _passed(-above, width)
-                facing = face[ray]
-                cosine = suns[hour, facing] if facing < 3 else -suns[hour, facing - 3]
-                strength = cosine * share
-                if strength <= _ZERO:
-                    continue
-                hidden = False
-                for solid in range(len(solids)):
-                    if _is_shaded(solids, solid, position, ray, inverse, hour):
-                        hidden = True
-                        break
-                if hidden:
-                    continue
-                if count == room:
-                    room *= 2
-                    hours, rays = _longer(hours, room), _longer(rays, room)
-                    strengths = _longer(strengths, room)
-                hours[count], rays[count] = hour, ray
-                strengths[count] = strength * glass[hour]
-                count += 1
-    return hours[:count].copy(), rays[:count].copy(), strengths[:count].copy()
-
-
-@compiled
-def _longer(values: NDArray[Any], room: int) -> NDArray[Any]:
-    """Return a copy with room for more values."""
-    longer = np.empty(room, values.dtype)
-    longer[: len(values)] = values
-    return longer

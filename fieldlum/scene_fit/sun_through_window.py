@@ -1,0 +1,251 @@
+"""Follow lines from rays' ends through a window to the sun: compiled loops.
+
+A search follows some 10^10 pairs of hour and ray. `fieldlum.scene_fit.renderer` calls these loops;
+its docstrings describe the arrays. Rays are in blocks of 32 neighbours, which are left out together
+if none of their lines passes the window; loops over a block have no branches, so that a processor
+computes several rays at once. Lengths are in m, in room axes; numbers are float32.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.arrays import Floats32, Indices
+from fieldlum.compiled import compiled
+from fieldlum.scene_fit.sunlit import AHEAD_M, inverses_of, is_shaded
+
+_GRAZING = np.float32(1e-4)  # chosen: cosine of a sun 0.006 degrees above the glass
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_INFINITE = np.float32(np.inf)
+_BLOCK = 32  # chosen
+
+
+@compiled
+def _passed(beyond: np.float32, inverse_spread: np.float32) -> np.float32:
+    """Return the share of a ray's spread beyond an edge that its middle passes by so much."""
+    return min(max(beyond * inverse_spread + _HALF, _ZERO), _ONE)
+
+
+@compiled
+def _top(window: Floats32, u: np.float32) -> np.float32:
+    """Return the height of a window's upper edge; see `guess.WindowRect.top_m`."""
+    u0, u1, z1, arch, slant = window[3], window[4], window[6], window[7], window[8]
+    x = min(max((u + u - u0 - u1) / (u1 - u0), -_ONE), _ONE)
+    fallen = arch * (_ONE - np.sqrt(_ONE - x * x))
+    return z1 - fallen - abs(slant) * (_ONE + np.sign(slant) * x) * _HALF
+
+
+@compiled
+def _blocks(
+    position: Floats32, axis: int, window: Floats32, spread: Floats32
+) -> tuple[Floats32, Floats32, Floats32]:
+    """Return numbers of rays in blocks [b, 4, 32], and their least and largest values [b, 4].
+
+    The numbers are u, z, distance to the wall and one over the spread. The last block is filled up
+    with its last ray.
+    """
+    inner, outward = window[0], window[1]
+    count = (len(position) + _BLOCK - 1) // _BLOCK
+    numbers = np.empty((count, 4, _BLOCK), np.float32)
+    least, most = np.full((count, 4), _INFINITE), np.full((count, 4), -_INFINITE)
+    for block in range(count):
+        for k in range(_BLOCK):
+            ray = min(block * _BLOCK + k, len(position) - 1)
+            numbers[block, 0, k] = position[ray, 1 - axis]
+            numbers[block, 1, k] = position[ray, 2]
+            numbers[block, 2, k] = (inner - position[ray, axis]) * outward
+            numbers[block, 3, k] = _ONE / spread[ray]
+            for number in range(4):
+                least[block, number] = min(least[block, number], numbers[block, number, k])
+                most[block, number] = max(most[block, number], numbers[block, number, k])
+    return numbers, least, most
+
+
+@compiled
+def _may_shade(solids: Floats32, number: int, box: Floats32, inverse: Floats32, hour: int) -> bool:
+    """Return False if a solid shades no position in a box [2, 3] from the sun."""
+    enters, leaves = -_INFINITE, _INFINITE
+    for axis in range(3):
+        toward = inverse[hour, axis]
+        near, far = (0, 1) if toward > _ZERO else (1, 0)
+        enters = max(enters, (solids[number, near, axis] - box[far, axis]) * toward)
+        leaves = min(leaves, (solids[number, far, axis] - box[near, axis]) * toward)
+    return bool(leaves > enters and leaves > AHEAD_M)
+
+
+@compiled
+def _boxes(position: Floats32) -> Floats32:
+    """Return the low and the high corner of each block of positions, [b, 2, 3]."""
+    count = (len(position) + _BLOCK - 1) // _BLOCK
+    boxes = np.empty((count, 2, 3), np.float32)
+    boxes[:, 0], boxes[:, 1] = _INFINITE, -_INFINITE
+    for ray in range(len(position)):
+        for axis in range(3):
+            value = position[ray, axis]
+            boxes[ray // _BLOCK, 0, axis] = min(boxes[ray // _BLOCK, 0, axis], value)
+            boxes[ray // _BLOCK, 1, axis] = max(boxes[ray // _BLOCK, 1, axis], value)
+    return boxes
+
+
+@compiled
+def _opening(
+    axis: int, window: Floats32, suns: Floats32, hour: int
+) -> tuple[
+    np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32
+]:
+    """Return slopes of lines to the sun, their shift in the wall, and the opening that they pass.
+
+    Slopes and shifts are along u and z; the opening is u from and to, z from and to, at the inner
+    face.
+    """
+    toward = suns[hour, axis] * window[1]
+    slope_u, slope_z = suns[hour, 1 - axis] / toward, suns[hour, 2] / toward
+    shift_u, shift_z = slope_u * window[2], slope_z * window[2]
+    low_u, high_u = window[3] - min(shift_u, _ZERO), window[4] - max(shift_u, _ZERO)
+    low_z, high_z = window[5] - min(shift_z, _ZERO), window[6] - max(shift_z, _ZERO)
+    return slope_u, slope_z, shift_u, shift_z, low_u, high_u, low_z, high_z
+
+
+@compiled
+def _reached(
+    axis: int, window: Floats32, least: Floats32, most: Floats32, suns: Floats32
+) -> tuple[Indices, Indices]:
+    """Return the pairs of hour and block of which some line to the sun passes the window, [k].
+
+    least, most: of `_blocks`.
+    """
+    hours = np.empty(len(suns) * len(least), np.intp)
+    blocks = np.empty(len(suns) * len(least), np.intp)
+    count = 0
+    for hour in range(len(suns)):
+        if suns[hour, axis] * window[1] <= _GRAZING or suns[hour, 2] <= _ZERO:
+            continue
+        slope_u, slope_z, _, _, low_u, high_u, low_z, high_z = _opening(axis, window, suns, hour)
+        for block in range(len(least)):
+            reach = _HALF / least[block, 3]
+            near, far = slope_u * least[block, 2], slope_u * most[block, 2]
+            if (
+                least[block, 0] + min(near, far) < high_u + reach
+                and most[block, 0] + max(near, far) > low_u - reach
+                and least[block, 1] + slope_z * least[block, 2] < high_z + reach
+                and most[block, 1] + slope_z * most[block, 2] > low_z - reach
+            ):
+                hours[count], blocks[count] = hour, block
+                count += 1
+    return hours[:count], blocks[:count]
+
+
+@compiled
+def _faces(face: NDArray[np.int8], count: int) -> NDArray[np.uint8]:
+    """Return the faces of blocks of rays plus 1, [b, 32]: 0 for rays that the sun cannot reach."""
+    faces = np.zeros((count, _BLOCK), np.uint8)
+    for ray in range(len(face)):
+        faces[ray // _BLOCK, ray % _BLOCK] = face[ray] + 1
+    return faces
+
+
+@compiled
+def _cosines(suns: Floats32) -> Floats32:
+    """Return the cosine of incidence on each face at each hour, at least 0, [n, 7].
+
+    Place 0 is for no face; then x, y, z, and the faces towards lower numbers.
+    """
+    cosines = np.zeros((len(suns), 7), np.float32)
+    for hour in range(len(suns)):
+        for axis in range(3):
+            cosines[hour, 1 + axis] = max(suns[hour, axis], _ZERO)
+            cosines[hour, 4 + axis] = max(-suns[hour, axis], _ZERO)
+    return cosines
+
+
+@compiled
+def lit_blocks(
+    axis: int, window: Floats32, bars: Floats32, solids: Floats32, position: Floats32,
+    face: NDArray[np.int8], spread: Floats32, suns: Floats32, glass: Floats32,
+) -> tuple[Indices, Indices, Floats32]:  # fmt: skip
+    """Return k pairs of hour and block of 32 rays, and the sun's strength on each ray, [k, 32].
+
+    axis: of the wall's normal, 0 or 1. window: inner face, outward (1 or -1), thickness of the
+    wall, u from and to, z from and to, arch, slant [9]. bars: upright (1 or 0), span from and to,
+    depth from and to [b, 5]. solids: as in `entered` [s, 3, 3]. face: axis of the normal, plus
+    3 where it points to lower numbers, -1 for rays that the sun cannot reach [r]. glass:
+    transmittance at each hour [n]. The strength is described at `renderer.LitEntries`.
+    """
+    numbers, least, most = _blocks(position, axis, window, spread)
+    hours, blocks = _reached(axis, window, least, most, suns)
+    boxes, faces = _boxes(position), _faces(face, len(least))
+    cosines, inverses = _cosines(suns), inverses_of(suns)
+    is_sloped = window[7] != _ZERO or window[8] != _ZERO
+    strengths = np.empty((len(hours), _BLOCK), np.float32)
+    us, zs = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    for pair in range(len(hours)):
+        hour, block = hours[pair], blocks[pair]
+        sun = _opening(axis, window, suns, hour)
+        slope_u, slope_z, shift_u, shift_z, low_u, high_u, low_z, high_z = sun
+        for k in range(_BLOCK):
+            across, inverse = numbers[block, 2, k], numbers[block, 3, k]
+            us[k] = numbers[block, 0, k] + slope_u * across
+            zs[k] = numbers[block, 1, k] + slope_z * across
+            share = _passed(us[k] - low_u, inverse) * _passed(high_u - us[k], inverse)
+            share *= _passed(zs[k] - low_z, inverse) * _passed(high_z - zs[k], inverse)
+            share *= cosines[hour, faces[block, k]]
+            strengths[pair, k] = share * glass[hour] if across > _ZERO else _ZERO
+        if is_sloped:
+            for k in range(_BLOCK):
+                inverse = numbers[block, 3, k]
+                top, outer_top = _top(window, us[k]), _top(window, us[k] + shift_u)
+                share = _passed(top - zs[k], inverse)
+                strengths[pair, k] *= share * _passed(outer_top - zs[k] - shift_z, inverse)
+        for bar in range(len(bars)):
+            upright = bars[bar, 0] > _ZERO
+            slope = slope_u if upright else slope_z
+            near, far = slope * bars[bar, 3], slope * bars[bar, 4]
+            low, high = bars[bar, 1] - max(near, far), bars[bar, 2] - min(near, far)
+            at = us if upright else zs
+            for k in range(_BLOCK):
+                inverse = numbers[block, 3, k]
+                hidden = _passed(at[k] - low, inverse) * _passed(high - at[k], inverse)
+                strengths[pair, k] *= _ONE - hidden
+        for solid in range(len(solids)):
+            if not _may_shade(solids, solid, boxes[block], inverses, hour):
+                continue
+            for k in range(min(_BLOCK, len(position) - block * _BLOCK)):
+                ray = block * _BLOCK + k
+                may_shine = strengths[pair, k] > _ZERO
+                if may_shine and is_shaded(solids, solid, position, ray, inverses, hour):
+                    strengths[pair, k] = _ZERO
+    return hours, blocks, strengths
+
+
+@compiled
+def add_to_pixels(
+    hours: Indices, blocks: Indices, strengths: Floats32, tone: Floats32, pixel: Indices,
+    totals: Floats32,
+) -> None:  # fmt: skip
+    """Add the strengths of `lit_blocks`, times a tone of each ray [r], to pixels of hours [n, m].
+
+    pixel: index below m of each ray's pixel [r].
+    """
+    for pair in range(len(hours)):
+        first = blocks[pair] * _BLOCK
+        for k in range(min(_BLOCK, len(pixel) - first)):
+            totals[hours[pair], pixel[first + k]] += strengths[pair, k] * tone[first + k]
+
+
+@compiled
+def lit_pairs(
+    hours: Indices, blocks: Indices, strengths: Floats32, rays: int
+) -> tuple[Indices, Indices, Floats32]:
+    """Return hour, ray and strength of the lit rays in `lit_blocks`, [k]; rays: their number r."""
+    at_hour, at_ray = np.empty(strengths.size, np.intp), np.empty(strengths.size, np.intp)
+    lit = np.empty(strengths.size, np.float32)
+    count = 0
+    for pair in range(len(hours)):
+        first = blocks[pair] * _BLOCK
+        for k in range(min(_BLOCK, rays - first)):
+            if strengths[pair, k] > _ZERO:
+                at_hour[count], at_ray[count] = hours[pair], first + k
+                lit[count] = strengths[pair, k]
+                count += 1
+    return at_hour[:count].copy(), at_ray[:count].copy(), lit[:count].copy()
