@@ -20,7 +20,7 @@ from fieldlum.models.transport.features import (
     without_refuted,
 )
 from fieldlum.models.transport.patch_edges import edge_weights
-from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
+from fieldlum.models.transport.pixel_fit import Recipe, basis_of, find_patch_gain, fit_pixels
 from fieldlum.records import Flag, Panorama
 from fieldlum.scene.view import look
 from fieldlum.scene_fit.corrected import with_patches
@@ -105,6 +105,23 @@ def test_sun_on_ground_that_pictures_show_dark_is_left_out() -> None:
     assert not arrays.patch[:, arrays.refuted].any()
     gain = fit(dark).response.pixels.patch_gain
     assert (gain[arrays.refuted] == 0.0).all() and (gain[~arrays.refuted] > 0.0).any()
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("day", [1, 2])
+def test_ground_lit_in_most_hours_does_not_weaken_sun_patches(day: int) -> None:
+    """Captures of one day: the ground outside is dark only at dawn and dusk."""
+    data = with_patches(window_captures(SEATTLE, 30))
+    data = data.take(np.flatnonzero(data.days == np.unique(data.days)[day]))
+    assert data.setup.room is not None and data.patch_cdm2 is not None
+    seen = look(data.setup.room, 30, data.heading_deg).ground
+    lit_hours = (data.patch_cdm2 > 100.0).sum(axis=0)
+    seen.ravel()[np.flatnonzero(((lit_hours >= 3) & ~seen).ravel())[:20]] = True
+    arrays = training_arrays_of(replace(data, seen=seen), with_patch=True)
+    assert find_patch_gain(arrays, Kernel(arrays.facades)) == pytest.approx(1.0, abs=0.05)
+    assert arrays.patch is not None
+    only_ground = arrays[np.flatnonzero((arrays.patch > 100.0).sum(axis=0) > len(data) - 4)]
+    assert find_patch_gain(only_ground, Kernel(arrays.facades)) > 0.9
 
 
 @pytest.mark.slow

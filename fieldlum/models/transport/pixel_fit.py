@@ -330,23 +330,26 @@ def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
 def find_patch_gain(arrays: TrainingArrays, kernel: Kernel) -> float:
     """Return the factor by which all sun patches must be multiplied to match the captures.
 
-    Only pixels that are lit in at least three hours count; without any, return 1.0. The start is
-    the median of (L - median(L / E) E) / s over lit values, with luminance L, total light E and
-    patch s. Three robust fits follow.
+    Only pixels that are lit in at least three hours and unlit in as many count; without any, return
+    1.0. The start is the median of (L - median(L / E) E) / s over lit values, with luminance L,
+    total light E and patch s; the inner median is over unlit hours, because ground before a window
+    is lit in most hours of few days. With patches of a fitted scene, whose albedos the captures
+    determined, it is 1.0. Three robust fits follow.
     """
     patch = arrays.patch
     assert patch is not None
     total = arrays.light.total_lx[:, None]
     lit = patch > 0.02 * np.percentile(patch[patch > 0], 95) if (patch > 0).any() else patch > 0
-    often = np.flatnonzero(lit.sum(axis=0) >= 3)
+    lit_hours = lit.sum(axis=0)
+    often = np.flatnonzero((lit_hours >= 3) & (len(lit) - lit_hours >= 3))
     if not len(often):
         return 1.0
     often = often[:: max(1, len(often) // 600)]
     some = arrays[often]
     shown = np.maximum(patch[:, often], 1e-9)
-    plain = np.median(some.luminance / total, axis=0) * total
+    plain = np.nanmedian(np.where(lit[:, often], np.nan, some.luminance / total), axis=0) * total
     gain = float(np.median(((some.luminance - plain) / shown)[lit[:, often]]))
-    gain = gain if gain > 0 else 1.0
+    gain = 1.0 if gain <= 0.0 or arrays.fitted_patches else gain
     recipe = Recipe(_GAIN_NOISE, patch_variance=1.0, rounds=3, rank=30)
     basis = basis_of(kernel(arrays.features, arrays.features), recipe.rank)
     products = pair_products(basis.values)
