@@ -164,7 +164,6 @@ def _process(
     r = basis.shape[1]
     fit, robust = np.clip(y, 0.2, 5.0), np.ones_like(y)
     matrix = np.empty((y.shape[1], r, r))
-    inverse = matrix
     for _ in range(_ROUNDS):
         weight = robust / (variance * fit * np.clip(y, 0.2 * fit, 5.0 * fit))  # [N, m]
         packed = weight.T @ products  # [m, r (r + 1) / 2]
@@ -172,9 +171,10 @@ def _process(
         packed, right = packed + neighbours @ packed, right + neighbours @ right
         matrix[:, a, b] = matrix[:, b, a] = packed
         matrix[:, np.arange(r), np.arange(r)] += 1.0
-        inverse = np.linalg.inv(matrix)
-        fit = np.maximum(basis @ np.einsum("mij,mj->im", inverse, right), 0.05)
+        solved = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]  # [m, r]
+        fit = np.maximum(basis @ solved.T, 0.05)
         robust = 1.0 / (1.0 + (np.log(y / fit) / _ROBUST_WIDTH) ** 2)
+    inverse = np.linalg.inv(matrix)
     asked = basis[rows]  # [n, r]
     spread = np.einsum("nmi,ni->nm", np.einsum("ni,mij->nmj", asked, inverse), asked)
     return fit, np.sqrt(spread) / fit[rows]

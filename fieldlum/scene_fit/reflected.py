@@ -7,8 +7,10 @@ without it walls near a patch look as if the sun reached them, and patches grow.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Indices
+from fieldlum.compiled import compiled
 from fieldlum.models.data import Dataset
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess
@@ -20,7 +22,8 @@ Float32 = Floats32
 _SOURCES = 4000
 # Chosen: share of a piece's area that is added to squared distances, so that a piece at a corner
 # does not shine infinitely onto the other wall.
-_SOFT_SHARE = 0.3
+_SOFT_SHARE = np.float32(0.3)
+_ZERO, _PI = np.float32(0.0), np.float32(np.pi)
 _GRAZING = 1e-3  # least cosine of a camera ray and a surface; chosen
 
 
@@ -78,11 +81,31 @@ def _received(ends: Surfaces, rows: Indices, area_m2: Float32, pixels: Surfaces)
 
     ends, rows: ray ends, and the indices of those that are sources; area_m2: of the sources [s].
     """
-    source_m = ends.position_m[rows]
-    offset = source_m[None, :, :] - pixels.position_m[:, None, :]  # [m, s, 3]
-    squared = np.sum(offset**2, axis=2) + _SOFT_SHARE * area_m2
-    leaving = -np.take_along_axis(offset, ends.axis[rows][None, :, None].astype(np.intp), axis=2)
-    arriving = np.take_along_axis(offset, pixels.axis[:, None, None].astype(np.intp), axis=2)
-    from_source = np.maximum(leaving[:, :, 0] * ends.sign[rows], 0.0)
-    at_pixel = np.maximum(arriving[:, :, 0] * pixels.sign[:, None], 0.0)
-    return from_source * at_pixel * area_m2 / (np.pi * squared**2)
+    return _received_pairs(
+        ends.position_m[rows], ends.axis[rows], ends.sign[rows], area_m2,
+        pixels.position_m, pixels.axis, pixels.sign,
+    )  # fmt: skip
+
+
+@compiled
+def _received_pairs(
+    source_m: Float32, source_axis: NDArray[np.int8], source_sign: Float32, area_m2: Float32,
+    pixel_m: Float32, pixel_axis: NDArray[np.int8], pixel_sign: Float32,
+) -> Float32:  # fmt: skip
+    """Return `_received` from places, axes of normals and their signs."""
+    received = np.zeros((len(pixel_m), len(source_m)), np.float32)
+    for pixel in range(len(pixel_m)):
+        for source in range(len(source_m)):
+            x = source_m[source, 0] - pixel_m[pixel, 0]
+            y = source_m[source, 1] - pixel_m[pixel, 1]
+            z = source_m[source, 2] - pixel_m[pixel, 2]
+            axis, other = source_axis[source], pixel_axis[pixel]
+            along = x if axis == 0 else y if axis == 1 else z
+            across = x if other == 0 else y if other == 1 else z
+            leaves, arrives = -along * source_sign[source], across * pixel_sign[pixel]
+            if leaves > _ZERO and arrives > _ZERO:
+                squared = x * x + y * y + z * z + _SOFT_SHARE * area_m2[source]
+                received[pixel, source] = (
+                    leaves * arrives * area_m2[source] / (_PI * squared * squared)
+                )
+    return received
