@@ -49,9 +49,10 @@ def search(data: Dataset) -> SceneSearch:
 
 
 def corrected(search: SceneSearch, guess: Guess) -> Guess:
+    search.relight(guess)  # without the true albedos, a thin slab on the floor would pay
     objective = last_objective(search)
     light = learned_light(objective, search.data, guess, ROOM)
-    return Elements(LearnedCost(objective, light, 0.4), search).corrected(guess)
+    return Elements(LearnedCost(objective, light, 0.4), search).corrected(guess, reshape=True)
 
 
 def middles_m(guess: Guess) -> list[float]:
@@ -106,6 +107,16 @@ def test_a_square_top_in_place_of_a_round_one_becomes_round() -> None:
     assert found.is_round
     assert found.low_m == pytest.approx(round_top.low_m, abs=0.03)
     assert found.high_m == pytest.approx(round_top.high_m, abs=0.03)
+
+
+@pytest.mark.analytic
+def test_missed_furniture_is_found() -> None:
+    desk = Solid((1.5, 1.0, 0.0), (2.7, 2.2, 0.74), 0.4)
+    room = room_of(replace(TRUE, solids=(desk,)), BARRED)
+    search = search_from(room_captures(SEATTLE, room, 48, rest_cdm2), ROOM)
+    (found,) = corrected(search, TRUE).solids
+    assert found.low_m[:2] == pytest.approx(desk.low_m[:2], abs=0.15)  # the sun is behind it
+    assert found.high_m == pytest.approx(desk.high_m, abs=0.05)
 
 
 @pytest.mark.analytic

@@ -33,7 +33,7 @@ def last_search(search: SceneSearch, guess: Guess) -> Guess:
         objective = last_objective(search)
         light = _light(search, objective, guess)
         elements = Elements(LearnedCost(objective, light, _COST_WIDTH), search)
-        guess = elements.pruned(guess) if number else elements.corrected(guess)
+        guess = elements.corrected(guess, reshape=number == 0)
         guess = _together(search, LearnedCost(objective, light, _WIDTH), guess)
         search.relight(guess)
     return guess
