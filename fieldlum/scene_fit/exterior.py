@@ -49,13 +49,9 @@ def propose_exterior(guess: Guess) -> list[Solid]:
         for distance in FACADE_DISTANCES_M:
             for elevation in FACADE_ELEVATIONS_DEG:
                 top = middle_z + distance * float(np.tan(np.radians(elevation)))
-                out = (distance, distance + FACADE_THICKNESS_M)
-                for low, high in (
-                    (middle_u - REACH_M, middle_u + REACH_M),
-                    (middle_u - REACH_M, middle_u),
-                    (middle_u, middle_u + REACH_M),
-                ):
-                    proposals.append(_outside(guess, rect, (low, high), out, (0.0, top)))
+                low, high = middle_u - REACH_M, middle_u + REACH_M
+                sides = ((low, high), (low, middle_u), (middle_u, high))
+                proposals += [opposite(guess, rect, along, distance, top) for along in sides]
         for gap in CANOPY_GAPS_M:
             for depth in CANOPY_DEPTHS_M:
                 z = rect.z_m[1] + gap
@@ -64,6 +60,17 @@ def propose_exterior(guess: Guess) -> list[Solid]:
                 height = (z, z + CANOPY_THICKNESS_M)
                 proposals.append(_outside(guess, rect, along, out, height))
     return proposals
+
+
+def opposite(
+    guess: Guess, rect: WindowRect, along: tuple[float, float], distance_m: float, top_m: float
+) -> Solid:
+    """Return a facade parallel to a window's wall, from the floor's height to `top_m`.
+
+    along: its extent along the wall; distance_m: from the wall's inner face.
+    """
+    out = (distance_m, distance_m + FACADE_THICKNESS_M)
+    return _outside(guess, rect, along, out, (0.0, top_m))
 
 
 def _outside(

@@ -26,6 +26,7 @@ from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import SceneSearch
+from fieldlum.scene_fit.skyline import with_skyline
 from fieldlum.scene_fit.stated_room import StatedRoom
 from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, outside_hours
 
@@ -97,7 +98,8 @@ def fit_scene(
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
         tries = list(pool.map(searched, range(starts)))
         best = _cheapest(tries, pool)
-    search, guess, misfits = best.search, best.guess, best.misfits
+    search, misfits = best.search, best.misfits
+    guess = with_skyline(last_cost(search, best.guess), data, best.guess)
     progress(91, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
@@ -170,7 +172,7 @@ def _cheapest(tries: Sequence[Searched], pool: Executor) -> Searched:
         return tries[0]
 
     def costs(judge: Searched) -> list[float]:
-        return [last_cost(judge.search, one.guess) for one in tries]
+        return [last_cost(judge.search, one.guess)(one.guess) for one in tries]
 
     return tries[int(np.argmin(np.sum(list(pool.map(costs, tries)), axis=0)))]
 

@@ -46,10 +46,10 @@ def _together(search: SceneSearch, cost: LearnedCost, guess: Guess) -> Guess:
     return principal_search(cost, guess, parameters, _SHARE, gain=_AXIS_GAIN)[0]
 
 
-def last_cost(search: SceneSearch, guess: Guess) -> float:
-    """Return the cost of a guess at the pixels of a search, with light below its own patches."""
+def last_cost(search: SceneSearch, guess: Guess) -> LearnedCost:
+    """Return the cost at the pixels of a search, with light below the patches of a guess."""
     objective = last_objective(search)
-    return LearnedCost(objective, _light(search, objective, guess), _COST_WIDTH)(guess)
+    return LearnedCost(objective, _light(search, objective, guess), _COST_WIDTH)
 
 
 def last_objective(search: SceneSearch) -> Objective:
