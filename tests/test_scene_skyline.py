@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scene_captures import ROOM, SEATTLE, room_captures
+from scipy.ndimage import gaussian_filter
 
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
@@ -20,8 +21,11 @@ GUESS = guess_of(ROOM)
 RISE = 0.25  # of the facade's upper edge, m for each m away
 
 
-def captures(rise: float, *, from_m: float = -np.inf) -> Dataset:
-    """Captures with a facade east of `from_m`, for each m away; `rise` is that of its edge."""
+def captures(rise: float, *, from_m: float = -np.inf, clouds: float = 0.0) -> Dataset:
+    """Captures with a facade east of `from_m`, for each m away; `rise` is that of its edge.
+
+    clouds: standard deviation of the logarithm of the sky's luminance, alike within 10 degrees.
+    """
     pixel, rays = pixel_rays(HEIGHT, 180.0, 1)
     rays = rays[np.argsort(pixel)]
     panes = look(ROOM, HEIGHT, 180.0).sky.ravel() > 0.5
@@ -34,6 +38,9 @@ def captures(rise: float, *, from_m: float = -np.inf) -> Dataset:
         facade = 0.05 * light.diffuse_lx + 0.06 * light.direct_lx
         above = np.maximum(rays, (-1.0, -1.0, 0.01))
         sky = 0.88 * light.sky_at(above / np.linalg.norm(above, axis=1, keepdims=True))
+        noise = np.random.default_rng(1).normal(0.0, clouds, (len(light), HEIGHT, 2 * HEIGHT))
+        smooth = gaussian_filter(noise, (0.0, 3.0, 3.0)) * 10.6  # of standard deviation 1 again
+        sky = sky * np.exp(smooth).reshape(len(light), -1)
         seen = np.where(panes, sky, inside[:, None])
         seen = np.where(hidden, facade[:, None], seen)
         return seen.reshape(len(light), HEIGHT, 2 * HEIGHT)
@@ -68,8 +75,17 @@ def test_a_facade_ends_where_the_sky_begins() -> None:
 
 
 @pytest.mark.analytic
-def test_a_free_horizon_gives_no_facade() -> None:
-    assert with_skyline(indifferent, captures(0.0), GUESS) is GUESS
+@pytest.mark.parametrize("clouds", [0.0, 0.3, 0.6])
+def test_a_free_horizon_gives_no_facade(clouds: float) -> None:
+    assert with_skyline(indifferent, captures(0.0, clouds=clouds), GUESS) is GUESS
+
+
+@pytest.mark.analytic
+def test_a_facade_is_found_under_clouds() -> None:
+    found = with_skyline(indifferent, captures(RISE, clouds=0.3), GUESS)
+    (facade,) = found.solids
+    rise = (facade.high_m[2] - GUESS.camera_m[2]) / (GUESS.camera_m[1] - facade.high_m[1])
+    assert rise == pytest.approx(RISE, abs=0.05)
 
 
 @pytest.mark.analytic

@@ -1,7 +1,7 @@
-"""Find a facade opposite in the pictures: panes that show no sky above the horizon.
+"""Find a facade opposite in the pictures: panes that are dark above the horizon.
 
 Few captures have a sun that is low enough for a facade to hide it, so that sun patches do not show
-the facade. Panes do: pixels of the sky follow the Perez sky in all hours, those of a facade do not.
+the facade. Panes do: in dull hours a facade has 0.2 to 0.5 of the luminance of the sky.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from fieldlum.arrays import Floats, Indices
+from fieldlum.light import Light
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport.open_sky import open_sky_from_captures
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.exterior import REACH_M, is_outside, opposite
@@ -24,6 +24,10 @@ from fieldlum.scene_fit.renderer import OUTSIDE, PANE, seen_in_opening, surfaces
 # choose, and the nearer one if they do not.
 _DISTANCES_M = (6.0, 12.0, 24.0)
 _LEAST_RISE = 0.07  # of the skyline, m for each m away: 4 degrees, more than haze at the horizon
+_DULL_SHARE, _LEAST_HOURS = 0.3, 5  # direct over diffuse light of dull hours, and their number
+_DARK_SHARE = 0.6  # of free sky's luminance, below which a pixel shows a facade
+_QUANTILE = 0.9  # of dull hours: a facade is dark in nearly all of them
+_LOWEST = 0.02  # height of a unit vector to the sky just above the horizon
 _LEAST_COLUMNS = 3  # of the picture, that show the facade
 _LEAST_SHARE = 0.8  # of the columns between the facade's ends that show it
 _SAME_COST = 1.002  # costs this near do not contradict
@@ -35,7 +39,8 @@ def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) ->
     cost: of a guess, by captured sun patches, which must not rise. A guess that has something
     outside is returned as it is.
     """
-    if any(is_outside(guess, solid) for solid in guess.solids):
+    is_known = any(is_outside(guess, solid) for solid in guess.solids)
+    if is_known or len(dull_hours(data.light)) < _LEAST_HOURS:
         return guess
     for number, rect in enumerate(guess.windows):
         found = _facade(data, guess, number)
@@ -49,6 +54,11 @@ def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) ->
     return guess
 
 
+def dull_hours(light: Light) -> Indices:
+    """Return the hours with little direct sun, whose sky is even."""
+    return np.flatnonzero(light.direct_lx < _DULL_SHARE * light.diffuse_lx)
+
+
 def _facade(
     data: Dataset, guess: Guess, number: int
 ) -> tuple[float, tuple[float | None, float | None]] | None:
@@ -58,13 +68,13 @@ def _facade(
     camera. An end is None if the facade extends beyond the view. number: of the window, from 0.
     """
     along, rise, sky, column = _panes(data, guess, number)
-    clear = float(np.median(sky[sky > 0.0])) if (sky > 0.0).any() else 1.0
+    clear = float(np.quantile(sky[rise > 0.0], 0.75)) if (rise > 0.0).any() else 0.0
     ends, rises = [], []
     for one in np.unique(column):
         rows = np.flatnonzero((column == one) & (rise > 0.0))
         rows = rows[np.argsort(rise[rows])]  # from the horizon upwards
         shows_horizon = rise[column == one].min() <= 0.0
-        if shows_horizon and len(rows) > 1 and (sky[rows] > 0.0).any():
+        if shows_horizon and len(rows) > 1 and (sky[rows] > _DARK_SHARE * clear).any():
             ends.append(float(np.median(along[rows])))
             rises.append(_upper_edge(rise[rows], np.minimum(sky[rows] / clear, 1.0)))
     order = np.argsort(ends)
@@ -83,26 +93,25 @@ def _facade(
 def _upper_edge(rise: Floats, sky: Floats) -> float:
     """Return the rise at which the sky begins, from the pixels of a column above the horizon.
 
-    rise: of the pixels, upwards [k]; sky: the share of each that shows sky, 0 to 1 [k].
+    rise: of the pixels, upwards [k]; sky: luminance of each over that of free sky, 0 to 1 [k].
     """
-    first = int(np.argmax(sky > 0.0))
+    first = int(np.argmax(sky > _DARK_SHARE))
     step = rise[1] - rise[0]
     bottom = max(float(rise[first] - step / 2.0), 0.0)
-    return bottom + (1.0 - float(sky[first])) * float(rise[first] + step / 2.0 - bottom)
+    below = float(sky[first - 1]) if first else 0.0
+    hidden = min((1.0 - float(sky[first])) / max(1.0 - below, _DARK_SHARE), 1.0)
+    return bottom + hidden * float(rise[first] + step / 2.0 - bottom)
 
 
 def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Floats, Indices]:
-    """Return pixels that show a window's panes: along, rise, luminance over sky, and column.
+    """Return pixels that show a window's panes: along, rise, luminance over sky, column.
 
     along, rise: offset along the wall and height, in m for each m away from the wall [k];
-    luminance over sky: 0 where a pixel does not follow the sky [k].
+    luminance over sky: over that of the panes in each dull hour, nearly the largest of these hours,
+    because a cloud is not dark in all of them; below the horizon over the sky just above it [k].
     """
     height, width = data.shape
     pixel, rays = pixel_rays(height, data.heading_deg, 1)
-    luminance = data.luminance_cdm2.reshape(len(data), -1)[:, pixel]
-    open_sky = open_sky_from_captures(luminance, None, data.light, rays)
-    sky = np.zeros(len(pixel))
-    sky[open_sky.index] = open_sky.share
     axis, side = WALLS[guess.windows[number].wall]
     only = replace(guess, windows=(guess.windows[number],), solids=(), bars=_bars(guess, number))
     ends = surfaces(only, rays.astype(np.float32))
@@ -111,7 +120,14 @@ def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Fl
     shows[shows] = seen_in_opening(only, ends.position_m[shows], direction[shows]) == PANE
     toward = direction[shows, axis] * (1.0 if side else -1.0)
     along, rise = (direction[shows, k] / toward for k in (1 - axis, 2))
-    return along, rise, sky[shows], (pixel[shows] % width).astype(np.intp)
+    light = data.light[dull_hours(data.light)]
+    luminance = data.luminance_cdm2.reshape(len(data), -1)[dull_hours(data.light)]
+    above = rays[shows] * (1.0, 1.0, 0.0) + np.maximum(rays[shows], _LOWEST) * (0.0, 0.0, 1.0)
+    sky = light.sky_at(above / np.linalg.norm(above, axis=1, keepdims=True))
+    ratio = luminance[:, pixel[shows]] / sky  # [n, k]
+    usual = np.quantile(ratio[:, rise > 0.0], 0.75, axis=1) if (rise > 0.0).any() else 1.0
+    share = np.quantile(ratio.T / usual, _QUANTILE, axis=1)
+    return along, rise, share, (pixel[shows] % width).astype(np.intp)
 
 
 def _bars(guess: Guess, number: int) -> tuple:
