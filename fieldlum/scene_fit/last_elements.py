@@ -129,7 +129,7 @@ class Elements:
 
 
 def _repeated(add: Callable[[Guess], Guess], guess: Guess, most: int) -> Guess:
-    """Return the guess after at most so many additions; `add` ends with the same object."""
+    """Return the guess after at most `most` additions; `add` ends with the same object."""
     for _ in range(most):
         more = add(guess)
         if more is guess:

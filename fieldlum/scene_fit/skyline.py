@@ -1,7 +1,7 @@
 """Find a facade opposite in the pictures: panes that are dark above the horizon.
 
 Few captures have a sun that is low enough for a facade to hide it, so that sun patches do not show
-the facade. Panes do: in dull hours a facade has 0.2 to 0.5 of the luminance of the sky.
+the facade. Panes do: in overcast hours a facade has 0.2 to 0.5 of the luminance of the sky.
 """
 
 from __future__ import annotations
@@ -24,9 +24,12 @@ from fieldlum.scene_fit.renderer import OUTSIDE, PANE, seen_in_opening, surfaces
 # choose, and the nearer one if they do not.
 _DISTANCES_M = (6.0, 12.0, 24.0)
 _LEAST_RISE = 0.07  # of the skyline, m for each m away: 4 degrees, more than haze at the horizon
-_DULL_SHARE, _LEAST_HOURS = 0.3, 5  # direct over diffuse light of dull hours, and their number
+_OVERCAST_SHARE, _LEAST_HOURS = (
+    0.3,
+    5,
+)  # direct over diffuse light of overcast hours, and their number
 _DARK_SHARE = 0.6  # of free sky's luminance, below which a pixel shows a facade
-_QUANTILE = 0.9  # of dull hours: a facade is dark in nearly all of them
+_QUANTILE = 0.9  # of overcast hours: a facade is dark in nearly all of them
 _LOWEST = 0.02  # height of a unit vector to the sky just above the horizon
 _LEAST_COLUMNS = 3  # of the picture, that show the facade
 _LEAST_SHARE = 0.8  # of the columns between the facade's ends that show it
@@ -40,7 +43,7 @@ def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) ->
     outside is returned as it is.
     """
     is_known = any(is_outside(guess, solid) for solid in guess.solids)
-    if is_known or len(dull_hours(data.light)) < _LEAST_HOURS:
+    if is_known or len(overcast_hours(data.light)) < _LEAST_HOURS:
         return guess
     for number, rect in enumerate(guess.windows):
         found = _facade(data, guess, number)
@@ -54,9 +57,9 @@ def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) ->
     return guess
 
 
-def dull_hours(light: Light) -> Indices:
+def overcast_hours(light: Light) -> Indices:
     """Return the hours with little direct sun, whose sky is even."""
-    return np.flatnonzero(light.direct_lx < _DULL_SHARE * light.diffuse_lx)
+    return np.flatnonzero(light.direct_lx < _OVERCAST_SHARE * light.diffuse_lx)
 
 
 def _facade(
@@ -107,7 +110,7 @@ def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Fl
     """Return pixels that show a window's panes: along, rise, luminance over sky, column.
 
     along, rise: offset along the wall and height, in m for each m away from the wall [k];
-    luminance over sky: over that of the panes in each dull hour, nearly the largest of these hours,
+    luminance over sky: over that of the panes in each overcast hour, nearly the largest of these hours,
     because a cloud is not dark in all of them; below the horizon over the sky just above it [k].
     """
     height, width = data.shape
@@ -120,8 +123,8 @@ def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Fl
     shows[shows] = seen_in_opening(only, ends.position_m[shows], direction[shows]) == PANE
     toward = direction[shows, axis] * (1.0 if side else -1.0)
     along, rise = (direction[shows, k] / toward for k in (1 - axis, 2))
-    light = data.light[dull_hours(data.light)]
-    luminance = data.luminance_cdm2.reshape(len(data), -1)[dull_hours(data.light)]
+    light = data.light[overcast_hours(data.light)]
+    luminance = data.luminance_cdm2.reshape(len(data), -1)[overcast_hours(data.light)]
     above = rays[shows] * (1.0, 1.0, 0.0) + np.maximum(rays[shows], _LOWEST) * (0.0, 0.0, 1.0)
     sky = light.sky_at(above / np.linalg.norm(above, axis=1, keepdims=True))
     ratio = luminance[:, pixel[shows]] / sky  # [n, k]
