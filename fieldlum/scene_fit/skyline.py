@@ -110,8 +110,8 @@ def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Fl
     """Return pixels that show a window's panes: along, rise, luminance over sky, column.
 
     along, rise: offset along the wall and height, in m for each m away from the wall [k];
-    luminance over sky: over that of the panes in each overcast hour, nearly the largest of these hours,
-    because a cloud is not dark in all of them; below the horizon over the sky just above it [k].
+    luminance over sky: over that of the panes in each overcast hour; nearly the largest of these
+    hours, because a cloud is not dark in all; below the horizon over the sky just above it [k].
     """
     height, width = data.shape
     pixel, rays = pixel_rays(height, data.heading_deg, 1)
