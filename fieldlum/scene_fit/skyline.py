@@ -17,17 +17,16 @@ from fieldlum.models.data import Dataset
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.exterior import REACH_M, is_outside, opposite
-from fieldlum.scene_fit.guess import Guess, WindowRect
+from fieldlum.scene_fit.guess import Bar, Guess, WindowRect
 from fieldlum.scene_fit.renderer import OUTSIDE, PANE, seen_in_opening, surfaces
 
 # Chosen, not varied. The picture shows the facade's angle, but not its distance: captured patches
 # choose, and the nearer one if they do not.
 _DISTANCES_M = (6.0, 12.0, 24.0)
 _LEAST_RISE = 0.07  # of the skyline, m for each m away: 4 degrees, more than haze at the horizon
-_OVERCAST_SHARE, _LEAST_HOURS = (
-    0.3,
-    5,
-)  # direct over diffuse light of overcast hours, and their number
+_OVERCAST_SHARE = 0.3  # largest ratio of direct to diffuse light in overcast hours
+_LEAST_HOURS = 5  # that are overcast
+_LEAST_CDM2 = 1.0  # of a sky, far below that of any hour with daylight
 _DARK_SHARE = 0.6  # of free sky's luminance, below which a pixel shows a facade
 _QUANTILE = 0.9  # of overcast hours: a facade is dark in nearly all of them
 _LOWEST = 0.02  # height of a unit vector to the sky just above the horizon
@@ -68,7 +67,8 @@ def _facade(
     """Return what a window shows of a facade parallel to its wall, None for nothing.
 
     It is the rise of the upper edge, and both ends along the wall, in m for each m away from the
-    camera. An end is None if the facade extends beyond the view. number: of the window, from 0.
+    camera, along the wall's normal. An end is None if the facade extends beyond the view. number:
+    of the window, from 0.
     """
     along, rise, sky, column = _panes(data, guess, number)
     clear = float(np.quantile(sky[rise > 0.0], 0.75)) if (rise > 0.0).any() else 0.0
@@ -127,13 +127,13 @@ def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Fl
     luminance = data.luminance_cdm2.reshape(len(data), -1)[overcast_hours(data.light)]
     above = rays[shows] * (1.0, 1.0, 0.0) + np.maximum(rays[shows], _LOWEST) * (0.0, 0.0, 1.0)
     sky = light.sky_at(above / np.linalg.norm(above, axis=1, keepdims=True))
-    ratio = luminance[:, pixel[shows]] / sky  # [n, k]
+    ratio = luminance[:, pixel[shows]] / np.maximum(sky, _LEAST_CDM2)  # [n, k]
     usual = np.quantile(ratio[:, rise > 0.0], 0.75, axis=1) if (rise > 0.0).any() else 1.0
     share = np.quantile(ratio.T / usual, _QUANTILE, axis=1)
     return along, rise, share, (pixel[shows] % width).astype(np.intp)
 
 
-def _bars(guess: Guess, number: int) -> tuple:
+def _bars(guess: Guess, number: int) -> tuple[Bar, ...]:
     """Return the bars of one window, as bars of window 0."""
     return tuple(replace(bar, window=0) for bar in guess.bars if bar.window == number)
 
