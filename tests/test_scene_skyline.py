@@ -13,8 +13,8 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.scene.view import look, pixel_rays
 from fieldlum.scene_fit.exterior import is_outside
-from fieldlum.scene_fit.guess import Guess, guess_of
-from fieldlum.scene_fit.skyline import with_skyline
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect, guess_of
+from fieldlum.scene_fit.skyline import facade_seen, with_skyline
 
 HEIGHT = 60
 GUESS = guess_of(ROOM)
@@ -86,6 +86,31 @@ def test_a_facade_is_found_under_clouds() -> None:
     (facade,) = found.solids
     rise = (facade.high_m[2] - GUESS.camera_m[2]) / (GUESS.camera_m[1] - facade.high_m[1])
     assert rise == pytest.approx(RISE, abs=0.05)
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    "known",
+    [
+        replace(GUESS, bars=(Bar(0, False, (1.2, 1.55), (0.0, 0.1)),)),
+        replace(GUESS, solids=(Solid((0.6, 0.3, 0.0), (2.4, 0.9, 1.7), 0.4),)),
+    ],
+    ids=["transom at eye height", "cabinet before the window"],
+)
+def test_what_hides_the_horizon_is_no_facade(known: Guess) -> None:
+    assert with_skyline(indifferent, captures(0.0), known) is known
+
+
+@pytest.mark.analytic
+def test_a_facade_does_not_cross_the_view_of_another_wall() -> None:
+    """The picture shows nothing of the western window, which may be free."""
+    west = WindowRect("west", (1.0, 2.0), (0.9, 2.2), 0.85)
+    corner = replace(GUESS, windows=(*GUESS.windows, west))
+    seen = facade_seen(captures(RISE), corner, "south")
+    assert seen is not None
+    found = with_skyline(indifferent, captures(RISE), corner)
+    away_m = GUESS.camera_m[1] - found.solids[0].high_m[1]
+    assert found.solids[0].low_m[0] == pytest.approx(GUESS.camera_m[0] + seen.seen[0] * away_m)
 
 
 @pytest.mark.analytic

@@ -111,7 +111,7 @@ def fit_scene(
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    notes = tuple(_notes(u, search.evidence))
+    notes = (*_notes(u, search.evidence), *_facade_notes(best.guess, guess))
     progress(100, 100, "")
     return SceneFit(
         room,
@@ -199,6 +199,22 @@ def _with_albedo(room: Room, albedo: Array) -> Room:
         reflectance_floor=float(albedo[4]),
         reflectance_ceiling=float(albedo[5]),
     )
+
+
+def _facade_notes(before: Guess, guess: Guess) -> list[str]:
+    """Return a note for each facade that was added because panes show it."""
+    eye = np.array(guess.camera_m)
+    notes = []
+    for solid in guess.solids[len(before.solids) :]:
+        low, high = np.array(solid.low_m), np.array(solid.high_m)
+        away_m = float(np.max(np.maximum(low - eye, eye - high)[:2]))
+        angle_deg = float(np.degrees(np.arctan2(high[2] - eye[2], away_m)))
+        notes.append(
+            f"panes show an object outside up to {angle_deg:.0f} degrees above the horizon; its "
+            f"distance ({away_m:.0f} m assumed) is known only from the sun patches it hides: "
+            "state an [[room.obstruction]] with its measures"
+        )
+    return notes
 
 
 def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:

@@ -98,8 +98,10 @@ class Elements:
         """Return the guess with a box that is proposed below the learned light, if it pays."""
         usual = self.search.evidence
         self.search.evidence = replace(usual, below=self.cost.light.luminance)
-        trial = self.search.furniture(guess)
-        self.search.evidence = usual
+        try:
+            trial = self.search.furniture(guess)
+        finally:
+            self.search.evidence = usual
         if trial is guess:
             return guess
         moves = solid_parameters(len(trial.solids) - 1)

@@ -7,7 +7,7 @@ the facade. Panes do: in overcast hours a facade has 0.2 to 0.5 of the luminance
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,15 +17,16 @@ from fieldlum.models.data import Dataset
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.exterior import REACH_M, is_outside, opposite
-from fieldlum.scene_fit.guess import Bar, Guess, WindowRect
+from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.renderer import OUTSIDE, PANE, seen_in_opening, surfaces
 
 # Chosen, not varied. The picture shows the facade's angle, but not its distance: captured patches
-# choose, and the nearer one if they do not.
-_DISTANCES_M = (6.0, 12.0, 24.0)
+# choose, and where they do not, the first of these does. A parapet of a balcony is the nearest one.
+_DISTANCES_M = (12.0, 6.0, 24.0, 1.5)
 _LEAST_RISE = 0.07  # of the skyline, m for each m away: 4 degrees, more than haze at the horizon
+_LEAST_EXTENT = 0.25  # along the wall, m for each m away: 14 degrees
 _OVERCAST_SHARE = 0.3  # largest ratio of direct to diffuse light in overcast hours
-_LEAST_HOURS = 5  # that are overcast
+_LEAST_LX, _LEAST_HOURS = 500.0, 5  # diffuse light of an overcast hour, and number of these hours
 _LEAST_CDM2 = 1.0  # of a sky, far below that of any hour with daylight
 _DARK_SHARE = 0.6  # of free sky's luminance, below which a pixel shows a facade
 _QUANTILE = 0.9  # of overcast hours: a facade is dark in nearly all of them
@@ -35,8 +36,23 @@ _LEAST_SHARE = 0.8  # of the columns between the facade's ends that show it
 _SAME_COST = 1.002  # costs this near do not contradict
 
 
+@dataclass(frozen=True, slots=True)
+class Facade:
+    """A facade parallel to a wall, as the camera sees it.
+
+    wall: with the windows that show it. rise: of the upper edge above the camera, and ends along
+    the wall from the camera, each in m for each m away from the camera along the wall's normal;
+    an end is None if the facade extends beyond the view.
+    """
+
+    wall: str
+    rise: float
+    ends: tuple[float | None, float | None]
+    seen: tuple[float, float]  # the ends that the panes show
+
+
 def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) -> Guess:
-    """Return the guess with a facade opposite each window that shows one.
+    """Return the guess with a facade opposite each wall whose windows show one.
 
     cost: of a guess, by captured sun patches, which must not rise. A guess that has something
     outside is returned as it is.
@@ -44,115 +60,118 @@ def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) ->
     is_known = any(is_outside(guess, solid) for solid in guess.solids)
     if is_known or len(overcast_hours(data.light)) < _LEAST_HOURS:
         return guess
-    for number, rect in enumerate(guess.windows):
-        found = _facade(data, guess, number)
-        if found is None:
+    for wall in dict.fromkeys(rect.wall for rect in guess.windows):
+        facade = facade_seen(data, guess, wall)
+        if facade is None:
             continue
-        rise, ends = found
-        trials = [_with_facade(guess, rect, rise, ends, d) for d in _DISTANCES_M]
-        least = min(map(cost, trials))
-        if least <= _SAME_COST * cost(guess):
-            guess = next(trial for trial in trials if cost(trial) <= _SAME_COST * least)
+        trials = [_with_facade(guess, facade, distance) for distance in _DISTANCES_M]
+        costs = [cost(trial) for trial in trials]
+        most = _SAME_COST * min(*costs, cost(guess))
+        guess = next((t for t, c in zip(trials, costs, strict=True) if c <= most), guess)
     return guess
 
 
 def overcast_hours(light: Light) -> Indices:
-    """Return the hours with little direct sun, whose sky is even."""
-    return np.flatnonzero(light.direct_lx < _OVERCAST_SHARE * light.diffuse_lx)
+    """Return the hours of day with little direct sun, whose sky is even."""
+    overcast = light.direct_lx < _OVERCAST_SHARE * light.diffuse_lx
+    return np.flatnonzero(overcast & (light.diffuse_lx > _LEAST_LX))
 
 
-def _facade(
-    data: Dataset, guess: Guess, number: int
-) -> tuple[float, tuple[float | None, float | None]] | None:
-    """Return what a window shows of a facade parallel to its wall, None for nothing.
-
-    It is the rise of the upper edge, and both ends along the wall, in m for each m away from the
-    camera, along the wall's normal. An end is None if the facade extends beyond the view. number:
-    of the window, from 0.
-    """
-    along, rise, sky, column = _panes(data, guess, number)
-    clear = float(np.quantile(sky[rise > 0.0], 0.75)) if (rise > 0.0).any() else 0.0
+def facade_seen(data: Dataset, guess: Guess, wall: str) -> Facade | None:
+    """Return the facade that a wall's windows show, None for nothing."""
+    along, rise, sky, row, column = _panes(data, guess, wall)
+    if not (rise > 0.0).any():
+        return None
+    clear = float(np.quantile(sky[rise > 0.0], 0.75))
     ends, rises = [], []
     for one in np.unique(column):
-        rows = np.flatnonzero((column == one) & (rise > 0.0))
-        rows = rows[np.argsort(rise[rows])]  # from the horizon upwards
-        shows_horizon = rise[column == one].min() <= 0.0
-        if shows_horizon and len(rows) > 1 and (sky[rows] > _DARK_SHARE * clear).any():
+        rows = np.flatnonzero(column == one)
+        rows = rows[np.argsort(rise[rows])]  # upwards
+        edge = _upper_edge(rise[rows], row[rows], np.minimum(sky[rows] / clear, 1.0))
+        if edge is not None:
             ends.append(float(np.median(along[rows])))
-            rises.append(_upper_edge(rise[rows], np.minimum(sky[rows] / clear, 1.0)))
+            rises.append(edge)
     order = np.argsort(ends)
     end, height = np.array(ends)[order], np.array(rises)[order]
     shown = np.flatnonzero(height > _LEAST_RISE)
     if len(shown) < _LEAST_COLUMNS:
         return None
     first, last = shown[0], shown[-1]
-    if len(shown) < _LEAST_SHARE * (last - first + 1):
+    is_gapped = len(shown) < _LEAST_SHARE * (last - first + 1)
+    if is_gapped or end[last] - end[first] < _LEAST_EXTENT:
         return None
-    low = None if first == 0 else float(end[first])
-    high = None if last == len(end) - 1 else float(end[last])
-    return float(np.median(height[shown])), (low, high)
+    seen = float(end[first]), float(end[last])
+    ends_seen = None if first == 0 else seen[0], None if last == len(end) - 1 else seen[1]
+    return Facade(wall, float(np.median(height[shown])), ends_seen, seen)
 
 
-def _upper_edge(rise: Floats, sky: Floats) -> float:
-    """Return the rise at which the sky begins, from the pixels of a column above the horizon.
+def _upper_edge(rise: Floats, row: Indices, sky: Floats) -> float | None:
+    """Return the rise at which the sky begins in a picture column, 0 for a free horizon.
 
-    rise: of the pixels, upwards [k]; sky: luminance of each over that of free sky, 0 to 1 [k].
+    None if a bar hides the horizon or the edge, or if no sky is seen. rise: of the column's pixels,
+    upwards [k]; row: of the picture [k]; sky: luminance of each over that of free sky, 0 to 1 [k].
     """
-    first = int(np.argmax(sky > _DARK_SHARE))
-    step = rise[1] - rise[0]
-    bottom = max(float(rise[first] - step / 2.0), 0.0)
-    below = float(sky[first - 1]) if first else 0.0
-    hidden = min((1.0 - float(sky[first])) / max(1.0 - below, _DARK_SHARE), 1.0)
-    return bottom + hidden * float(rise[first] + step / 2.0 - bottom)
+    above = int(np.argmax(rise > 0.0))
+    open_pixels = np.flatnonzero((rise > 0.0) & (sky > _DARK_SHARE))
+    if above == 0 or not len(open_pixels):  # no pane at or below the horizon
+        return None
+    first = int(open_pixels[0])
+    if (np.diff(row[above - 1 : first + 1]) != -1).any():
+        return None
+    if first == above:
+        return 0.0
+    step = float(rise[first] - rise[first - 1])
+    hidden = (1.0 - float(sky[first])) / max(1.0 - float(sky[first - 1]), _DARK_SHARE)
+    return float(rise[first]) - step / 2.0 + min(hidden, 1.0) * step
 
 
-def _panes(data: Dataset, guess: Guess, number: int) -> tuple[Floats, Floats, Floats, Indices]:
-    """Return pixels that show a window's panes: along, rise, luminance over sky, column.
+def _panes(
+    data: Dataset, guess: Guess, wall: str
+) -> tuple[Floats, Floats, Floats, Indices, Indices]:
+    """Return pixels that show a wall's panes: along, rise, luminance over sky, row, column.
 
-    along, rise: offset along the wall and height, in m for each m away from the wall [k];
+    along, rise: offset along the wall and height, in m for each m away from the camera [k];
     luminance over sky: over that of the panes in each overcast hour; nearly the largest of these
     hours, because a cloud is not dark in all; below the horizon over the sky just above it [k].
     """
     height, width = data.shape
     pixel, rays = pixel_rays(height, data.heading_deg, 1)
-    axis, side = WALLS[guess.windows[number].wall]
-    only = replace(guess, windows=(guess.windows[number],), solids=(), bars=_bars(guess, number))
+    axis, side = WALLS[wall]
+    numbers = [k for k, rect in enumerate(guess.windows) if rect.wall == wall]
+    bars = [replace(b, window=numbers.index(b.window)) for b in guess.bars if b.window in numbers]
+    windows = tuple(guess.windows[k] for k in numbers)
+    only = replace(guess, windows=windows, bars=tuple(bars))
     ends = surfaces(only, rays.astype(np.float32))
     direction = rays @ guess.camera_turn.T
     shows = (ends.surface == OUTSIDE) & data.seen.ravel()[pixel]
     shows[shows] = seen_in_opening(only, ends.position_m[shows], direction[shows]) == PANE
     toward = direction[shows, axis] * (1.0 if side else -1.0)
     along, rise = (direction[shows, k] / toward for k in (1 - axis, 2))
-    light = data.light[overcast_hours(data.light)]
-    luminance = data.luminance_cdm2.reshape(len(data), -1)[overcast_hours(data.light)]
+    hours = overcast_hours(data.light)
+    luminance = data.luminance_cdm2.reshape(len(data), -1)[hours]
     above = rays[shows] * (1.0, 1.0, 0.0) + np.maximum(rays[shows], _LOWEST) * (0.0, 0.0, 1.0)
-    sky = light.sky_at(above / np.linalg.norm(above, axis=1, keepdims=True))
+    sky = data.light[hours].sky_at(above / np.linalg.norm(above, axis=1, keepdims=True))
     ratio = luminance[:, pixel[shows]] / np.maximum(sky, _LEAST_CDM2)  # [n, k]
-    usual = np.quantile(ratio[:, rise > 0.0], 0.75, axis=1) if (rise > 0.0).any() else 1.0
-    share = np.quantile(ratio.T / usual, _QUANTILE, axis=1)
-    return along, rise, share, (pixel[shows] % width).astype(np.intp)
+    free = np.ones(len(hours))
+    if (rise > 0.0).any():
+        free = np.maximum(np.quantile(ratio[:, rise > 0.0], 0.75, axis=1), 1e-6)
+    share = np.quantile(ratio.T / free, _QUANTILE, axis=1)
+    row, column = np.divmod(pixel[shows].astype(np.intp), width)
+    return along, rise, share, row, column
 
 
-def _bars(guess: Guess, number: int) -> tuple[Bar, ...]:
-    """Return the bars of one window, as bars of window 0."""
-    return tuple(replace(bar, window=0) for bar in guess.bars if bar.window == number)
+def _with_facade(guess: Guess, facade: Facade, distance_m: float) -> Guess:
+    """Return the guess with a facade at a distance from its wall.
 
-
-def _with_facade(
-    guess: Guess,
-    rect: WindowRect,
-    rise: float,
-    ends: tuple[float | None, float | None],
-    distance_m: float,
-) -> Guess:
-    """Return the guess with the facade of `_facade` at a distance from a window's wall."""
-    axis, side = WALLS[rect.wall]
+    Beyond the view it extends by 40 m, unless windows in other walls may show that it does not.
+    """
+    axis, side = WALLS[facade.wall]
     eye = guess.camera_m
     away_m = distance_m + abs((guess.size_m[axis] if side else 0.0) - eye[axis])
-    middle = float(np.mean(rect.u_m))
-    low, high = (
-        middle + sign * REACH_M if end is None else eye[1 - axis] + end * away_m
-        for end, sign in zip(ends, (-1.0, 1.0), strict=True)
-    )
-    solid = opposite(guess, rect, (low, high), distance_m, eye[2] + rise * away_m)
+    low, high = (eye[1 - axis] + end * away_m for end in facade.seen)
+    if all(rect.wall == facade.wall for rect in guess.windows):
+        low -= REACH_M if facade.ends[0] is None else 0.0
+        high += REACH_M if facade.ends[1] is None else 0.0
+    rect = next(rect for rect in guess.windows if rect.wall == facade.wall)
+    solid = opposite(guess, rect, (low, high), distance_m, eye[2] + facade.rise * away_m)
     return replace(guess, solids=(*guess.solids, solid))
