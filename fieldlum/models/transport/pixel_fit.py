@@ -20,7 +20,7 @@ from fieldlum.models.transport.ridge import (
 RANK = 100  # number of features; chosen, limits memory and time
 # variance of log residuals while the gain of the patches is fitted; not measured
 _GAIN_NOISE = 1e-2
-_GAIN_FITS, _SAME_GAIN = 8, 1e-3  # most fits of that gain, and a change that ends them; chosen
+_OFTEN_SHARE = 0.75  # of hours with any sun patch; ground before a window is lit in more; chosen
 SKY_GAIN_VARIANCE = 0.04  # prior variance of a window pixel's sky gain; not measured
 # Prior variance of a pixel's gain of computed light, next to its level in the captures. Errors with
 # 1e-6 differ by 4 % or less, except 30 % less and 12 % more in two of twelve fits (decision 19).
@@ -331,37 +331,32 @@ def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
 def find_patch_gain(arrays: TrainingArrays, kernel: Kernel) -> float:
     """Return the factor by which all sun patches must be multiplied to match the captures.
 
-    Only pixels that are lit in at least three hours and unlit in as many count; without any, return
-    1.0. The start is the median over pixels of their median of (L - plain) / s over lit hours, with
-    luminance L and patch s; plain is the total light E times the median of L / E over unlit hours.
-    Ground before a window, which is lit in most hours, counts as one pixel each. With patches of a
-    fitted scene, whose albedos the captures determined, the start is 1.0. Robust fits follow, until
-    the factor changes by under 0.1 %, at most eight.
+    Only pixels that are lit in at least three hours count, and in at most 75 % of the hours with
+    any patch: ground before a window is lit in most of them. Without any, return 1.0. The start is
+    the median of (L - median(L / E) E) / s over lit values, with luminance L, total light E and
+    patch s; with patches of a fitted scene, whose albedos the captures determined, it is 1.0. Three
+    robust fits follow.
     """
     patch = arrays.patch
     assert patch is not None
     total = arrays.light.total_lx[:, None]
     lit = patch > 0.02 * np.percentile(patch[patch > 0], 95) if (patch > 0).any() else patch > 0
     lit_hours = lit.sum(axis=0)
-    often = np.flatnonzero((lit_hours >= 3) & (len(lit) - lit_hours >= 3))
+    often = np.flatnonzero((lit_hours >= 3) & (lit_hours <= _OFTEN_SHARE * lit.any(axis=1).sum()))
     if not len(often):
         return 1.0
     often = often[:: max(1, len(often) // 600)]
     some = arrays[often]
     shown = np.maximum(patch[:, often], 1e-9)
-    plain = np.nanmedian(np.where(lit[:, often], np.nan, some.luminance / total), axis=0) * total
-    ratio = np.where(lit[:, often], (some.luminance - plain) / shown, np.nan)  # [n, k]
-    gain = float(np.median(np.nanmedian(ratio, axis=0)))
+    plain = np.median(some.luminance / total, axis=0) * total
+    gain = float(np.median(((some.luminance - plain) / shown)[lit[:, often]]))
     gain = 1.0 if gain <= 0.0 or arrays.fitted_patches else gain
     recipe = Recipe(_GAIN_NOISE, patch_variance=1.0, rounds=3, rank=30)
     basis = basis_of(kernel(arrays.features, arrays.features), recipe.rank)
     products = pair_products(basis.values)
-    for _ in range(_GAIN_FITS):
+    for _ in range(3):
         scaled = some.with_patch_scaled(gain)
         fit = fit_chunk(scaled, pixel_scale(scaled), basis, recipe, products)
         positive = fit.gains[fit.gains[:, 0] > 0, 0]
-        change = float(np.median(positive)) if len(positive) else 1.0
-        gain *= change
-        if abs(change - 1.0) < _SAME_GAIN:
-            break
+        gain *= float(np.median(positive)) if len(positive) else 1.0
     return gain
