@@ -177,6 +177,13 @@ def test_the_plan_shows_north(azimuth_deg: float, right: int, up: int) -> None:
     )
 
 
+@pytest.mark.analytic
+def test_the_plan_states_what_is_too_far_to_draw() -> None:
+    facade = Solid((-30.0, -14.0, 0.0), (30.0, -12.0, 3.1), 0.4)
+    figure = plan_of(replace(guess_of(ROOM), solids=(facade,)), ROOM)
+    assert "outside: 3.1 m high, 12 m from the south wall" in figure.axes[0].get_title()
+
+
 @pytest.mark.property
 def test_usual_furniture_is_in_the_room_and_not_around_the_camera() -> None:
     guess = guess_of(ROOM)

@@ -118,10 +118,24 @@ def _is_above(solid: Solid, place: tuple[float, float], top: float) -> bool:
     return solid.high_m[2] > top and all(low <= at <= high for low, at, high in sides)
 
 
+def _far_away(guess: Guess) -> list[str]:
+    """Return a line of text for each solid that is too far outside to be drawn."""
+    lines = []
+    for solid in guess.solids:
+        for wall, (axis, side) in WALLS.items():
+            beyond_m = solid.low_m[axis] - guess.size_m[axis] if side else -solid.high_m[axis]
+            if beyond_m > PLAN_MARGIN_M:
+                lines.append(
+                    f"outside: {solid.high_m[2]:.1f} m high, {beyond_m:.0f} m from the {wall} wall"
+                )
+    return lines
+
+
 def plan_of(guess: Guess, stated: Room) -> Figure:
     """Draw the room from above: walls, windows, furniture, camera, and north as a labelled arrow.
 
-    stated: the room before the fit, drawn in blue. The "south" wall is at the bottom.
+    stated: the room before the fit, drawn in blue. The "south" wall is at the bottom. What is too
+    far outside is stated above the drawing.
     """
     from matplotlib import pyplot
     from matplotlib.patches import Ellipse, Rectangle
@@ -156,7 +170,8 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")
-    axis.set_title("plan: fitted (black), stated (blue), windows orange", fontsize=9)
+    lines = ["plan: fitted (black), stated (blue), windows orange", *_far_away(guess)]
+    axis.set_title("\n".join(lines), fontsize=9)
     # A facade may be 40 m wide, so only the surroundings of the room are drawn.
     axis.set_xlim(-PLAN_MARGIN_M, guess.size_m[0] + PLAN_MARGIN_M)
     axis.set_ylim(-PLAN_MARGIN_M, guess.size_m[1] + PLAN_MARGIN_M)
