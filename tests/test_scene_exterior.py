@@ -21,7 +21,7 @@ from fieldlum.scene_fit.exterior import (
     propose_exterior,
 )
 from fieldlum.scene_fit.furniture import lattice, propose_solids
-from fieldlum.scene_fit.guess import Bar, Guess, guess_of
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of
 from fieldlum.scene_fit.least_squares import principal_search
 from fieldlum.scene_fit.pictures import plan_of
 from fieldlum.scene_fit.scene_search import PRIOR_HOURS, SceneSearch
