@@ -110,7 +110,7 @@ def test_a_facade_does_not_cross_the_view_of_another_wall() -> None:
     assert seen is not None
     found = with_skyline(indifferent, captures(RISE), corner)
     away_m = GUESS.camera_m[1] - found.solids[0].high_m[1]
-    assert found.solids[0].low_m[0] == pytest.approx(GUESS.camera_m[0] + seen.seen[0] * away_m)
+    assert found.solids[0].low_m[0] == pytest.approx(GUESS.camera_m[0] + seen.ends[0] * away_m)
 
 
 @pytest.mark.analytic

@@ -48,7 +48,8 @@ class Elements:
     def corrected(self, guess: Guess, *, reshape: bool) -> Guess:
         """Return the guess without elements of no effect, and with missed bars and furniture.
 
-        reshape: search faces of solids first, which otherwise missed furniture would replace.
+        reshape: search the faces of solids first. Otherwise furniture would be added where only a
+        face is displaced.
         """
         guess = _repeated(self._with_bar, self._merged(self.pruned(guess)), _MOST_BARS)
         guess = self._reshaped(guess) if reshape else guess
@@ -131,7 +132,10 @@ class Elements:
 
 
 def _repeated(add: Callable[[Guess], Guess], guess: Guess, most: int) -> Guess:
-    """Return the guess after at most `most` additions; `add` ends with the same object."""
+    """Return the guess after at most `most` additions.
+
+    add: returns the same object if there is nothing to add.
+    """
     for _ in range(most):
         more = add(guess)
         if more is guess:

@@ -40,15 +40,15 @@ _SAME_COST = 1.002  # costs this near do not contradict
 class Facade:
     """A facade parallel to a wall, as the camera sees it.
 
-    wall: with the windows that show it. rise: of the upper edge above the camera, and ends along
-    the wall from the camera, each in m for each m away from the camera along the wall's normal;
-    an end is None if the facade extends beyond the view.
+    wall: with the windows that show it. rise: height of the upper edge above the camera, and ends:
+    along the wall from the camera, in m for each m away from the camera along the wall's normal.
+    goes_on: whether it extends beyond the view at the low and at the high end.
     """
 
     wall: str
     rise: float
-    ends: tuple[float | None, float | None]
-    seen: tuple[float, float]  # the ends that the panes show
+    ends: tuple[float, float]
+    goes_on: tuple[bool, bool]
 
 
 def with_skyline(cost: Callable[[Guess], float], data: Dataset, guess: Guess) -> Guess:
@@ -100,9 +100,9 @@ def facade_seen(data: Dataset, guess: Guess, wall: str) -> Facade | None:
     is_gapped = len(shown) < _LEAST_SHARE * (last - first + 1)
     if is_gapped or end[last] - end[first] < _LEAST_EXTENT:
         return None
-    seen = float(end[first]), float(end[last])
-    ends_seen = None if first == 0 else seen[0], None if last == len(end) - 1 else seen[1]
-    return Facade(wall, float(np.median(height[shown])), ends_seen, seen)
+    goes_on = bool(first == 0), bool(last == len(end) - 1)
+    ends_seen = float(end[first]), float(end[last])
+    return Facade(wall, float(np.median(height[shown])), ends_seen, goes_on)
 
 
 def _upper_edge(rise: Floats, row: Indices, sky: Floats) -> float | None:
@@ -168,10 +168,10 @@ def _with_facade(guess: Guess, facade: Facade, distance_m: float) -> Guess:
     axis, side = WALLS[facade.wall]
     eye = guess.camera_m
     away_m = distance_m + abs((guess.size_m[axis] if side else 0.0) - eye[axis])
-    low, high = (eye[1 - axis] + end * away_m for end in facade.seen)
+    low, high = (eye[1 - axis] + end * away_m for end in facade.ends)
     if all(rect.wall == facade.wall for rect in guess.windows):
-        low -= REACH_M if facade.ends[0] is None else 0.0
-        high += REACH_M if facade.ends[1] is None else 0.0
+        low -= REACH_M * facade.goes_on[0]
+        high += REACH_M * facade.goes_on[1]
     rect = next(rect for rect in guess.windows if rect.wall == facade.wall)
     solid = opposite(guess, rect, (low, high), distance_m, eye[2] + facade.rise * away_m)
     return replace(guess, solids=(*guess.solids, solid))

@@ -23,7 +23,7 @@ _BLOCK = 32  # chosen
 
 @compiled
 def _passed(beyond: np.float32, inverse_spread: np.float32) -> np.float32:
-    """Return the share of a ray's spread beyond an edge that its middle passes by so much."""
+    """Return the share of a ray's spread that is past an edge; beyond: how far its middle is, m."""
     return min(max(beyond * inverse_spread + _HALF, _ZERO), _ONE)
 
 
