@@ -1,8 +1,8 @@
 """The models that `train` can fit, one entry each; without heavy imports for the command line.
 
 A model is a module with ``fit(data, *, patch, seed, budget_s, progress) -> Fitted`` and
-``from_state(state) -> Fitted`` (`fieldlum/models/__init__.py`). To add one, write the
-module and its entry here; docs and command line, `auto`, `bench`, `predict` and `report` follow.
+``from_state(state) -> Fitted`` (`fieldlum/models/__init__.py`). CONTRIBUTING.md states how
+to add one; command line, `auto`, `bench`, `predict` and `report` follow from its entry here.
 """
 
 from __future__ import annotations

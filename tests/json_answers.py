@@ -54,6 +54,7 @@ width_m = 2.0
 sill_m = 0.9
 height_m = 1.5
 """
+CAMPAIGN = 'name = "x"\n[[room]]\nsession = "session"\nmodel = "nearest"\n'
 WEATHER = "month,day,hour,dni_wm2,dhi_wm2\n" + "".join(
     f"{month},20,{hour}.5,{600 * (9 < hour < 15)},{100 * (9 < hour < 15)}\n"
     for month in (3, 12)
@@ -69,6 +70,7 @@ def answers(root: Path) -> dict[str, list[str]]:
     frames, profile = _frames(root)
     (root / "site.toml").write_text(SITE, encoding="utf-8")
     (root / "dark.toml").write_text(DARK_SITE.format(profile=profile), encoding="utf-8")
+    (root / "CAMPAIGN.toml").write_text(CAMPAIGN, encoding="utf-8")
     model, picture = session / "models" / "nearest", session / "panoramas"
     picture /= "20271221T193000Z.exr"
     readings = [f"out.exr,{azimuth},0,{200 + azimuth % 7}" for azimuth in range(120, 250, 10)]
@@ -93,6 +95,8 @@ def answers(root: Path) -> dict[str, list[str]]:
         ],
         "train": ["train", session, "--model", "nearest"],
         "predict": ["predict", model, "--weather", root / "weather.csv"],
+        "campaign train": ["campaign", "train", root / "CAMPAIGN.toml"],
+        "campaign report": ["campaign", "report", root / "CAMPAIGN.toml"],
         "glare": ["glare", picture],
         "info panorama": ["info", picture],
         "info frame": ["info", frames[0]],

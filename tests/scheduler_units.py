@@ -20,6 +20,15 @@ def asleep(folder: Path, seconds: float) -> int:
     return os.getpid()
 
 
+def thread_counts(folder: Path, argument: None) -> set[int]:
+    """Return how many threads OpenCV and the libraries of NumPy and SciPy may use here."""
+    import cv2
+    import scipy.linalg  # noqa: F401 - loaded after the process started
+    from threadpoolctl import threadpool_info
+
+    return {cv2.getNumThreads(), *(library["num_threads"] for library in threadpool_info())}
+
+
 def written(folder: Path, argument: dict[str, Any]) -> int:
     """Write out/NAME by rename; note in runs/ that this unit ran to its end."""
     time.sleep(argument.get("seconds", 0.0))

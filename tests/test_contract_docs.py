@@ -13,6 +13,7 @@ from types import ModuleType
 import click
 import pytest
 
+from fieldlum import devices
 from fieldlum.cli import main
 
 pytestmark = pytest.mark.contract
@@ -121,3 +122,9 @@ def test_names_that_benchmarks_take_from_the_package_exist() -> None:
             and not hasattr(module, node.attr)
         ]
     assert not missing
+
+
+def test_the_table_of_devices_has_every_driver() -> None:
+    text = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
+    schemes = {*devices.CAMERAS, *devices.PYRANOMETERS, *devices.METERS}
+    assert {scheme for scheme in schemes if f"\n| `{scheme}:" not in text} == set()

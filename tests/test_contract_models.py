@@ -39,6 +39,12 @@ def test_sizes_order_the_registry() -> None:
     assert model_registry.baselines() == ("mean", "nearest")
 
 
+def test_the_docs_have_a_section_and_a_row_for_every_model() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "models.md").read_text(encoding="utf-8")
+    assert [name for name in MODELS if f"\n## {name}\n" not in text] == []
+    assert [name for name in MODELS if f"\n| {name} |" not in text] == []
+
+
 @pytest.mark.parametrize("command", ["train", "bench"])
 def test_every_model_is_offered(command: str) -> None:
     text = CliRunner().invoke(main, [command, "--help"]).output

@@ -101,6 +101,13 @@ def test_a_number_of_workers_is_a_number_of_processes(tmp_path: Path) -> None:
 # this computer
 
 
+def test_each_process_has_one_thread(tmp_path: Path) -> None:
+    """Else n processes on n cores start n threads each, which wait for each other."""
+    some = [WorkUnit(str(k), units.thread_counts, tmp_path, None) for k in range(2)]
+    found = [outcome.result() for outcome in run_units(some, in_processes(2))]
+    assert found == [{1}, {1}]
+
+
 def test_units_run_here_in_order(tmp_path: Path) -> None:
     some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(3)]
     shown: list[tuple[int, int, str]] = []

@@ -16,7 +16,15 @@ from fieldlum.records import counted
 from fieldlum.scheduler.address import Scheduler
 from fieldlum.scheduler.crew import POLL_S, Ended
 from fieldlum.scheduler.identity import difference, sent_by_value, software_identity
-from fieldlum.scheduler.units import Answer, Task, WorkUnit, corrected, perform, task_of
+from fieldlum.scheduler.units import (
+    Answer,
+    Task,
+    WorkUnit,
+    corrected,
+    perform,
+    task_of,
+    use_one_thread,
+)
 
 # Units at a worker for each of its threads. While one runs the others wait there, so that a worker
 # of short units never waits for the client. All other units wait at the client. Chosen.
@@ -242,12 +250,7 @@ def perform_here(task: Task) -> tuple[str, Answer]:
     return str(get_worker().address), perform(task)
 
 
-@cache
-def _one_thread() -> None:
-    """Limit OpenCV to one thread, as in the processes of `processes:N`."""
-    import cv2
-
-    cv2.setNumThreads(1)
+_one_thread = cache(use_one_thread)  # once for each worker
 
 
 def _connect(scheduler: Scheduler) -> Any:

@@ -12,7 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
-from fieldlum.scheduler.units import WorkUnit, is_worker_trouble, trouble_text
+from fieldlum.scheduler.units import (
+    WorkUnit,
+    is_worker_trouble,
+    trouble_text,
+    use_one_thread,
+)
 
 POLL_S = 0.5  # seconds between two checks of time limits and new workers; chosen
 
@@ -101,10 +106,8 @@ class LocalCrew:
 
 
 def _start_worker() -> None:
-    """Limit a worker to one thread (OpenCV would use every core), and end it with its parent."""
-    import cv2
-
-    cv2.setNumThreads(1)
+    """Limit a worker to one thread, and end it with its parent."""
+    use_one_thread()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

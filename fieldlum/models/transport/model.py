@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -222,6 +223,7 @@ def from_state(state: ModelState) -> Transport:
 # fit
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
 def fit(
     data: Dataset,
     *,
