@@ -20,6 +20,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
+from fieldlum.scene_fit.joined import joined
 from fieldlum.scene_fit.last_search import last_cost, last_search
 from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
@@ -85,7 +86,7 @@ def fit_scene(
 
     pose: camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of
     the stated times; it is ignored with `pose`, which includes it. pixels: number to sample.
-    starts: number of searches, each with other random pixels; the one of least cost counts. Raises
+    starts: number of searches, each with other random pixels, which are then joined. Raises
     InputError for a room that is not a box, has no window or is impossible, NotEnoughDataError for
     fewer than six captures with direct sun on a window.
     """
@@ -98,9 +99,13 @@ def fit_scene(
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
         tries = list(pool.map(searched, range(starts)))
         best = _cheapest(tries, pool)
-    search, misfits = best.search, best.misfits
-    guess = with_skyline(last_cost(search, best.guess), data, best.guess)
-    progress(91, 100, "uncertainties")
+        search, misfits = best.search, best.misfits
+        others = [one.guess for one in tries if one is not best]
+        progress(90, 100, "both searches together")
+        joint = joined(search, best.guess, others, 2 * pixels, pool) if others else best.guess
+    search.relight(joint)
+    guess = with_skyline(last_cost(search, joint), data, joint)
+    progress(95, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
     reach = reach_of(coarse, guess, (WALL, CLOCK) if prior.is_clock_open else (WALL,))
@@ -111,7 +116,7 @@ def fit_scene(
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    notes = (*_notes(u, search.evidence), *_facade_notes(best.guess, guess))
+    notes = (*_notes(u, search.evidence), *_facade_notes(joint, guess))
     progress(100, 100, "")
     return SceneFit(
         room,
