@@ -19,7 +19,7 @@ from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_pr
 from fieldlum.raw import unreadable
 from fieldlum.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
-from fieldlum.session import Session, remove_scraps, replacing_path, sha256
+from fieldlum.session import Session, check_writable, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
@@ -326,6 +326,8 @@ def run(
             f"{session.raw}: no captured slots; run fieldlum capture or fieldlum import first"
         )
     units = _units(session, slots, options or MergeOptions(), force)
+    if units:
+        check_writable(session.panoramas)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     remove_scraps(session.panoramas)  # of killed runs
     verdicts: list[Verdict] = []

@@ -36,6 +36,7 @@ from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
 from fieldlum.scene import RoomUncertainty
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.session import check_writable
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
@@ -94,6 +95,7 @@ def run(
     inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
     if not force and (existing := already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
+    check_writable(folder)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     hours = weather.daylight()
     if len(hours) == 0:

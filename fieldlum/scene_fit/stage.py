@@ -22,7 +22,7 @@ from fieldlum.scene_fit.pictures import draw
 from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
 from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, GeometryCandidate, SceneVerdict, judge
-from fieldlum.session import Session
+from fieldlum.session import Session, check_writable
 from fieldlum.statistics import is_no_worse
 
 # With four or five, two of four scenes had 2.4 and 3.3 times their expected error (decision 35).
@@ -63,6 +63,7 @@ def run(
             "add [room] to SITE.toml, or train with --scene none",
         )
     check_captures(data, room)
+    check_writable(out)
     discs = read_discs(Session(Path(data.source).parent))
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
     fit = fit_scene(

@@ -34,6 +34,7 @@ from fieldlum.session.plan_file import (
     write_plan,
 )
 from fieldlum.session.writing import (
+    check_writable,
     disk_is_full,
     remove_scraps,
     replacing,

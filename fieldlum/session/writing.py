@@ -7,6 +7,7 @@ import errno
 import hashlib
 import os
 import platform
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -25,6 +26,19 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file
+
+
+def check_writable(folder: Path) -> None:
+    """Raise OSError if no file can be written into a folder, which need not exist.
+
+    For stages that compute for minutes before they write. Nothing remains of the test.
+    """
+    existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
 def write_table(

@@ -26,7 +26,7 @@ from fieldlum.models.scores import summary
 from fieldlum.models.transport.setting_scan import Setting
 from fieldlum.models.year_sample import YearExpectation, expect, light_of_year
 from fieldlum.records import Progress, counted, quiet
-from fieldlum.session import sha256
+from fieldlum.session import check_writable, sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.session.provenance import digest, made_from
@@ -279,6 +279,7 @@ def run(
     }
     if not force and (table := trained_before(out, inputs)) is not None:
         return {**table, "kept": True}
+    check_writable(out)
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
     budget = TimeBudget.starting(60.0 * budget_min - spent_s, clock)
     result = fit_and_score(
