@@ -259,6 +259,16 @@ def test_a_view_without_a_direction_says_that_north_is_a_guess(
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize(("level_cdm2", "count"), [(100.0, 1), (150.0, 0)])
+def test_a_dark_picture_is_reported(tmp_path: Path, level_cdm2: float, count: int) -> None:
+    """A uniform hemisphere of L cd/m2 gives pi L: 314 lx is below Wienold's 380 lx, 471 lx above."""
+    path = tmp_path / "f.hdr"
+    write_radiance_hdr(path, np.full((60, 60), level_cdm2), view=SOUTH)
+    warnings = picture_glare(path)["warnings"]
+    assert sum("below 380 lx a DGP may be too low" in text for text in warnings) == count
+
+
+@pytest.mark.contract
 def test_more_light_than_the_sun_gives_is_reported(tmp_path: Path) -> None:
     """A picture whose pixels are in cd/m2 instead of W/sr/m2 is 179 times too bright."""
     for level_cdm2, count in ((4_000.0, 0), (4_000.0 * 179.0, 1)):

@@ -27,6 +27,10 @@ VERDICTS = (
 # Lighting Handbook). Chosen above it, for sunlit snow. A picture in cd/m2 instead of Radiance's
 # W/sr/m2 is 179 times too bright.
 MOST_EV_LX = 200_000.0
+# DGP was derived from rooms with at least this vertical illuminance (Wienold 2009); evalglare warns
+# at the same limit.
+LEAST_EV_LX = 380.0
+_SCALE = "scale the picture with --calibrate-ev LX, the vertical illuminance measured at the lens"
 
 
 class ViewAnswer(TypedDict):
@@ -144,15 +148,20 @@ def answer_of(
 
 
 def _level_warnings(views: list[ViewAnswer]) -> list[str]:
-    """Return a warning if a view has more light than sun and sky can give; else an empty list."""
+    """Return a warning if a view has more light than sun and sky give, or if all views are dark."""
     most = max((view["ev_lx"] or 0.0 for view in views), default=0.0)
-    if most <= MOST_EV_LX:
-        return []
-    return [
-        f"Ev of {most:.0f} lx is more than sun and sky give ({MOST_EV_LX:.0f} lx): the luminance "
-        "is not calibrated, or the pixels are in cd/m2 instead of Radiance's W/sr/m2; scale the "
-        "picture with --calibrate-ev LX, the vertical illuminance measured at the lens"
-    ]
+    if most > MOST_EV_LX:
+        return [
+            f"Ev of {most:.0f} lx is more than sun and sky give ({MOST_EV_LX:.0f} lx): the "
+            "luminance is not calibrated, or the pixels are in cd/m2 instead of Radiance's "
+            f"W/sr/m2; {_SCALE}"
+        ]
+    if most < LEAST_EV_LX:
+        return [
+            f"Ev is at most {most:.3g} lx: below {LEAST_EV_LX:.0f} lx a DGP may be too low, and a "
+            f"picture that is not calibrated can look as dark; if that is so, {_SCALE}"
+        ]
+    return []
 
 
 def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
