@@ -1,12 +1,13 @@
 """Glare of a year in rooms of `scene_rooms.py`, by the sun's disc of a fitted scene.
 
-    python bench/scene_glare.py ROOMS [NAME ...] [--draw 7] [--pixels 4000]
+    python bench/scene_glare.py ROOMS [NAME ...] [--draw 7] [--few two-days,four-days,all]
 
-fits a scene to nine days of a user (errors as in `scene_judge.py`), trains light transport with it
-and with the stated box, and predicts the test hours of each room as `fieldlum predict` does. DGP
-in ten directions is compared with that of the true pictures and discs: its mean squared error; the
-share of occupied hours inside the stated 95 % interval; and whether the DGP that 5 % of the
-occupied hours exceed is inside its interval, and its class of EN 17037 stated and right.
+fits a scene to all captures of a user, or those of some days (errors and names as in
+`scene_judge.py`), trains light transport with it and with the stated box, and predicts the test
+hours of each room as `fieldlum predict` does. DGP in ten directions is compared with that of the
+true pictures and discs: its mean squared error; the share of occupied hours inside the stated 95 %
+interval; and whether the DGP that 5 % of the occupied hours exceed is inside its interval, and its
+class of EN 17037 stated and right.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from __future__ import annotations
 import argparse
 import tempfile
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from predicted_glare import Year, predicted_year
 from scene_generators import ROOMS
+from scene_judge import DAYS, user_of
 from scene_judge import fitted as with_fitted
-from scene_judge import user_of
 from scene_rooms import with_box
 
 from fieldlum.models import fit
@@ -55,13 +57,15 @@ def main() -> None:
     parser.add_argument("rooms", type=Path)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--draw", type=int, default=7)
+    parser.add_argument("--few", default="all", help="two-days, four-days, all")
     parser.add_argument("--pixels", type=int, default=PIXELS)
     wanted = parser.parse_args()
-    head = ["room", "disc of", "DGP MSE", "hours inside 95 %", "directions inside 95 %"]
-    print("| " + " | ".join([*head, "classes stated", "wrong"]) + " |\n" + "|---" * 7 + "|")
-    for name in wanted.names or ROOMS:
+    head = ["room", "captures", "disc of", "DGP MSE", "hours inside 95 %", "directions inside 95 %"]
+    print("| " + " | ".join([*head, "classes stated", "wrong"]) + " |\n" + "|---" * 8 + "|")
+    for name, few in product(wanted.names or ROOMS, wanted.few.split(",")):
         path = wanted.rooms / f"{name}.npz"
         user, test, _, _, _ = user_of(path, wanted.draw)
+        user = user if few == "all" else user.take(DAYS[few](path, wanted.draw))
         test = replace(test, disc_lx=true_disc_lx(path))
         stated = user.setup.room
         assert stated is not None
@@ -77,7 +81,7 @@ def main() -> None:
             mse, year = glare_of(data, hours)
             cells = [f"{mse:.1e}", f"{100.0 * year.inside:.0f} %"]
             cells += [f"{year.year_inside} of 10", f"{year.decided} of 10"]
-            print("| " + " | ".join([name, label, *cells, str(year.wrong)]) + " |", flush=True)
+            print("| " + " | ".join([name, few, label, *cells, str(year.wrong)]) + " |", flush=True)
 
 
 if __name__ == "__main__":
