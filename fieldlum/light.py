@@ -105,7 +105,8 @@ class Light:
 
         Below the horizon it is that of open ground.
         """
-        return perez_luminance(self.sky, self.sun_direction, directions, dtype=np.float32)  # pyright: ignore
+        suns = self.sun_direction
+        return perez_luminance(self.sky, suns, directions, dtype=np.float32)  # pyright: ignore
 
     @property
     def direct_lx(self) -> Floats:

@@ -110,7 +110,8 @@ def geometry_of_figures(
             terms[power - 1] = share
         terms[powers[0] - 1] = 1.0 - sum(extra)  # r = 1 at half of the full angle
         coefficients = tuple(float(t) for t in terms)
-    return LensGeometry((x, y), radius, lens.full_angle_deg, mapping, coefficients, *angles)  # type: ignore[arg-type]
+    at = (x, y), radius
+    return LensGeometry(*at, lens.full_angle_deg, mapping, coefficients, *angles)  # type: ignore
 
 
 def _solve(

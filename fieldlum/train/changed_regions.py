@@ -195,7 +195,8 @@ def _regions(deviation: Array, least: Array, valid: Mask, least_region: float) -
     from scipy.ndimage import label
 
     omega = equirect_solid_angles(*deviation.shape)
-    labelled: tuple[Array, int] = label((deviation > least) & (least > 0.0), np.ones((3, 3)))  # pyright: ignore
+    deviates = (deviation > least) & (least > 0.0)
+    labelled: tuple[Array, int] = label(deviates, np.ones((3, 3)))  # pyright: ignore
     numbers, count = labelled
     for left, right in zip(numbers[:, 0], numbers[:, -1], strict=True):
         if left and right and left != right:  # one region on both sides of the seam

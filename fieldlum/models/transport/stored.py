@@ -131,7 +131,8 @@ def _basis(own: TransportTable, arrays: Mapping[str, Array]) -> LightBasis:
     altitude, azimuth = arrays["train_sun"]
     nothing = np.zeros(len(altitude))
     unknown = (datetime(2000, 1, 1, tzinfo=UTC),) * len(altitude)  # only the directions are used
-    captured = Features(*(arrays.get(f"train_{f.name}") for f in fields(Features)))  # pyright: ignore[reportArgumentType]
+    stored = (arrays.get(f"train_{f.name}") for f in fields(Features))
+    captured = Features(*stored)  # pyright: ignore[reportArgumentType]
     physics = None
     if own["room"] is not None:
         parts: dict[str, Any] = {
