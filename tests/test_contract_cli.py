@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -32,18 +33,36 @@ def test_the_docs_list_every_command_in_the_order_of_the_job() -> None:
     assert [name for name in sections if name in PRESENT] == PRESENT == list(COMMANDS)
 
 
-def test_the_keys_of_every_command_with_json_are_kept() -> None:
-    kept = {name.split()[0] for name in json.loads(KEPT.read_text(encoding="utf-8"))}
-    commands = {name: main.get_command(CONTEXT, name) for name in PRESENT}
-    with_json = {name for name, command in commands.items() if command and _has_json(command)}
-    assert with_json - kept == {"bench"}  # tests/test_bench.py compares its keys with train's
+# tests/test_bench.py compares the keys of bench with those of train; stages of a campaign print
+# what `campaign train` prints; for the others no list is kept. A new command is not added here.
+WITHOUT_KEPT_KEYS = {
+    "bench",
+    *(f"campaign {stage}" for stage in ("merge", "plan", "predict", "status")),
+    *(f"calibrate {part}" for part in ("colour", "lens", "linearity", "pixels", "response")),
+    *(f"calibrate {part}" for part in ("shutter", "stray", "vignette")),
+    "scene click",
+}
 
 
-def _has_json(command: click.Command) -> bool:
-    if isinstance(command, click.Group):
-        parts = (command.get_command(CONTEXT, name) for name in command.list_commands(CONTEXT))
-        return any(_has_json(part) for part in parts if part)
-    return any("--json" in p.opts for p in command.params)
+def test_the_keys_of_every_other_command_with_json_are_kept() -> None:
+    kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    unkept = {name for name in _with_json(main, "") if not _is_kept(name, kept)}
+    assert unkept == WITHOUT_KEPT_KEYS
+
+
+def _is_kept(name: str, kept: dict[str, list[str]]) -> bool:
+    """Return whether keys are kept under the command's name, with or without a word after it."""
+    return any(key == name or key.startswith(f"{name} ") for key in kept)
+
+
+def _with_json(group: click.Group, prefix: str) -> Iterator[str]:
+    """Yield the names of all commands with --json, such as ``calibrate scale``."""
+    for name in group.list_commands(CONTEXT):
+        command = group.get_command(CONTEXT, name)
+        if isinstance(command, click.Group):
+            yield from _with_json(command, f"{prefix}{name} ")
+        elif command and any("--json" in parameter.opts for parameter in command.params):
+            yield f"{prefix}{name}"
 
 
 @pytest.mark.parametrize("name", PRESENT)

@@ -261,11 +261,14 @@ def test_a_view_without_a_direction_says_that_north_is_a_guess(
 @pytest.mark.contract
 @pytest.mark.parametrize(("level_cdm2", "count"), [(100.0, 1), (150.0, 0)])
 def test_a_dark_picture_is_reported(tmp_path: Path, level_cdm2: float, count: int) -> None:
-    """A uniform hemisphere of L cd/m2 gives pi L: 314 lx is below Wienold's 380 lx, 471 lx above."""
+    """A uniform hemisphere of L cd/m2 gives pi L: 314 lx is below the limit, 471 lx above."""
     path = tmp_path / "f.hdr"
     write_radiance_hdr(path, np.full((60, 60), level_cdm2), view=SOUTH)
     warnings = picture_glare(path)["warnings"]
-    assert sum("below 380 lx a DGP may be too low" in text for text in warnings) == count
+    assert sum("below 380 lx a DGP may be too low; if" in text for text in warnings) == count
+    scaled = picture_glare(path, measured_ev_lx=200.0)["warnings"]
+    assert any("Ev is at most 200 lx" in text for text in scaled)
+    assert not any("--calibrate-ev" in text for text in scaled)  # the user just did that
 
 
 @pytest.mark.contract

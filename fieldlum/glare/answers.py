@@ -123,12 +123,13 @@ def answer_of(
     warnings: list[str],
     sun: SunSource | None,
     covered_share: float,
+    factor: float,
 ) -> GlareAnswer:
     """Return the object that `glare --json` prints for a picture, from the figures of its views.
 
     path : becomes `file`. warnings : texts that come before those of `picture_warnings`. sun : the
     sun as a source next to the pixels, or None. covered_share : share (0 to 1) of the front
-    hemisphere that the picture covers.
+    hemisphere that the picture covers. factor : by which the picture was scaled; 1 if it was not.
     """
     panorama = picture.panorama
     graded = [
@@ -142,12 +143,14 @@ def answer_of(
         "melanopic_der": "D65, assumed",
         "views": views,
         "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
-        "warnings": warnings + picture_warnings(picture) + _level_warnings(views),
+        "warnings": warnings
+        + picture_warnings(picture)
+        + _level_warnings(views, is_scaled=factor != 1.0),
         "covered_share": covered_share,
     }
 
 
-def _level_warnings(views: list[ViewAnswer]) -> list[str]:
+def _level_warnings(views: list[ViewAnswer], *, is_scaled: bool) -> list[str]:
     """Return a warning if a view has more light than sun and sky give, or if all views are dark."""
     most = max((view["ev_lx"] or 0.0 for view in views), default=0.0)
     if most > MOST_EV_LX:
@@ -156,10 +159,10 @@ def _level_warnings(views: list[ViewAnswer]) -> list[str]:
             "luminance is not calibrated, or the pixels are in cd/m2 instead of Radiance's "
             f"W/sr/m2; {_SCALE}"
         ]
-    if most < LEAST_EV_LX:
+    if 0.0 < most < LEAST_EV_LX:
+        known = "" if is_scaled else f"; if the picture is not calibrated, {_SCALE}"
         return [
-            f"Ev is at most {most:.3g} lx: below {LEAST_EV_LX:.0f} lx a DGP may be too low, and a "
-            f"picture that is not calibrated can look as dark; if that is so, {_SCALE}"
+            f"Ev is at most {most:.3g} lx: below {LEAST_EV_LX:.0f} lx a DGP may be too low{known}"
         ]
     return []
 

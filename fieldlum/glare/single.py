@@ -108,7 +108,7 @@ def _panorama_answer(
             azimuth = row["azimuth_deg"]
             fisheye = panorama_to_fisheye(maps, panorama.heading_deg, azimuth, sun=sun)
             row["reference"] = asdict(reference_glare(fisheye))
-    answer = answer_of(path, picture, views, warnings, sun, 1.0)
+    answer = answer_of(path, picture, views, warnings, sun, 1.0, factor)
     answer["rammg_cdm2"], answer["rammg_lightness"] = rammg(maps), rammg_lightness(maps)
     return answer
 

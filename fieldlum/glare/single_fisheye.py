@@ -73,7 +73,7 @@ def single_picture_glare(
             "bound, and DGP counts the part outside the picture as black; a partly seen view has "
             "bounds of DGP too; use a 180-degree fisheye"
         )
-    return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share)
+    return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share, factor)
 
 
 def _seen_figures(

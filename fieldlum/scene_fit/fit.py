@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Searches stop in different places, and the cost ranks them rightly in most rooms. Two, because a
-# laptop has two cores or more (decision 33).
+# Searches stop in different places near the best scene, and are joined (decision 41). Two, because
+# a laptop has two cores or more (decision 33).
 STARTS = 2
 REACH_EVERY = 3  # chosen, for time: use every n-th pixel for how far numbers can move
 OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
@@ -100,11 +100,14 @@ def fit_scene(
         tries = list(pool.map(searched, range(starts)))
         best = _cheapest(tries, pool)
         search, misfits = best.search, best.misfits
-        others = [one.guess for one in tries if one is not best]
-        progress(90, 100, "both searches together")
-        joint = joined(search, best.guess, others, 2 * pixels, pool) if others else best.guess
-    search.relight(joint)
-    guess = with_skyline(last_cost(search, joint), data, joint)
+        guess = best.guess
+        if others := [one.guess for one in tries if one is not best]:
+            progress(90, 100, "both searches together")
+            more, new = 2 * pixels, seed + starts
+            guess = joined(search, guess, others, pixels=more, seed=new, pool=pool)
+            search.relight(guess)
+    inside = guess
+    guess = with_skyline(last_cost(search, inside), data, inside)
     progress(95, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
@@ -116,7 +119,7 @@ def fit_scene(
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    notes = (*_notes(u, search.evidence), *_facade_notes(joint, guess))
+    notes = (*_notes(u, search.evidence), *_facade_notes(inside, guess))
     progress(100, 100, "")
     return SceneFit(
         room,

@@ -14,7 +14,7 @@ from fieldlum.scene_fit.search import Objective
 
 # Log errors at which a pixel counts as half wrong: of the first search, of the following ones, and
 # of the comparison of scenes. Chosen in rooms of bench/scene_rooms.py, draws 7 and 8 (decisions 36,
-# 37), as are the other numbers.
+# 37), as are the other numbers, but for the rounds (decision 41).
 _FIRST_WIDTH, _WIDTH, _COST_WIDTH = 0.8, 0.2, 0.4
 _ROUNDS = 2
 _SHARE = 0.15  # steps of the slopes, in first steps of the parameters
@@ -39,8 +39,11 @@ def last_search(search: SceneSearch, guess: Guess) -> Guess:
     return guess
 
 
-def searched_again(search: SceneSearch, guess: Guess) -> Guess:
-    """Return the guess of least cost by all numbers at once; elements stay."""
+def refined_numbers(search: SceneSearch, guess: Guess) -> Guess:
+    """Search all numbers once more below newly learned light; elements stay.
+
+    The light below and the albedos of `search` become those of the result.
+    """
     objective = last_objective(search)
     cost = LearnedCost(objective, _light(search, objective, guess), _WIDTH)
     guess = _together(search, cost, guess)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from functools import cache
 from typing import Any
 
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -246,11 +245,8 @@ def perform_here(task: Task) -> tuple[str, Answer]:
     """Run a task on a worker; return the worker's address and the answer."""
     from distributed import get_worker
 
-    _one_thread()
+    use_one_thread()  # in the thread of this task: OpenMP has a limit for each thread
     return str(get_worker().address), perform(task)
-
-
-_one_thread = cache(use_one_thread)  # once for each worker
 
 
 def _connect(scheduler: Scheduler) -> Any:

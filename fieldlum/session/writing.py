@@ -14,6 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
+from fieldlum.errors import InputError
+
 OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
 
 
@@ -29,16 +31,25 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 
 
 def check_writable(folder: Path) -> None:
-    """Raise OSError if no file can be written into a folder, which need not exist.
+    """Raise if no file can be written into a folder, which need not exist.
 
-    For stages that compute for minutes before they write. Nothing remains of the test.
+    For stages that compute for minutes before they write. Nothing remains of the test. Raises
+    OSError, which names the folder that exists, or InputError for a place on no disk.
     """
-    existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    places = (folder.absolute(), *folder.absolute().parents)
+    existing = next((place for place in places if os.path.lexists(place)), None)
+    if existing is None or not existing.exists():
+        raise InputError(
+            folder,
+            "a place on a disk that is not there",
+            "a folder, or a new one in a folder that exists",
+            "mount the disk, or choose another place",
+        )
     try:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(folder)) from None
+        raise OSError(error.errno, error.strerror, str(existing)) from None
 
 
 def write_table(
