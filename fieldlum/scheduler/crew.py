@@ -12,6 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
+from threadpoolctl import threadpool_limits
+
 from fieldlum.scheduler.units import (
     WorkUnit,
     is_worker_trouble,
@@ -96,7 +98,8 @@ class LocalCrew:
         assert self._next is not None
         (key, unit), self._next = self._next, None
         try:
-            return [Ended(key, "value", unit.call(unit.folder, unit.argument))]
+            with threadpool_limits(1, user_api="blas"):  # as in a worker, for equal rounding
+                return [Ended(key, "value", unit.call(unit.folder, unit.argument))]
         except Exception as error:
             return [Ended(key, "error", error=error)]
 
