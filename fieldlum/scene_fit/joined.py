@@ -39,14 +39,13 @@ def joined(
 ) -> Guess:
     """Return the guess of least cost, after searches from `guess` and from means with the others.
 
-    search: of `guess`, the best one until now; it does not change. pixels: number to sample, or all
-    of a small picture; seed: of the draw.
+    search: of `guess`, the best one until now; it does not change. pixels: number to sample; a
+    picture with fewer is used completely. seed: of the random pixels.
     """
     evidence = gather(search.data, search.stated.room, pixels=pixels, seed=seed)
     evidence = replace(evidence, view=search.evidence.view)
-    starts = [guess, *(mean_guess(guess, other) for other in others)]
-
-    starts = [start for start in starts if camera_is_free(start)]
+    means = [mean_guess(guess, other) for other in others]
+    starts = [guess, *filter(camera_is_free, means)]
 
     def ended(start: Guess) -> tuple[float, Guess]:
         own = copy(search)  # a search changes its evidence, which has a store of its own
@@ -76,7 +75,7 @@ def mean_guess(guess: Guess, other: Guess) -> Guess:
 
 
 def _with_shape(window: WindowRect, shaped: WindowRect) -> WindowRect:
-    """Return the window; with the arch and slant of `shaped` unless both have the same of them."""
+    """Return the window, with the shape of `shaped` if only one of them is an arch or slanted."""
     kinds = [(w.arch_m != 0.0, w.slant_m != 0.0) for w in (window, shaped)]
     if kinds[0] == kinds[1]:
         return window
