@@ -1,10 +1,13 @@
 """Rooms that are no boxes of ours, and users who measured them badly.
 
     python bench/scene_rooms.py OUT [NAME ...] [--height 76] [--tests 150] [--set 9-day]
+        [--troubles capture_plans/troubles/hard.toml] [--seed 0]
 
 writes OUT/NAME.npz: nine days (or a month) and random test hours of a synthetic year, by rays of
 Radiance and the radiosity of `scene_truth.py`, with the Perez sky and the sun; the sun patches by
-shadow rays alone. `scene_judge.py` fits scenes to them.
+shadow rays alone. `scene_judge.py` fits scenes to them. --troubles: of the captures; the test
+hours have none. A wrong north of the file is left out, because each user of `scene_judge.py` has
+one.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scene_generators import GLASS, ROOMS
-from scene_truth import build_truth, cast, pictures
+from scene_truth import build_truth, cast, pictures, within
 
 from fieldlum import plan, simulate, sun
 from fieldlum.light import Light, light_at
@@ -32,6 +35,13 @@ from fieldlum.scene.radiance import octree
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.sun_path import sun_earlier
+from fieldlum.simulate.troubles import (
+    Troubles,
+    load_troubles,
+    measured_irradiance,
+    troubled_pictures,
+    true_light,
+)
 
 Array = NDArray[Any]
 YEAR = 2027
@@ -81,7 +91,7 @@ def without_glass(text: str) -> str:
     return "".join(line for line in lines if not line.startswith(("pane ", "void glass")))
 
 
-def render(name: str, out: Path, height: int, tests: int, days: str) -> None:
+def render(name: str, out: Path, height: int, tests: int, days: str, troubles: Troubles) -> None:
     begin = time.process_time(), sum(os.times()[2:4])
     room, text = ROOMS[name]()
     heading = room.wall_azimuth_deg
@@ -95,27 +105,54 @@ def render(name: str, out: Path, height: int, tests: int, days: str) -> None:
     ).standard_normal(2)
     level = rotation(0.0, tilt_deg, roll_deg, heading)
     rays = in_room(world @ level.T, heading)[order]
-    suns = in_room(light.shown_sun_direction, heading)
     low, high = inside_of(room)
     disc_lx = np.zeros(len(light))
+    captured = np.flatnonzero(~test)
+    shining = true_light(light[captured], troubles, SITE)
+    parts = [(captured, shining), (np.flatnonzero(test), light[np.flatnonzero(test)])]
+    maps = np.zeros((len(light), 2 * height**2), np.float32)
+    patches = np.zeros_like(maps)
     with octree(without_glass(text)) as tree:
         truth = build_truth(tree, eye, rays, low, high, GLASS)
-        maps, patches = pictures(truth, light, suns, rays, pixel[order], 2 * height**2)
-        shines = np.flatnonzero((light.direct_lx > 50.0) & (suns[:, 2] > 0.0))
-        free = ~cast(tree, eye, suns[shines]).any
-        disc_lx[shines] = light.direct_lx[shines] * free * glass_optics(GLASS, suns[shines, 1])[0]
+        for rows, some in parts:
+            some = replace(some, sun_azimuth_deg=(some.sun_azimuth_deg - heading + 180.0) % 360.0)
+            suns = some.shown_sun_direction
+            maps[rows], patches[rows] = pictures(
+                truth, some, suns, rays, pixel[order], 2 * height**2
+            )
+            shines = np.flatnonzero((some.direct_lx > 50.0) & (suns[:, 2] > 0.0))
+            free = ~cast(tree, eye, suns[shines]).any
+            passed = free * glass_optics(GLASS, suns[shines, 1])[0]
+            disc_lx[rows[shines]] = some.direct_lx[shines] * passed
+        seen = cast(tree, eye, rays)
     if name in NOISY:
         maps = photographed(maps, height, np.random.default_rng(11))
     size = (len(light), height, 2 * height)
+    maps, patches = maps.reshape(size), patches.reshape(size)
+    if troubles.names:
+        out_there = ~(seen.any & within(seen.point, low, high))
+        window = np.bincount(pixel[order], out_there, 2 * height**2).reshape(size[1:]) > 0.0
+        times = [light.t_utc[k] for k in captured]
+        maps[captured] = troubled_pictures(
+            maps[captured], window, times, times, SITE.timezone, troubles
+        )
+    dni, dhi = light.dni_wm2.copy(), light.dhi_wm2.copy()
+    dni[captured], dhi[captured] = measured_irradiance(
+        [light.t_utc[k] for k in captured],
+        dni[captured],
+        dhi[captured],
+        light.sun_altitude_deg[captured],
+        troubles,
+    )
     np.savez_compressed(
         out / f"{name}.npz",
-        maps=maps.reshape(size),
-        patches=patches.reshape(size),
+        maps=maps,
+        patches=patches,
         disc_lx=disc_lx,
         test=test,
         t_s=np.array([t.timestamp() for t in light.t_utc]),
-        dni=light.dni_wm2,
-        dhi=light.dhi_wm2,
+        dni=dni,
+        dhi=dhi,
         level_deg=np.array([tilt_deg, roll_deg]),
     )
     spent = time.process_time() - begin[0] + sum(os.times()[2:4]) - begin[1]
@@ -226,10 +263,14 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=76)
     parser.add_argument("--tests", type=int, default=150)
     parser.add_argument("--set", default="9-day", help="of capture days, as in fieldlum plan")
+    parser.add_argument("--troubles", type=Path, help="TOML file, as for fieldlum simulate")
+    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of the troubles")
     wanted = parser.parse_args()
+    troubles = Troubles() if wanted.troubles is None else load_troubles(wanted.troubles)
+    troubles = replace(troubles.seeded(100 * wanted.seed), north=None)
     wanted.out.mkdir(parents=True, exist_ok=True)
     for name in wanted.names or ROOMS:
-        render(name, wanted.out, wanted.height, wanted.tests, wanted.set)
+        render(name, wanted.out, wanted.height, wanted.tests, wanted.set, troubles)
 
 
 if __name__ == "__main__":

@@ -246,8 +246,11 @@ def sun_on(truth: Truth, start: Array, normal: Array, sun: Array) -> Array:
 
 
 def cell_light(truth: Truth, light: Light, suns: Array) -> tuple[Array, Array]:
-    """Exitance over pi of the cells [n, c], and the sky's luminance [n, k], in room axes."""
-    sky = light_sky(light, truth.sky, suns)
+    """Exitance over pi of the cells [n, c], and the sky's luminance [n, k].
+
+    light: in room axes, like suns.
+    """
+    sky = np.asarray(light.sky_at(truth.sky), float)
     direct = np.zeros((len(light), len(truth.cell_albedo)))
     shape = truth.sun_start.shape[:2]
     normals = np.repeat(truth.cell_normal, shape[1], axis=0)
@@ -262,19 +265,12 @@ def cell_light(truth: Truth, light: Light, suns: Array) -> tuple[Array, Array]:
     return total, sky
 
 
-def light_sky(light: Light, directions: Array, suns: Array) -> Array:
-    """Perez luminance [n, k]; `directions` and `suns` share their axes."""
-    from fieldlum.sky import perez_luminance
-
-    return np.asarray(perez_luminance(light.sky, suns, directions), float)
-
-
 def pictures(
     truth: Truth, light: Light, suns: Array, rays: Array, pixel: Array, count: int, gather: int = 64
 ) -> tuple[Array, Array]:
     """Luminance and sun patches of `count` pixels in each hour, [n, count] cd/m2.
 
-    rays [r, 3] from the camera; pixel [r] is sorted.
+    rays [r, 3] from the camera; pixel [r] is sorted. light: in room axes, like suns and rays.
     """
     rng = np.random.default_rng(1)
     low, high = truth.inside_low, truth.inside_high

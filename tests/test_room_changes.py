@@ -10,6 +10,7 @@ from test_transport import log_mse
 
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
+from fieldlum.train.agreement import process_of
 from fieldlum.train.room_changes import find_changes, without_changes
 
 DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
@@ -35,6 +36,13 @@ def lit(days: tuple[str, ...]) -> tuple[Dataset, np.ndarray]:
     return replace(CLEAN, luminance_cdm2=maps.astype(np.float32)), on
 
 
+def with_levels(data: Dataset, sd: float, seed: int) -> Dataset:
+    """Each capture darker or brighter, as with a sky that the irradiance does not describe."""
+    level = np.exp(sd * np.random.default_rng(seed).standard_normal(len(data)))
+    maps = data.luminance_cdm2 * level[:, None, None].astype(np.float32)
+    return replace(data, luminance_cdm2=maps)
+
+
 def shaded(day: str) -> Dataset:
     """A blind half down on one day: 0.4 of the light in the upper half, 0.7 in the lower one."""
     maps = CLEAN.luminance_cdm2.copy()
@@ -57,9 +65,7 @@ def test_a_clean_room_raises_no_alarm(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.property
 def test_noise_of_level_and_of_the_sky_raises_no_alarm() -> None:
-    level = np.exp(0.2 * np.random.default_rng(0).standard_normal(len(CLEAN)))
-    maps = CLEAN.luminance_cdm2 * level[:, None, None].astype(np.float32)
-    assert find_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True) is None
+    assert find_changes(with_levels(CLEAN, 0.2, 0), with_patch=True) is None
 
 
 @pytest.mark.slow
@@ -89,6 +95,26 @@ def test_a_blind_of_one_day_is_named_and_left_out() -> None:
         slot for slot, day in zip(data.slots, data.days, strict=True) if str(day) == "2027-12-20"
     }
     assert error(better) < clean_mse() < error(data) / 1.8
+
+
+@pytest.mark.slow
+@pytest.mark.property
+@pytest.mark.parametrize(("day", "seed"), [("2027-03-20", 1), ("2027-06-21", 5)])
+def test_a_blind_is_found_under_skies_that_hide_its_size(day: str, seed: int) -> None:
+    """No capture deviates more than skies of 15 % make others deviate, but all to one side."""
+    changes = find_changes(with_levels(shaded(day), 0.15, seed), with_patch=True)
+    assert changes is not None and not len(changes.lamp)
+    assert [str(d) for d in changes.complete_days] == [day]
+    assert find_changes(with_levels(CLEAN, 0.15, seed), with_patch=True) is None
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.5])
+def test_the_factor_of_a_day_is_estimated(factor: float) -> None:
+    maps, on = CLEAN.luminance_cdm2.copy(), np.flatnonzero(CLEAN.days == np.datetime64(DAYS[1]))
+    maps[on] *= np.float32(factor)
+    process = process_of(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
+    assert process.level(on, 1e-3) == pytest.approx(factor, rel=0.03)
 
 
 def block(turn: int = 0) -> np.ndarray:

@@ -8,12 +8,12 @@ from typing import cast
 import numpy as np
 import pytest
 from matplotlib.text import Annotation
-from test_scene_search import ROOM, captures
+from test_scene_search import HEIGHT, ROOM, captures
 
 from fieldlum.records import Obstruction, Room
 from fieldlum.scene_fit.acceptance import SOLID_GAIN, pays
 from fieldlum.scene_fit.bars import propose_merged
-from fieldlum.scene_fit.evidence import gather
+from fieldlum.scene_fit.evidence import PIXELS, gather
 from fieldlum.scene_fit.exterior import (
     exterior_parameters,
     is_outside,
@@ -36,11 +36,11 @@ def _search(obstruction: tuple[Obstruction, ...]) -> tuple[SceneSearch, Guess]:
     return _search_of(replace(ROOM, obstruction=obstruction))
 
 
-def _search_of(room: Room) -> tuple[SceneSearch, Guess]:
+def _search_of(room: Room, height: int = HEIGHT, pixels: int = 1500) -> tuple[SceneSearch, Guess]:
     """Return a search of captures of `room`, which the user states as ROOM, and ROOM as a guess."""
-    data = captures(room)
+    data = captures(room, height=height)
     data = replace(data, setup=replace(data.setup, room=ROOM))
-    evidence = gather(data, ROOM, pixels=1500)
+    evidence = gather(data, ROOM, pixels=pixels)
     number = np.arange(len(evidence))
     out = number % 3 == 2
     stated = StatedRoom(ROOM, None, 5.0)
@@ -113,8 +113,10 @@ def test_a_bookcase_of_another_size_than_the_proposals_is_no_strip() -> None:
 
 @pytest.mark.slow
 @pytest.mark.analytic
-def test_an_empty_room_gets_no_furniture() -> None:
-    search, start = _search(())
+@pytest.mark.parametrize(("height", "pixels"), [(HEIGHT, 1500), (230, PIXELS)])
+def test_an_empty_room_gets_no_furniture(height: int, pixels: int) -> None:
+    """The limits hold for large pictures too, in which fewer of the pixels are drawn."""
+    search, start = _search_of(ROOM, height, pixels)
     search.relight(start)
     assert search.furniture(start) is start
 

@@ -48,12 +48,12 @@ TWO_PANES = replace(ONE_PANE.window[0], panes=2)
 ROOM = replace(ONE_PANE, window=(TWO_PANES,))
 
 
-def captures(room: Room, days: tuple[str, ...] = DAYS) -> Dataset:
+def captures(room: Room, days: tuple[str, ...] = DAYS, height: int = HEIGHT) -> Dataset:
     """Clear hours of a linear room: skylight that falls off with depth, and its sun patches."""
-    shade = 1.0 + np.cos(np.linspace(0, 2 * np.pi, 2 * HEIGHT))[None, :] * 0.3
-    shade = shade * np.ones((1, HEIGHT, 1))
+    shade = 1.0 + np.cos(np.linspace(0, 2 * np.pi, 2 * height))[None, :] * 0.3
+    shade = shade * np.ones((1, height, 1))
     return room_captures(
-        SITE, room, HEIGHT, lambda light: light.total_lx[:, None, None] * 0.004 * shade, days
+        SITE, room, height, lambda light: light.total_lx[:, None, None] * 0.004 * shade, days
     )
 
 
@@ -265,6 +265,7 @@ def test_an_hour_of_another_level_is_levelled() -> None:
 def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> None:
     few = data.take(np.arange(len(data)))
     fit = fit_scene(few, ROOM, pixels=250)
+    assert not len(fit.changed)
     assert fit.misfits.mean()["fitted"] < fit.misfits.mean()["none"]
     chosen, verdict = choose_by_misfit(fit.misfits)
     assert chosen in ("stated", "fitted") and "wrong" in verdict
@@ -288,6 +289,20 @@ def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> N
     (tmp_path / "scene.toml").write_text("format = 7\n")
     with pytest.raises(InputError, match="format 7"):
         read_scene(tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_a_fit_does_not_use_captures_of_a_changed_room() -> None:
+    """A blind on one of six days: the day is left out, and a note states it."""
+    days = tuple(f"2027-{month}-{day}" for month in ("03", "06") for day in (19, 20, 21))
+    data = captures(ROOM, days)
+    on = data.days == np.datetime64("2027-06-20")
+    maps = np.where(on[:, None, None], 0.5 * data.luminance_cdm2, data.luminance_cdm2)
+    fit = fit_scene(replace(data, luminance_cdm2=maps), ROOM, pixels=250)
+    np.testing.assert_array_equal(fit.changed, np.flatnonzero(on))
+    assert any(f"in {on.sum()} of {len(data)} captures" in note for note in fit.notes)
+    assert fit.hours == len(gather(data.take(~on), ROOM, pixels=250))
 
 
 @pytest.mark.contract

@@ -16,20 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from fieldlum.arrays import Indices
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, Room, quiet
+from fieldlum.scene_fit.corrected import corrected, with_patches
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
 from fieldlum.scene_fit.joined import joined
 from fieldlum.scene_fit.last_search import last_cost, last_search
 from fieldlum.scene_fit.misfits import Misfits, misfits_of
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
-from fieldlum.scene_fit.posterior import posterior
+from fieldlum.scene_fit.posterior import posterior, true_room
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.skyline import with_skyline
 from fieldlum.scene_fit.stated_room import StatedRoom
 from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, outside_hours
+from fieldlum.train.room_changes import find_changes
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -54,7 +57,7 @@ class SceneFit:
     solids [6 + solids]. before, after: values before and after the fit, and u: standard
     uncertainties, by parameter name. misfits: shares of wrong pixels in held-out hours. hours:
     number of sunny hours, with the held-out ones. notes: sentences for the user. room_draws: see
-    `posterior.Posterior`.
+    `posterior.Posterior`. changed: indices of captures of a changed room, which were not used [k].
     """
 
     stated: Room
@@ -69,6 +72,11 @@ class SceneFit:
     hours: int
     notes: tuple[str, ...]
     room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    changed: Indices = field(default_factory=lambda: np.empty(0, np.intp))
+
+    def used(self, data: Dataset) -> Dataset:
+        """Return the captures that the fit used; data: all that it was given."""
+        return data.take(np.setdiff1d(np.arange(len(data)), self.changed))
 
 
 def fit_scene(
@@ -86,19 +94,36 @@ def fit_scene(
 
     pose: camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of
     the stated times; it is ignored with `pose`, which includes it. pixels: number to sample.
-    starts: number of searches, each with other random pixels, which are then joined. Raises
+    starts: number of searches, each with other random pixels, which are then joined. If captures of
+    a changed room are found with their patches, the searches are repeated without them. Raises
     InputError for a room that is not a box, has no window or is impossible, NotEnoughDataError for
     fewer than six captures with direct sun on a window.
     """
     prior = StatedRoom(room, pose, clock_sd_min)
 
-    def searched(number: int) -> Searched:
-        return _searched(data, prior, pixels, seed + number, quiet if number else progress)
+    def search_all(captures: Dataset, shown: Progress) -> tuple[list[Searched], Searched]:
+        def searched(number: int) -> Searched:
+            shown_by = quiet if number else shown
+            return _searched(captures, prior, pixels, seed + number, shown_by)
+
+        tries = list(pool.map(searched, range(starts)))
+        return tries, _cheapest(tries, pool)
 
     # Two searches fill two cores; threads of BLAS would only wait for each other.
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
-        tries = list(pool.map(searched, range(starts)))
-        best = _cheapest(tries, pool)
+        tries, best = search_all(data, progress)
+        changed = _changed_captures(data, best, room)
+        if len(changed):
+            rest = data.take(np.setdiff1d(np.arange(len(data)), changed))
+
+            def again(done: int, total: int, text: str) -> None:
+                progress(done, total, f"{text}, without {len(changed)} captures of a changed room")
+
+            try:
+                tries, best = search_all(rest, again)
+                data = rest
+            except NotEnoughDataError:  # too few sunny hours without them
+                changed = changed[:0]
         search, misfits = best.search, best.misfits
         guess = best.guess
         if others := [one.guess for one in tries if one is not best]:
@@ -120,6 +145,11 @@ def fit_scene(
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
     notes = (*_notes(u, search.evidence), *_facade_notes(inside, guess))
+    if len(changed):
+        notes += (
+            f"in {len(changed)} of {len(data) + len(changed)} captures a lamp was on, or the light "
+            "contradicts the other days: the fit does not use them; train names them",
+        )
     progress(100, 100, "")
     return SceneFit(
         room,
@@ -134,6 +164,7 @@ def fit_scene(
         len(search.evidence),
         notes,
         spread.room_draws,
+        changed,
     )
 
 
@@ -172,6 +203,20 @@ def _searched(
     guess = search.refined(guess, refined)
     progress(88, 100, "the last centimetres")
     return Searched(search, last_search(search, guess), misfits)
+
+
+def _changed_captures(data: Dataset, found: Searched, stated: Room) -> Indices:
+    """Return the captures with a lamp, or that contradict the other days, under a scene's patches.
+
+    They are indices from 0 [k].
+    """
+    guess = found.guess
+    room = _with_albedo(true_room(guess, stated), found.search.albedo)
+    lit = with_patches(corrected(data, guess.north_deg, guess.clock_min, room))
+    changes = find_changes(lit, with_patch=True)
+    if changes is None:
+        return np.empty(0, np.intp)
+    return np.union1d(changes.lamp, changes.unexplained)
 
 
 def _cheapest(tries: Sequence[Searched], pool: Executor) -> Searched:

@@ -78,7 +78,8 @@ def run(
     if pose is not None:
         scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     files = [write_scene(out, scene)]
-    files += draw(out, data, fit, gather(data, room, seed=seed), fit.guess)
+    used = fit.used(data)
+    files += draw(out, used, fit, gather(used, room, seed=seed), fit.guess)
     return SceneResult(scene, tuple(files))
 
 
@@ -90,8 +91,9 @@ def judged_scene(
     If the sunny hours have fewer than three blocks of sun directions (`outside_hours`), the misfit
     of patches on held-out hours chooses alone (`choose_by_misfit`), the expected error is unknown
     (None), and the choice is not trusted. The choice is not trusted either with fewer than six
-    held-out hours.
+    held-out hours. data: all captures that the fit was given.
     """
+    data = fit.used(data)
     try:
         verdict = judge_fit(data, fit, seed=seed, progress=progress)
     except NotEnoughDataError as error:

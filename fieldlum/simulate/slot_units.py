@@ -108,7 +108,15 @@ def render_slots(folder: Path, job: _TruthJob) -> None:
         stated = truth.render(job.light)
         made = replace(made, patch_cdm2=stated.patch_cdm2)
         times = [slot.t_utc for slot in job.slots]
-        made = troubled_pictures(made, truth, times, list(job.planned_utc), wrong)
+        maps = troubled_pictures(
+            made.luminance_cdm2,
+            truth.view.sky > 0,
+            times,
+            job.planned_utc,
+            truth.setup.site.timezone,
+            wrong,
+        )
+        made = replace(made, luminance_cdm2=maps)
     _write(session, truth, made, job.slots)
 
 

@@ -23,7 +23,6 @@ from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.projection import altitude_azimuth_deg, equirect_rays
 from fieldlum.records import Site
-from fieldlum.simulate.truth import GroundTruth, Rendering
 from fieldlum.sky import reinhart_patches
 from fieldlum.strict_toml import build, read_toml
 
@@ -258,30 +257,31 @@ def _normal(seed: int, t_utc: datetime) -> float:
 
 
 def troubled_pictures(
-    made: Rendering,
-    truth: GroundTruth,
+    luminance_cdm2: Floats32,
+    window: Mask,
     slots: Sequence[datetime],
     all_slots: Sequence[datetime],
+    timezone: str,
     troubles: Troubles,
-) -> Rendering:
-    """Return the rendering of `slots` with the troubles of room and camera in its luminances.
+) -> Floats32:
+    """Return the pictures of `slots` with the troubles of room and camera, [n, H, W].
 
-    made: rendering of `slots`; all_slots : times of the complete plan, by which days are counted.
+    luminance_cdm2: without troubles, [n, H, W]; window: pixels that see the sky, [H, W]; all_slots:
+    times of the complete plan, by which days are counted.
     """
-    zone = truth.setup.site.timezone
-    days = sorted({sun.standard_date(t, zone) for t in all_slots})
-    maps = made.luminance_cdm2.copy()
+    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
+    maps = luminance_cdm2.copy()
     for k, t in enumerate(slots):
-        day = days.index(sun.standard_date(t, zone))
-        local = sun.standard_time(t, zone)
+        day = days.index(sun.standard_date(t, timezone))
+        local = sun.standard_time(t, timezone)
         hour = local.hour + local.minute / 60.0
-        maps[k] = _changed_room(maps[k], truth, day, len(days), hour, troubles)
+        maps[k] = _changed_room(maps[k], window, day, len(days), hour, troubles)
         maps[k] = _changed_picture(maps[k], t, all_slots, day, troubles)
-    return replace(made, luminance_cdm2=maps)
+    return maps
 
 
 def _changed_room(
-    image: Array, truth: GroundTruth, day: int, days: int, hour: float, troubles: Troubles
+    image: Array, window: Mask, day: int, days: int, hour: float, troubles: Troubles
 ) -> Array:
     """Return the picture with lamps, a blind and a chair, [H, W]."""
     out = image.copy()
@@ -291,9 +291,8 @@ def _changed_room(
         if rng.random() < 0.5:
             lit = np.full_like(out, troubles.lamps.size)
             lit[height // 8 : height // 6, width // 8 :: width // 4] *= _LAMP_SPOTS
-            out += np.where(truth.view.sky > 0, 0.0, lit).astype(np.float32)
+            out += np.where(window, 0.0, lit).astype(np.float32)
     if troubles.blind is not None and day == _blind_day(troubles.blind, days):
-        window = truth.view.sky > 0
         rows = np.flatnonzero(window.any(axis=1))
         upper = window & (np.arange(height)[:, None] <= np.median(rows))
         passed = 1.0 - troubles.blind.size

@@ -36,6 +36,7 @@ OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun 
 _PATCH_SHARE = 0.05
 _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances; smaller ones are not resolved
 _LAMP_VARIANCE = 100.0  # prior variance of a lamp's light, as in fieldlum.light.Kernel
+_LEVEL_VARIANCE = 0.1  # prior variance of a factor on a day's light, as of a blind; chosen
 # share of the pixels with the largest deviations that are omitted, because they are edges of sun
 # patches; chosen
 _TRIM = 0.1
@@ -115,6 +116,31 @@ class Process:
         lit = np.zeros(len(self.days))
         lit[rows] = LAMP_LX / self.total_lx[rows]
         return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))
+
+    def with_level(self, rows: Rows) -> Process:
+        """Return the process that expects one unknown factor on the light of the captures `rows`.
+
+        Each pixel has its own factor, the same in all these captures.
+        """
+        level = self._level(rows)
+        return replace(self, covariance=self.covariance + _LEVEL_VARIANCE * np.outer(level, level))
+
+    def level(self, rows: Rows, noise: float) -> float:
+        """Return the factor on the light of the captures `rows`, median over the pixels.
+
+        It is 1 if the other captures predict them. noise: relative variance of a measured value.
+        """
+        judged = np.flatnonzero(self.judged)
+        level = self._level(rows)[judged]
+        weights = np.linalg.solve(self.noisy(noise)[np.ix_(judged, judged)], level)
+        excess = float(np.median(weights @ self.y[judged])) / float(weights @ level)
+        # `level` has the factor in it, so that this is 1 - 1/factor, and below 1.
+        return 1.0 / max(1.0 - excess, 1e-3)
+
+    def _level(self, rows: Rows) -> Array:
+        level = np.zeros(len(self.days))
+        level[rows] = np.median(self.y[rows], axis=1)
+        return level
 
     def lamp_light(self, rows: Rows, noise: float) -> float:
         """Return the fitted light of a lamp in the captures `rows`, median over the pixels.

@@ -34,6 +34,12 @@ from fieldlum.train.changed_regions import MovedObject, moved_object, object_pix
 # Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10; lamps
 # of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106 (docs/results/troubles.md).
 _LEAST_GAIN = 25.0
+# Gain and factor of a day of another level (`_day_of_other_level`), in nine days of the office and
+# of nine rooms with all thirteen troubles: a blind half down gains 12 to 55, its factor is 0.64 to
+# 0.8. Days without a change gain up to 9, with factors of 0.87 to 1.15. Chosen between these
+# (docs/decisions/0042-days-of-another-level.md).
+_LEAST_LEVEL_GAIN = 10.0
+_LEAST_LEVEL_LOG = float(np.log(1.2))
 _LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its light is explained
 # local standard times from which lamps may be on; chosen
 _EVENINGS_H = (14.0, 15.0, 16.0, 17.0, 18.0)
@@ -119,9 +125,15 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     # Clouds hide a lamp, so it is searched for under the skies that the windows showed. A blind
     # looks like a dark sky there: captures that contradict the rest are found under Perez's.
     clouded = process_of(data, with_patch=with_patch, seen_skies=True)
-    lamp, lit = find_lamp(clouded, _hours(data))
+    hours = _hours(data)
+    lamp, lit = find_lamp(clouded, hours)
+    unexplained, complete_days = find_unexplained(process.with_lamp(lit))
+    if len(unexplained):  # they can hide a lamp, and make other captures look lit
+        rest = np.setdiff1d(np.arange(len(data)), unexplained)
+        usual = process_of(data.take(rest), with_patch=with_patch, seen_skies=True)
+        before = np.flatnonzero(np.isin(rest, lit))
+        lamp, lit = (rest[rows] for rows in find_lamp(usual, hours[rest], before))
     process = process.with_lamp(lit)
-    unexplained, complete_days = find_unexplained(process)
     if not len(lamp) and not len(unexplained):
         return None
     rest = np.setdiff1d(np.flatnonzero(process.judged), unexplained)
@@ -173,13 +185,14 @@ def _hours(data: Dataset) -> Floats:
 # a lamp
 
 
-def find_lamp(process: Process, hours: Floats) -> tuple[Rows, Rows]:
+def find_lamp(process: Process, hours: Floats, before: Rows = _NO_ROWS) -> tuple[Rows, Rows]:
     """Return the captures to omit because of a lamp, and all captures with a lamp, as indices.
 
     Both are the same for a lamp that is on in some mornings or evenings only. A lamp that is on in
     all captures is part of the room: the first result is then empty, the second has all captures
     that can be judged. Both are empty without a lamp, and with over 40 days, because the search
-    would be slow. hours: local standard time of each capture [n] h.
+    would be slow. hours: local standard time of each capture [n] h. before: captures with a lamp by
+    a search among more captures, which half of the evidence confirms.
     """
     rows = np.flatnonzero(process.judged)
     if len(np.unique(process.days)) > _MOST_DAYS:
@@ -202,7 +215,8 @@ def find_lamp(process: Process, hours: Floats) -> tuple[Rows, Rows]:
     if without - disagreement(always, rows, usual) > max(_LEAST_GAIN, without - cost(best)):
         return _NO_ROWS, rows
     if without - cost(best) < _LEAST_GAIN:
-        return _NO_ROWS, _NO_ROWS
+        lit = before if without - cost(before) > _LEAST_GAIN / 2.0 else _NO_ROWS
+        return lit, lit
     lit = _each_capture(process, best, cost)
     return lit, lit
 
@@ -253,6 +267,8 @@ def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
     while True:
         usual = typical(process, rows)
         unit = _worst_unit(process, rows, usual)
+        if unit is None:
+            unit = _day_of_other_level(process, rows, usual)
         most = _MOST_SHARE * len(judged)
         if unit is None or len(judged) - len(rows) + len(unit) > most:
             break
@@ -261,6 +277,26 @@ def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
         rows = np.setdiff1d(rows, unit)
     out = np.union1d(np.setdiff1d(judged, rows), _rows_of(process, whole))
     return out.astype(np.intp), tuple(whole)
+
+
+def _day_of_other_level(process: Process, rows: Rows, usual: Typical) -> Rows | None:
+    """Return the captures of the day that a factor on its light explains best, as of a blind.
+
+    Clouds and a distant instrument make each capture deviate, so that such a day is not conspicuous
+    by the size of its deviations, but their sign is the same in all its captures. Return None if no
+    day gains enough.
+    """
+    now = disagreement(process, rows, usual)
+    judged = replace(process, judged=np.isin(np.arange(len(process.days)), rows))
+    best, most = None, _LEAST_LEVEL_GAIN
+    for day in np.unique(process.days[rows]):
+        block = rows[process.days[rows] == day]
+        if abs(np.log(judged.level(block, usual.noise))) < _LEAST_LEVEL_LOG:
+            continue
+        gain = now - disagreement(process.with_level(block), rows, usual)
+        if gain > most:
+            best, most = block, gain
+    return best
 
 
 def _rows_of(process: Process, days: Collection[Any]) -> Rows:
