@@ -108,6 +108,18 @@ def test_a_blind_is_found_under_skies_that_hide_its_size(day: str, seed: int) ->
     assert find_changes(with_levels(CLEAN, 0.15, seed), with_patch=True) is None
 
 
+@pytest.mark.slow
+@pytest.mark.property
+@pytest.mark.parametrize("sd", [0.0, 0.1])
+def test_a_blind_of_an_afternoon_leaves_the_morning(sd: float) -> None:
+    on = (CLEAN.days == np.datetime64("2027-03-20")) & (HOURS >= 12.0)
+    maps = np.where(on[:, None, None], np.float32(0.6) * CLEAN.luminance_cdm2, CLEAN.luminance_cdm2)
+    data = with_levels(replace(CLEAN, luminance_cdm2=maps), sd, seed=2)
+    changes = find_changes(data, with_patch=True)
+    assert changes is not None and not len(changes.lamp) and not changes.complete_days
+    np.testing.assert_array_equal(changes.unexplained, np.flatnonzero(on))
+
+
 @pytest.mark.analytic
 @pytest.mark.parametrize("factor", [0.6, 1.0, 1.5])
 def test_the_factor_of_a_day_is_estimated(factor: float) -> None:

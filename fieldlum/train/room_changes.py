@@ -7,15 +7,15 @@ object are searched (`changed_regions`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
 
 from fieldlum import sun
-from fieldlum.arrays import Floats, Mask
+from fieldlum.arrays import Array, Floats, Mask
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.seasons import seasons
 from fieldlum.train.agreement import (
@@ -34,11 +34,13 @@ from fieldlum.train.changed_regions import MovedObject, moved_object, object_pix
 # Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10; lamps
 # of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106 (docs/results/troubles.md).
 _LEAST_GAIN = 25.0
-# Gain and factor of a day of another level (`_day_of_other_level`), in nine days of the office and
-# of nine rooms with all thirteen troubles: a blind half down gains 12 to 55, its factor is 0.64 to
-# 0.8. Days without a change gain up to 9, with factors of 0.87 to 1.15. Chosen between these
+# Gain and factor of a day of another level (`_block_of_other_level`), in nine days of the office
+# and of nine rooms with all thirteen troubles: a blind half down gains 12 to 55, its factor is 0.64
+# to 0.8. Days without a change gain up to 9, with factors of 0.87 to 1.15. Chosen between these
 # (docs/decisions/0042-days-of-another-level.md).
 _LEAST_LEVEL_GAIN = 10.0
+_PARTS_H = (11.0, 12.0, 13.0, 14.0)  # local standard times at which a blind may be moved; chosen
+_FEWEST_IN_BLOCK = 3  # least number of captures that show a common factor; chosen
 _LEAST_LEVEL_LOG = float(np.log(1.2))
 _LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its light is explained
 # local standard times from which lamps may be on; chosen
@@ -127,7 +129,7 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     clouded = process_of(data, with_patch=with_patch, seen_skies=True)
     hours = _hours(data)
     lamp, lit = find_lamp(clouded, hours)
-    unexplained, complete_days = find_unexplained(process.with_lamp(lit))
+    unexplained, complete_days = find_unexplained(process.with_lamp(lit), hours)
     if len(unexplained):  # they can hide a lamp, and make other captures look lit
         rest = np.setdiff1d(np.arange(len(data)), unexplained)
         usual = process_of(data.take(rest), with_patch=with_patch, seen_skies=True)
@@ -257,40 +259,57 @@ def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) ->
 # captures that contradict the rest
 
 
-def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
+def find_unexplained(process: Process, hours: Floats) -> tuple[Rows, tuple[Any, ...]]:
     """Return the indices of captures that contradict the others, and the complete days among them.
 
-    Captures, days or seasons are removed one after the other, at most a third of the captures.
+    Captures, days, parts of days or seasons are removed one after the other, at most a third of the
+    captures. hours: local standard time of each capture [n] h.
     """
     judged = np.flatnonzero(process.judged)
     rows, whole = judged, []
     while True:
         usual = typical(process, rows)
-        unit = _worst_unit(process, rows, usual)
+        blocks = _blocks(process.days, hours, rows)
+        unit = _worst_unit(process, rows, usual, blocks)
         if unit is None:
-            unit = _day_of_other_level(process, rows, usual)
+            unit = _block_of_other_level(process, rows, usual, blocks)
         most = _MOST_SHARE * len(judged)
         if unit is None or len(judged) - len(rows) + len(unit) > most:
             break
-        if len(unit) > 1:
-            whole += list(np.unique(process.days[unit]))
+        days = np.unique(process.days[unit])
+        if len(unit) == np.isin(process.days[rows], days).sum() > 1:
+            whole += list(days)
         rows = np.setdiff1d(rows, unit)
     out = np.union1d(np.setdiff1d(judged, rows), _rows_of(process, whole))
     return out.astype(np.intp), tuple(whole)
 
 
-def _day_of_other_level(process: Process, rows: Rows, usual: Typical) -> Rows | None:
-    """Return the captures of the day that a factor on its light explains best, as of a blind.
+def _blocks(days: Array, hours: Floats, rows: Rows) -> list[Rows]:
+    """Return each day's captures among `rows`, and its parts before and after some hours.
 
-    Clouds and a distant instrument make each capture deviate, so that such a day is not conspicuous
-    by the size of its deviations, but their sign is the same in all its captures. Return None if no
-    day gains enough.
+    days: dates [n]; hours: local standard time [n] h.
+    """
+    at = hours[rows]
+    parts = [at >= 0.0, *(at < h for h in _PARTS_H), *(at >= h for h in _PARTS_H)]
+    blocks = [
+        rows[(days[rows] == day) & part] for day, part in product(np.unique(days[rows]), parts)
+    ]
+    return [block for block in blocks if len(block) >= _FEWEST_IN_BLOCK]
+
+
+def _block_of_other_level(
+    process: Process, rows: Rows, usual: Typical, blocks: Sequence[Rows]
+) -> Rows | None:
+    """Return the block whose captures a common factor on their light explains best, as of a blind.
+
+    Clouds and a distant instrument make each capture deviate, so that such a block is not
+    conspicuous by the size of its deviations, but all are to the same side. Return None if no block
+    gains enough.
     """
     now = disagreement(process, rows, usual)
     judged = replace(process, judged=np.isin(np.arange(len(process.days)), rows))
     best, most = None, _LEAST_LEVEL_GAIN
-    for day in np.unique(process.days[rows]):
-        block = rows[process.days[rows] == day]
+    for block in blocks:
         if abs(np.log(judged.level(block, usual.noise))) < _LEAST_LEVEL_LOG:
             continue
         gain = now - disagreement(process.with_level(block), rows, usual)
@@ -303,8 +322,10 @@ def _rows_of(process: Process, days: Collection[Any]) -> Rows:
     return np.flatnonzero([day in days for day in process.days])
 
 
-def _worst_unit(process: Process, rows: Rows, usual: Typical) -> Rows | None:
-    """Return the capture, day or season without which the rest agrees best.
+def _worst_unit(
+    process: Process, rows: Rows, usual: Typical, blocks: Sequence[Rows]
+) -> Rows | None:
+    """Return the capture, block or season without which the rest agrees best.
 
     Return None if omitting each of them gains too little.
     """
@@ -312,7 +333,7 @@ def _worst_unit(process: Process, rows: Rows, usual: Typical) -> Rows | None:
     if max(captures.max(), *days.values()) <= 1.0:
         return None
     units = [np.array([row]) for row in rows[captures > _SUSPECT]]
-    units += [rows[process.days[rows] == day] for day, size in days.items() if size > _SUSPECT]
+    units += [block for block in blocks if days[process.days[block[0]]] > _SUSPECT]
     season = seasons(process.days)[rows]
     if season.max() > 0:  # snow is in all days of a winter
         units += [rows[season == k] for k in np.unique(season)]
