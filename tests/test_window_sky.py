@@ -17,6 +17,7 @@ from fieldlum.records import CameraSetup, Site, SiteFile, utc_text
 from fieldlum.simulate.troubles import Trouble, Troubles, true_light
 from fieldlum.sky import reinhart_patches
 from fieldlum.train.agreement import process_of
+from fieldlum.train.notes import seen_skies
 from fieldlum.train.room_changes import find_lamp
 
 SITE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")
@@ -94,6 +95,10 @@ def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("fieldlum.models.transport.model.seen_sky", lambda arrays: None)
     perez = fit(CLOUDED)
     assert seen.sky_field is not None and perez.sky_field is None
+
+    (used,), (unused,) = (seen_skies(model, CLOUDED) for model in (seen, perez))
+    assert "learnt under its own sky" in used and "under the Perez model all the same" in unused
+    assert seen_skies(perez, CLEAR) == []
 
     def error(model: object) -> float:
         maps = model.predict(UNSEEN.light).luminance_cdm2  # type: ignore[attr-defined]
