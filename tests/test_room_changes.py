@@ -11,6 +11,7 @@ from test_transport import log_mse
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
 from fieldlum.train.agreement import process_of
+from fieldlum.train.other_level import factor_of
 from fieldlum.train.room_changes import find_changes, without_changes
 
 DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
@@ -110,6 +111,20 @@ def test_a_blind_is_found_under_skies_that_hide_its_size(day: str, seed: int) ->
 
 @pytest.mark.slow
 @pytest.mark.property
+@pytest.mark.parametrize("picked", [(0, 4, 8), (0, 1, 4), (3, 4)])
+def test_a_blind_of_several_days_is_found(picked: tuple[int, ...]) -> None:
+    """With a third of the days darker, every day deviates; a factor common to them explains it."""
+    maps = CLEAN.luminance_cdm2.copy()
+    on = np.isin(CLEAN.days, np.unique(CLEAN.days)[list(picked)])
+    maps[on] *= np.float32(0.65)
+    changes = find_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
+    assert changes is not None and not len(changes.lamp)
+    np.testing.assert_array_equal(changes.unexplained, np.flatnonzero(on))
+    assert len(changes.complete_days) == len(picked)
+
+
+@pytest.mark.slow
+@pytest.mark.property
 @pytest.mark.parametrize("sd", [0.0, 0.1])
 def test_a_blind_of_an_afternoon_leaves_the_morning(sd: float) -> None:
     on = (CLEAN.days == np.datetime64("2027-03-20")) & (HOURS >= 12.0)
@@ -126,7 +141,8 @@ def test_the_factor_of_a_day_is_estimated(factor: float) -> None:
     maps, on = CLEAN.luminance_cdm2.copy(), np.flatnonzero(CLEAN.days == np.datetime64(DAYS[1]))
     maps[on] *= np.float32(factor)
     process = process_of(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
-    assert process.level(on, 1e-3) == pytest.approx(factor, rel=0.03)
+    out = process.left_out(np.arange(len(CLEAN)), 1e-3)
+    assert factor_of(process, out, on) == pytest.approx(factor, rel=0.03)
 
 
 def block(turn: int = 0) -> np.ndarray:

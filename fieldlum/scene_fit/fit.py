@@ -44,6 +44,9 @@ Array = NDArray[np.floating]
 # a laptop has two cores or more (decision 33).
 STARTS = 2
 REACH_EVERY = 3  # chosen, for time: use every n-th pixel for how far numbers can move
+# Fewer captures of a changed room hardly move a robust search, and imperfect patches, as of trees,
+# can make one look changed. Chosen.
+_FEWEST_CHANGED = 3
 OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 
 
@@ -113,7 +116,9 @@ def fit_scene(
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
         tries, best = search_all(data, progress)
         changed = _changed_captures(data, best, room)
-        if len(changed):
+        if len(changed) < _FEWEST_CHANGED:
+            changed = changed[:0]
+        else:
             rest = data.take(np.setdiff1d(np.arange(len(data)), changed))
 
             def again(done: int, total: int, text: str) -> None:

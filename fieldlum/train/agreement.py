@@ -122,22 +122,11 @@ class Process:
 
         Each pixel has its own factor, the same in all these captures.
         """
-        level = self._level(rows)
+        level = self.level_of(rows)
         return replace(self, covariance=self.covariance + _LEVEL_VARIANCE * np.outer(level, level))
 
-    def level(self, rows: Rows, noise: float) -> float:
-        """Return the factor on the light of the captures `rows`, median over the pixels.
-
-        It is 1 if the other captures predict them. noise: relative variance of a measured value.
-        """
-        judged = np.flatnonzero(self.judged)
-        level = self._level(rows)[judged]
-        weights = np.linalg.solve(self.noisy(noise)[np.ix_(judged, judged)], level)
-        excess = float(np.median(weights @ self.y[judged])) / float(weights @ level)
-        # `level` has the factor in it, so that this is 1 - 1/factor, and below 1.
-        return 1.0 / max(1.0 - excess, 1e-3)
-
-    def _level(self, rows: Rows) -> Array:
+    def level_of(self, rows: Rows) -> Array:
+        """Return the median of `y` over the pixels in the captures `rows`, 0 in others, [n]."""
         level = np.zeros(len(self.days))
         level[rows] = np.median(self.y[rows], axis=1)
         return level

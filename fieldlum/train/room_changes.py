@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from fieldlum import sun
-from fieldlum.arrays import Array, Floats, Mask
+from fieldlum.arrays import Floats, Mask
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.seasons import seasons
 from fieldlum.train.agreement import (
@@ -30,18 +30,11 @@ from fieldlum.train.agreement import (
     typical,
 )
 from fieldlum.train.changed_regions import MovedObject, moved_object, object_pixels
+from fieldlum.train.other_level import MOST_SHARE, blocks_of, captures_of_other_level
 
 # Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10; lamps
 # of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106 (docs/results/troubles.md).
 _LEAST_GAIN = 25.0
-# Gain and factor of a day of another level (`_block_of_other_level`), in nine days of the office
-# and of nine rooms with all thirteen troubles: a blind half down gains 12 to 55, its factor is 0.64
-# to 0.8. Days without a change gain up to 9, with factors of 0.87 to 1.15. Chosen between these
-# (docs/decisions/0042-days-of-another-level.md).
-_LEAST_LEVEL_GAIN = 10.0
-_PARTS_H = (11.0, 12.0, 13.0, 14.0)  # local standard times at which a blind may be moved; chosen
-_FEWEST_IN_BLOCK = 3  # least number of captures that show a common factor; chosen
-_LEAST_LEVEL_LOG = float(np.log(1.2))
 _LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its light is explained
 # local standard times from which lamps may be on; chosen
 _EVENINGS_H = (14.0, 15.0, 16.0, 17.0, 18.0)
@@ -269,12 +262,11 @@ def find_unexplained(process: Process, hours: Floats) -> tuple[Rows, tuple[Any, 
     rows, whole = judged, []
     while True:
         usual = typical(process, rows)
-        blocks = _blocks(process.days, hours, rows)
-        unit = _worst_unit(process, rows, usual, blocks)
+        blocks = blocks_of(process.days, hours, rows)
+        unit, most = captures_of_other_level(process, rows, usual, blocks), MOST_SHARE
         if unit is None:
-            unit = _block_of_other_level(process, rows, usual, blocks)
-        most = _MOST_SHARE * len(judged)
-        if unit is None or len(judged) - len(rows) + len(unit) > most:
+            unit, most = _worst_unit(process, rows, usual, blocks), _MOST_SHARE
+        if unit is None or len(judged) - len(rows) + len(unit) > most * len(judged):
             break
         days = np.unique(process.days[unit])
         if len(unit) == np.isin(process.days[rows], days).sum() > 1:
@@ -282,40 +274,6 @@ def find_unexplained(process: Process, hours: Floats) -> tuple[Rows, tuple[Any, 
         rows = np.setdiff1d(rows, unit)
     out = np.union1d(np.setdiff1d(judged, rows), _rows_of(process, whole))
     return out.astype(np.intp), tuple(whole)
-
-
-def _blocks(days: Array, hours: Floats, rows: Rows) -> list[Rows]:
-    """Return each day's captures among `rows`, and its parts before and after some hours.
-
-    days: dates [n]; hours: local standard time [n] h.
-    """
-    at = hours[rows]
-    parts = [at >= 0.0, *(at < h for h in _PARTS_H), *(at >= h for h in _PARTS_H)]
-    blocks = [
-        rows[(days[rows] == day) & part] for day, part in product(np.unique(days[rows]), parts)
-    ]
-    return [block for block in blocks if len(block) >= _FEWEST_IN_BLOCK]
-
-
-def _block_of_other_level(
-    process: Process, rows: Rows, usual: Typical, blocks: Sequence[Rows]
-) -> Rows | None:
-    """Return the block whose captures a common factor on their light explains best, as of a blind.
-
-    Clouds and a distant instrument make each capture deviate, so that such a block is not
-    conspicuous by the size of its deviations, but all are to the same side. Return None if no block
-    gains enough.
-    """
-    now = disagreement(process, rows, usual)
-    judged = replace(process, judged=np.isin(np.arange(len(process.days)), rows))
-    best, most = None, _LEAST_LEVEL_GAIN
-    for block in blocks:
-        if abs(np.log(judged.level(block, usual.noise))) < _LEAST_LEVEL_LOG:
-            continue
-        gain = now - disagreement(process.with_level(block), rows, usual)
-        if gain > most:
-            best, most = block, gain
-    return best
 
 
 def _rows_of(process: Process, days: Collection[Any]) -> Rows:
