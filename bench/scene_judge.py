@@ -154,7 +154,8 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     scene = judged_scene(user, found)
     cpu = time.process_time() - begin
     if wanted.pictures:
-        draw_scene(wanted.pictures / path.stem, user, found, gather(user, stated), found.guess)
+        used = found.used(user)
+        draw_scene(wanted.pictures / path.stem, used, found, gather(used, stated), found.guess)
     pairs = {
         "none": (with_box(user, None), with_box(test, None)),
         "stated": (with_box(user, stated), with_box(test, stated)),

@@ -153,7 +153,7 @@ def fit_scene(
     if len(changed):
         notes += (
             f"in {len(changed)} of {len(data) + len(changed)} captures a lamp was on, or the light "
-            "contradicts the other days: the fit does not use them; train names them",
+            "contradicts the other days: the fit does not use them; see the warnings of train",
         )
     progress(100, 100, "")
     return SceneFit(

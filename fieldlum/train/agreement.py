@@ -36,7 +36,10 @@ OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun 
 _PATCH_SHARE = 0.05
 _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances; smaller ones are not resolved
 _LAMP_VARIANCE = 100.0  # prior variance of a lamp's light, as in fieldlum.light.Kernel
-_LEVEL_VARIANCE = 0.1  # prior variance of a factor on a day's light, as of a blind; chosen
+# Prior variance of the relative change by a factor on the light of some captures. It refers to
+# their measured level: 0.3 of the light is a change of 2.3. With 0.1, the wrong days are found for
+# a factor of 0.3 (decision 42).
+_LEVEL_VARIANCE = 1.0
 # share of the pixels with the largest deviations that are omitted, because they are edges of sun
 # patches; chosen
 _TRIM = 0.1

@@ -42,8 +42,8 @@ def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
     sizes = ", ".join(f"{size:.0%} in {kind} hours" for kind, size in scatter.items())
     typical = f" (one standard deviation: {sizes})" if sizes else ""
     learnt = (
-        "Captures were learnt under the Perez model all the same, because their own skies predict "
-        "held-out days no better"
+        "Captures were learnt under the Perez model all the same, because held-out days do not "
+        "show that their own skies are better"
         if fitted.sky_field is None
         else "Each capture was learnt under its own sky. Predicted hours use the Perez model, and "
         "their uncertainty includes the difference"

@@ -19,9 +19,13 @@ from fieldlum.train.agreement import LeftOut, Process, Rows, Typical, disagreeme
 # 55 by it, with factors of 0.64 to 0.8; a day without a change gains up to 9.
 _DAY_PRICE = 10.0
 _LEAST_LOG = float(np.log(1.2))
+# Difference in cost between the best darker and the best brighter set, with which one is clear.
+# With five days the wrong one can win by less. Chosen.
+_MARGIN = 5.0
 MOST_SHARE = 0.5  # of the captures: a larger set is the usual state, and the rest is the exception
 _PARTS_H = (11.0, 12.0, 13.0, 14.0)  # local standard times at which a blind may be moved; chosen
 _FEWEST = 3  # least number of captures of a day that show a common factor; chosen
+_FEWEST_DAYS = 5  # with four, it is unclear which days are the exception; chosen
 # With more days, pairs of days are not tried, because the search would take minutes. Chosen.
 _MOST_DAYS_IN_PAIRS = 12
 
@@ -45,12 +49,15 @@ def captures_of_other_level(
 ) -> Rows | None:
     """Return the captures, complete days or parts of days, that a common factor explains best.
 
-    The factor is one for each pixel, the same in all these captures. Return None if it explains too
-    little. rows: captures to search among, as indices [k]; blocks: of `blocks_of`.
+    The factor is one for each pixel, the same in all these captures. Return None with under five
+    days, if it explains too little, or if it is unclear whether these captures are darker or the
+    others brighter. rows: captures to search among, as indices [k]; blocks: of `blocks_of`.
     """
     out = process.left_out(rows, usual.noise)
     days = process.days[rows]
     complete = [rows[days == day] for day in np.unique(days)]
+    if len(complete) < _FEWEST_DAYS:
+        return None
     complete = [block for block in complete if len(block) >= _FEWEST]
     pairs: list[Rows] = []
     if len(complete) <= _MOST_DAYS_IN_PAIRS:  # of two days, the first alone explains little
@@ -79,8 +86,9 @@ def captures_of_other_level(
         return best
 
     # Three darker days make the others look brighter: separate searches find both sets.
-    best = min((cheapest(True), cheapest(False)), key=cost)
-    return best if len(best) else None
+    best, other = sorted((cheapest(True), cheapest(False)), key=cost)
+    is_clear = not len(other) or cost(other) - cost(best) > _MARGIN
+    return best if len(best) and is_clear else None
 
 
 def _cost(process: Process, rows: Rows, usual: Typical, out: LeftOut, chosen: Rows) -> float:

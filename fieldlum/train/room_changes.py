@@ -1,8 +1,9 @@
 """Detect unmarked changes of the room, by comparing captures with those of all other days.
 
-Two kinds are searched: a lamp that was on in the mornings or evenings of some days; and captures,
-complete days or a season that contradict the rest. In the remaining captures, regions with an
-object are searched (`changed_regions`).
+Three kinds are searched: a lamp that was on in the mornings or evenings of some days; days or parts
+of days of another level of light (`other_level`); and captures, days or a season that contradict
+the rest for another reason. In the remaining captures, regions with an object are searched
+(`changed_regions`).
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ from fieldlum.train.agreement import (
 from fieldlum.train.changed_regions import MovedObject, moved_object, object_pixels
 from fieldlum.train.other_level import MOST_SHARE, blocks_of, captures_of_other_level
 
-# Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10; lamps
-# of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106 (docs/results/troubles.md).
+# Least gain of a lamp or of omitting captures (difference of log costs). Nine rooms without a
+# change reach 10; lamps of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106
+# (docs/results/troubles.md).
 _LEAST_GAIN = 25.0
 _LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its light is explained
 # local standard times from which lamps may be on; chosen
@@ -44,7 +46,7 @@ _MOST_DAYS_IN_PAIRS = 12
 _MOST_DAYS = 40
 _NOISE = 1e-2  # relative variance with which other days predict what is reported; chosen
 _SUSPECT = 0.1  # of the limits: deviations that a change elsewhere may hide; chosen
-# largest share of captures that may be omitted: more are not an exception; chosen
+# largest share of captures that may be omitted if no common factor explains them; chosen
 _MOST_SHARE = 1.0 / 3.0
 
 
@@ -122,8 +124,10 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     clouded = process_of(data, with_patch=with_patch, seen_skies=True)
     hours = _hours(data)
     lamp, lit = find_lamp(clouded, hours)
+    is_always_lit = len(lit) > len(lamp)
     unexplained, complete_days = find_unexplained(process.with_lamp(lit), hours)
-    if len(unexplained):  # they can hide a lamp, and make other captures look lit
+    if len(unexplained) and not is_always_lit:
+        # Changed captures can hide a lamp, and make other captures look lit.
         rest = np.setdiff1d(np.arange(len(data)), unexplained)
         usual = process_of(data.take(rest), with_patch=with_patch, seen_skies=True)
         before = np.flatnonzero(np.isin(rest, lit))
@@ -255,22 +259,24 @@ def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) ->
 def find_unexplained(process: Process, hours: Floats) -> tuple[Rows, tuple[Any, ...]]:
     """Return the indices of captures that contradict the others, and the complete days among them.
 
-    Captures, days, parts of days or seasons are removed one after the other, at most a third of the
-    captures. hours: local standard time of each capture [n] h.
+    Captures of another level (at most half of all), and captures, days, parts of days or seasons
+    that contradict the rest (at most a third) are removed one after the other, as long as at least
+    four days remain. hours: local standard time of each capture [n] h.
     """
     judged = np.flatnonzero(process.judged)
     rows, whole = judged, []
-    while True:
-        usual = typical(process, rows)
+    while len(np.unique(process.days[rows])) >= FEWEST_DAYS:
+        usual, gone = typical(process, rows), len(judged) - len(rows)
         blocks = blocks_of(process.days, hours, rows)
-        unit, most = captures_of_other_level(process, rows, usual, blocks), MOST_SHARE
-        if unit is None:
-            unit, most = _worst_unit(process, rows, usual, blocks), _MOST_SHARE
-        if unit is None or len(judged) - len(rows) + len(unit) > most * len(judged):
-            break
-        days = np.unique(process.days[unit])
-        if len(unit) == np.isin(process.days[rows], days).sum() > 1:
-            whole += list(days)
+        unit = captures_of_other_level(process, rows, usual, blocks)
+        if unit is None or gone + len(unit) > MOST_SHARE * len(judged):
+            unit = _worst_unit(process, rows, usual, blocks)
+            if unit is None or gone + len(unit) > _MOST_SHARE * len(judged):
+                break
+        for day in np.unique(process.days[unit]):
+            of_day = rows[process.days[rows] == day]
+            if len(of_day) > 1 and np.isin(of_day, unit).all():
+                whole.append(day)
         rows = np.setdiff1d(rows, unit)
     out = np.union1d(np.setdiff1d(judged, rows), _rows_of(process, whole))
     return out.astype(np.intp), tuple(whole)
@@ -291,7 +297,9 @@ def _worst_unit(
     if max(captures.max(), *days.values()) <= 1.0:
         return None
     units = [np.array([row]) for row in rows[captures > _SUSPECT]]
-    units += [block for block in blocks if days[process.days[block[0]]] > _SUSPECT]
+    suspect = [day for day, size in days.items() if size > _SUSPECT]
+    units += [rows[process.days[rows] == day] for day in suspect]
+    units += [block for block in blocks if process.days[block[0]] in suspect]
     season = seasons(process.days)[rows]
     if season.max() > 0:  # snow is in all days of a winter
         units += [rows[season == k] for k in np.unique(season)]
