@@ -16,7 +16,7 @@ from fieldlum.train.agreement import LeftOut, Process, Rows, Typical, disagreeme
 
 # Price of a day and least factor; chosen between what these sets have (decision 42): nine days of
 # the office and of nine rooms with a blind half down for a day and twelve other troubles gain 12 to
-# 55 by it, with factors of 0.64 to 0.8; a day without a change gains up to 9.
+# 55 by it, with factors of 0.64 to 0.8; other days gain up to 9, and 12 beside such a day.
 _DAY_PRICE = 10.0
 _LEAST_LOG = float(np.log(1.2))
 # Difference in cost between the best darker and the best brighter set, with which one is clear.
