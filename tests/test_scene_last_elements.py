@@ -16,6 +16,7 @@ from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of, room_of
 from fieldlum.scene_fit.last_elements import Elements, scanned_bars
 from fieldlum.scene_fit.last_search import last_objective
 from fieldlum.scene_fit.learned_light import LearnedCost, learned_light
+from fieldlum.scene_fit.open_bodies import body_notes
 from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.stated_room import StatedRoom
 
@@ -117,6 +118,32 @@ def test_missed_furniture_is_found() -> None:
     (found,) = corrected(search, TRUE).solids
     assert found.low_m[:2] == pytest.approx(desk.low_m[:2], abs=0.15)  # the sun is behind it
     assert found.high_m == pytest.approx(desk.high_m, abs=0.05)
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("low_m", "costs", "noted"),
+    [
+        (0.0, (1.0, 1.001), "a body down to the floor"),
+        (0.7, (1.0, 0.999), "a top without a body"),
+        (0.0, (1.0, 1.01), None),  # captures contradict a top
+    ],
+)
+def test_a_top_that_may_be_a_body_is_stated(
+    low_m: float, costs: tuple[float, float], noted: str | None
+) -> None:
+    desk = Solid((1.5, 1.0, low_m), (2.7, 2.2, 0.74), 0.4)
+    guess = replace(TRUE, solids=(desk,))
+
+    def cost(tried: Guess) -> float:
+        return costs[0] if tried == guess else costs[1]
+
+    notes = body_notes(cost, guess)
+    assert len(notes) == (noted is not None)
+    assert all(f"is fitted as {noted}" in note and "up to 0.74 m" in note for note in notes)
+    assert body_notes(cost, guess, stated=1) == []
+    tall = replace(guess, solids=(replace(desk, high_m=(2.7, 2.2, 1.9)),))
+    assert body_notes(cost, tall) == []
 
 
 @pytest.mark.analytic

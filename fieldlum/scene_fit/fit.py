@@ -25,6 +25,7 @@ from fieldlum.scene_fit.guess import Guess, room_of
 from fieldlum.scene_fit.joined import joined
 from fieldlum.scene_fit.last_search import last_cost, last_search
 from fieldlum.scene_fit.misfits import Misfits, misfits_of
+from fieldlum.scene_fit.open_bodies import body_notes
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior, true_room
 from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
@@ -137,7 +138,8 @@ def fit_scene(
             guess = joined(search, guess, others, pixels=more, seed=new, pool=pool)
             search.relight(guess)
     inside = guess
-    guess = with_skyline(last_cost(search, inside), data, inside)
+    cost = last_cost(search, inside)
+    guess = with_skyline(cost, data, inside)
     progress(95, 100, "uncertainties")
     spread = posterior(search.objective(search.evidence), guess, room, seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
@@ -149,7 +151,11 @@ def fit_scene(
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    notes = (*_notes(u, search.evidence), *_facade_notes(inside, guess))
+    notes = (
+        *_notes(u, search.evidence),
+        *_facade_notes(inside, guess),
+        *body_notes(cost, inside, len(search.start.solids)),
+    )
     if len(changed):
         notes += (
             f"in {len(changed)} of {len(data) + len(changed)} captures a lamp was on, or the light "
