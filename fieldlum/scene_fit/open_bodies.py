@@ -12,8 +12,8 @@ from dataclasses import replace
 from fieldlum.scene_fit.exterior import is_outside
 from fieldlum.scene_fit.guess import Guess, Solid
 
-# Change in cost, as a share of it, below which captures do not tell the two apart. In three rooms
-# of draw 12 it is 0.0004 for a table whose body no captured sun shows, and 0.17 to 1.9 for six other
+# Change in cost, as a share of it, below which captures do not tell the two apart. In draw 12 it is
+# 0.0004 for a table of the gallery whose body no captured sun shows, and 0.17 to 1.9 for six other
 # objects. Chosen between these.
 _UNCLEAR = 0.005
 _ON_FLOOR_M = 0.05  # a body that begins lower reaches the floor; chosen
