@@ -6,7 +6,7 @@ conspicuous by the size of their deviations, but all deviate to the same side (d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -28,6 +28,35 @@ _FEWEST = 3  # least number of captures of a day that show a common factor; chos
 _FEWEST_DAYS = 5  # with four, it is unclear which days are the exception; chosen
 # With more days, pairs of days are not tried, because the search would take minutes. Chosen.
 _MOST_DAYS_IN_PAIRS = 12
+_NO_ROWS = np.empty(0, np.intp)
+
+
+def days_and_pairs(days: Sequence[Rows]) -> list[Rows]:
+    """Return steps of a search: each day's captures, and those of two days if there are few days.
+
+    Of two days that differ from the rest, the first alone explains little.
+    """
+    if len(days) > _MOST_DAYS_IN_PAIRS:
+        return list(days)
+    return [*days, *(np.union1d(a, b) for a, b in combinations(days, 2))]
+
+
+def cheapest_set(
+    steps: Sequence[Rows], cost: Callable[[Rows], float], start: Rows = _NO_ROWS
+) -> Rows:
+    """Return the set of captures at which no step lowers the cost any more.
+
+    A step adds its captures to the set, or removes those that the set has. The search begins at
+    `start` and takes the cheapest step each time.
+    """
+    best, least = start, cost(start)
+    while steps:
+        tries = [np.setxor1d(best, step).astype(np.intp) for step in steps]
+        costs = [cost(chosen) for chosen in tries]
+        if min(costs) >= least:
+            break
+        best, least = tries[int(np.argmin(costs))], min(costs)
+    return best
 
 
 def blocks_of(days: Array, hours: Floats, rows: Rows) -> list[Rows]:
@@ -58,10 +87,7 @@ def captures_of_other_level(
     complete = [rows[days == day] for day in np.unique(days)]
     if len(complete) < _FEWEST_DAYS:
         return None
-    complete = [block for block in complete if len(block) >= _FEWEST]
-    pairs: list[Rows] = []
-    if len(complete) <= _MOST_DAYS_IN_PAIRS:  # of two days, the first alone explains little
-        pairs = [np.union1d(a, b) for a, b in combinations(complete, 2)]
+    steps = days_and_pairs([block for block in complete if len(block) >= _FEWEST])
 
     def cost(chosen: Rows) -> float:
         if not len(chosen):
@@ -75,15 +101,7 @@ def captures_of_other_level(
             is_other = len(chosen) > 0 and (factor_of(process, out, chosen) < 1.0) != is_darker
             return np.inf if is_other else cost(chosen)
 
-        best = np.empty(0, np.intp)
-        for steps in ([*complete, *pairs], blocks):
-            while steps:
-                tries = [np.setxor1d(best, step).astype(np.intp) for step in steps]
-                costs = [allowed(chosen) for chosen in tries]
-                if min(costs) >= allowed(best):
-                    break
-                best = tries[int(np.argmin(costs))]
-        return best
+        return cheapest_set(blocks, allowed, cheapest_set(steps, allowed))
 
     # Three darker days make the others look brighter: separate searches find both sets.
     best, other = sorted((cheapest(True), cheapest(False)), key=cost)

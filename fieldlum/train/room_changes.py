@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,13 @@ from fieldlum.train.agreement import (
     typical,
 )
 from fieldlum.train.changed_regions import MovedObject, moved_object, object_pixels
-from fieldlum.train.other_level import MOST_SHARE, blocks_of, captures_of_other_level
+from fieldlum.train.other_level import (
+    MOST_SHARE,
+    blocks_of,
+    captures_of_other_level,
+    cheapest_set,
+    days_and_pairs,
+)
 
 # Least gain of a lamp or of omitting captures (difference of log costs). Nine rooms without a
 # change reach 10; lamps of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106
@@ -41,9 +46,7 @@ _LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its
 # local standard times from which lamps may be on; chosen
 _EVENINGS_H = (14.0, 15.0, 16.0, 17.0, 18.0)
 _MORNINGS_H = (8.0, 9.0, 10.0)  # local standard times until which lamps may be on; chosen
-# With more days, pairs of days are not tried, because the search would take minutes. Chosen.
-_MOST_DAYS_IN_PAIRS = 12
-_MOST_DAYS = 40
+_MOST_DAYS = 40  # with more days, a lamp is not searched, for time; chosen
 _NOISE = 1e-2  # relative variance with which other days predict what is reported; chosen
 _SUSPECT = 0.1  # of the limits: deviations that a change elsewhere may hide; chosen
 # largest share of captures that may be omitted if no common factor explains them; chosen
@@ -222,23 +225,9 @@ def find_lamp(process: Process, hours: Floats, before: Rows = _NO_ROWS) -> tuple
 
 def _lit_days(process: Process, block: Mask, cost: Callable[[Rows], float]) -> Rows:
     """Return the captures of a block of hours [n], on the days on which a lamp explains most."""
-
-    def rows_of(days: set[Any]) -> Rows:
-        rows = _rows_of(process, days)
-        return rows[block[rows]]
-
-    days = list(np.unique(process.days[block]))
-    steps = [{day} for day in days]
-    if len(days) <= _MOST_DAYS_IN_PAIRS:  # of two days with a lamp, the first alone explains little
-        steps += [set(pair) for pair in combinations(days, 2)]
-    chosen: set[Any] = set()
-    best = cost(rows_of(chosen))
-    while True:
-        costs = [cost(rows_of(chosen ^ step)) for step in steps]
-        if not costs or min(costs) >= best:
-            return rows_of(chosen)
-        best = min(costs)
-        chosen = chosen ^ steps[int(np.argmin(costs))]
+    days = np.unique(process.days[block])
+    of_days = [np.flatnonzero(block & (process.days == day)) for day in days]
+    return cheapest_set(days_and_pairs(of_days), cost)
 
 
 def _each_capture(process: Process, lit: Rows, cost: Callable[[Rows], float]) -> Rows:
