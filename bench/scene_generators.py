@@ -286,6 +286,46 @@ def trees() -> tuple[Room, str]:
     return room, text + bars(room, [(1.84, 0.06), (2.97, 0.06)], [])
 
 
+def evening() -> tuple[Room, str]:
+    """West window, a sofa and a shelf across the room, wall azimuth 258."""
+    room = _room(
+        258.0,
+        Window("south", 0.6, 2.6, 0.45, 2.05, GLASS, 1, 0.0),
+        width_m=4.3,
+        depth_m=5.7,
+        height_m=2.75,
+        camera_x_m=2.3,
+        camera_y_m=2.7,
+        camera_z_m=1.3,
+        wall_thickness_m=0.32,
+        reflectance_floor=0.3,
+    )
+    things = block("wood", (0.5, 3.6, 0.0), (2.5, 4.5, 0.42))  # the sofa's seat and back
+    things += block("wood", (0.5, 4.5, 0.0), (2.5, 4.7, 0.85))
+    things += block("wood", (3.2, 3.9, 0.0), (4.3, 4.25, 1.8))
+    return room, shell(room) + things + ground(-0.1) + bars(room, [(2.55, 0.09)], [0.95])
+
+
+def morning() -> tuple[Room, str]:
+    """East window with two mullions, a low table and a cabinet, wall azimuth 81."""
+    room = _room(
+        81.0,
+        Window("south", 0.9, 3.3, 0.75, 1.65, GLASS, 1, 0.0),
+        width_m=5.2,
+        depth_m=5.1,
+        height_m=2.8,
+        camera_x_m=2.5,
+        camera_y_m=2.4,
+        camera_z_m=1.45,
+        wall_thickness_m=0.28,
+        reflectance_floor=0.22,
+        reflectance_walls=0.55,
+    )
+    things = block("wood", (1.4, 3.1, 0.36), (2.6, 3.8, 0.42))
+    things += block("wood", (4.7, 1.2, 0.0), (5.2, 2.4, 1.2))
+    return room, shell(room) + things + ground(-0.1) + bars(room, [(2.05, 0.06), (3.15, 0.1)], [])
+
+
 def mullions() -> tuple[Room, str]:
     """Odd mullions and two transoms, a column, wall azimuth 192."""
     room = _room(
@@ -418,4 +458,7 @@ ROOMS = {
     "corner": corner,
     "gallery": gallery,
     "curtain": curtain,
+    # Written, rendered and fitted after the last change of the scene fit (decision 43).
+    "evening": evening,
+    "morning": morning,
 }

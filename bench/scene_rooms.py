@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scene_generators import GLASS, ROOMS
-from scene_truth import build_truth, cast, pictures, within
+from scene_truth import CameraRays, build_truth, cast, pictures, within
 
 from fieldlum import plan, simulate, sun
 from fieldlum.light import Light, light_at
@@ -48,6 +48,7 @@ YEAR = 2027
 SITE = Site("room", 47.6, -122.3, "America/Los_Angeles")
 LEVEL_SD_DEG = 0.3  # of a camera that a person levels
 PIXEL_SUB = 3  # rays of a pixel, each way
+SUN_SUB = 9  # the same for direct sun: more than fieldlum has, so that they share no error
 NOISY = ("canopy", "mullions")  # rooms that a simulated camera sees
 
 
@@ -98,13 +99,17 @@ def render(name: str, out: Path, height: int, tests: int, days: str, troubles: T
     setup = SiteFile(SITE, CameraSetup(heading_deg=heading), room)
     light, test = hours_of(setup, tests, days)
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
-    pixel, world = pixel_rays(height, heading, PIXEL_SUB)
-    order = np.argsort(pixel, kind="stable")
     tilt_deg, roll_deg = LEVEL_SD_DEG * np.random.default_rng(
         list(ROOMS).index(name)
     ).standard_normal(2)
     level = rotation(0.0, tilt_deg, roll_deg, heading)
-    rays = in_room(world @ level.T, heading)[order]
+
+    def camera(sub: int) -> CameraRays:
+        pixel, world = pixel_rays(height, heading, sub)
+        order = np.argsort(pixel, kind="stable")
+        return CameraRays(in_room(world @ level.T, heading)[order], pixel[order], height)
+
+    coarse, fine = camera(PIXEL_SUB), camera(SUN_SUB)
     low, high = inside_of(room)
     disc_lx = np.zeros(len(light))
     captured = np.flatnonzero(~test)
@@ -113,25 +118,23 @@ def render(name: str, out: Path, height: int, tests: int, days: str, troubles: T
     maps = np.zeros((len(light), 2 * height**2), np.float32)
     patches = np.zeros_like(maps)
     with octree(without_glass(text)) as tree:
-        truth = build_truth(tree, eye, rays, low, high, GLASS)
+        truth = build_truth(tree, eye, coarse.rays, low, high, GLASS)
         for rows, some in parts:
             some = replace(some, sun_azimuth_deg=(some.sun_azimuth_deg - heading + 180.0) % 360.0)
             suns = some.shown_sun_direction
-            maps[rows], patches[rows] = pictures(
-                truth, some, suns, rays, pixel[order], 2 * height**2
-            )
+            maps[rows], patches[rows] = pictures(truth, some, suns, coarse, fine)
             shines = np.flatnonzero((some.direct_lx > 50.0) & (suns[:, 2] > 0.0))
             free = ~cast(tree, eye, suns[shines]).any
             passed = free * glass_optics(GLASS, suns[shines, 1])[0]
             disc_lx[rows[shines]] = some.direct_lx[shines] * passed
-        seen = cast(tree, eye, rays)
+        seen = cast(tree, eye, coarse.rays)
     if name in NOISY:
         maps = photographed(maps, height, np.random.default_rng(11))
     size = (len(light), height, 2 * height)
     maps, patches = maps.reshape(size), patches.reshape(size)
     if troubles.names:
         out_there = ~(seen.any & within(seen.point, low, high))
-        window = np.bincount(pixel[order], out_there, 2 * height**2).reshape(size[1:]) > 0.0
+        window = np.bincount(coarse.pixel, out_there, 2 * height**2).reshape(size[1:]) > 0.0
         times = [light.t_utc[k] for k in captured]
         maps[captured] = troubled_pictures(
             maps[captured], window, times, times, SITE.timezone, troubles

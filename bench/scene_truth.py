@@ -265,13 +265,29 @@ def cell_light(truth: Truth, light: Light, suns: Array) -> tuple[Array, Array]:
     return total, sky
 
 
-def pictures(
-    truth: Truth, light: Light, suns: Array, rays: Array, pixel: Array, count: int, gather: int = 64
-) -> tuple[Array, Array]:
-    """Luminance and sun patches of `count` pixels in each hour, [n, count] cd/m2.
+@dataclass(frozen=True)
+class CameraRays:
+    """Rays from the camera [r, 3], sorted by pixel [r], in panoramas of `height` rows."""
 
-    rays [r, 3] from the camera; pixel [r] is sorted. light: in room axes, like suns and rays.
+    rays: Array
+    pixel: Array
+    height: int
+
+    @property
+    def count(self) -> int:
+        """Number of pixels."""
+        return 2 * self.height**2
+
+
+def pictures(
+    truth: Truth, light: Light, suns: Array, camera: CameraRays, fine: CameraRays, gather: int = 64
+) -> tuple[Array, Array]:
+    """Luminance and sun patches of the pixels in each hour, [n, count] cd/m2.
+
+    camera: rays of all light but direct sun; fine: rays of direct sun, whose edges show most.
+    light: in room axes, like suns and rays.
     """
+    rays, pixel, count = camera.rays, camera.pixel, camera.count
     rng = np.random.default_rng(1)
     low, high = truth.inside_low, truth.inside_high
     hits = cast(truth.octree, truth.eye, rays)
@@ -303,17 +319,50 @@ def pictures(
     to_sky.append(place @ straight_sky)
     base = (sum(form) @ cells.T + sum(to_sky) @ sky.T).T / number  # [n, count]
     patch = np.zeros_like(base)
-    facing = hits.any
-    points = hits.point[facing] + _AHEAD_M * hits.normal[facing]
-    through = glass_between(
-        origin[facing], hits.point[facing], rays[facing], low, high, truth.glass
-    )
-    scale = hits.albedo[facing] * through / np.pi
-    own = pixel[facing]
-    is_inside = inside[facing]
+    sunlit = sunlit_rays(truth, fine)
     for k in np.flatnonzero((light.direct_lx > 50.0) & (suns[:, 2] > 0.0)):
-        share = sun_on(truth, points, hits.normal[facing], suns[k]) * scale
-        patch[k] = light.direct_lx[k] * np.bincount(own, share, count) / number
+        shine = light.direct_lx[k] * sunlit.shine(suns[k])
+        patch[k] = sunlit.mean(shine)
         # Surfaces outside are cells, whose light has the sun in it already.
-        base[k] += light.direct_lx[k] * np.bincount(own, share * is_inside, count) / number
+        base[k] += sunlit.mean(shine * sunlit.inside)
     return base.astype(np.float32), patch.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class SunlitRays:
+    """Direct sun on what camera rays [r] show, per lx on the sun's normal.
+
+    inside: behind glass [r]; scale: albedo times glass over pi [r]; start, normal: [r, 3].
+    """
+
+    truth: Truth
+    camera: CameraRays
+    inside: Array
+    scale: Array
+    start: Array
+    normal: Array
+
+    def shine(self, sun: Array) -> Array:
+        """Luminance of each ray's end by the sun, [r]."""
+        out = np.zeros(len(self.scale))
+        rows = np.flatnonzero(self.scale > 0.0)
+        out[rows] = sun_on(self.truth, self.start[rows], self.normal[rows], sun) * self.scale[rows]
+        return out
+
+    def mean(self, shine: Array) -> Array:
+        """Mean over the rays of each pixel, 0 without a ray, [count]."""
+        camera = self.camera
+        number = np.bincount(camera.pixel, minlength=camera.count)
+        return np.bincount(camera.pixel, shine, camera.count) / np.maximum(number, 1)
+
+
+def sunlit_rays(truth: Truth, camera: CameraRays) -> SunlitRays:
+    """Direct sun on what camera rays hit."""
+    hits = cast(truth.octree, truth.eye, camera.rays)
+    low, high = truth.inside_low, truth.inside_high
+    inside = hits.any & within(hits.point, low, high)
+    origin = np.broadcast_to(truth.eye, camera.rays.shape)
+    through = glass_between(origin, hits.point, camera.rays, low, high, truth.glass)
+    scale = np.where(hits.any, hits.albedo * through / np.pi, 0.0)
+    start = hits.point + _AHEAD_M * hits.normal
+    return SunlitRays(truth, camera, inside, scale, start, hits.normal)

@@ -19,7 +19,7 @@ from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.points import SunPoints
 from fieldlum.scene.sun_disc import SunPatches, disc_rays
 from fieldlum.scene.trace import blocked_rays
-from fieldlum.scene.view import WINDOW_RAYS, look
+from fieldlum.scene.view import WINDOW_RAYS, look, patch_rays
 
 
 def iter_sun_patches(
@@ -31,14 +31,14 @@ def iter_sun_patches(
     height: int,
     heading_deg: float | None = None,
     chunk: int = 64,
-    sub: int = 3,
+    sub: int | None = None,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
     """Yield `sun_patches` in chunks of hours, so that a year does not fill the memory.
 
     sun_direction : [n, 3] unit vectors in world axes; normal_illuminance_lx : [n], of the sun
     outside on a plane normal to it. height : rows of the maps; chunk : hours in each result; sub :
-    rays of a pixel in each direction.
+    rays of a pixel in each direction, by default as many as `patch_rays` gives.
     """
     heading = _heading(setup, heading_deg)
     suns = np.atleast_2d(np.asarray(sun_direction, float))
@@ -50,7 +50,7 @@ def iter_sun_patches(
             room, suns, normal, height=height, heading_deg=heading, chunk=chunk, progress=progress
         )
         return
-    points = _sun_points(room, height, heading, sub)
+    points = _sun_points(room, height, heading, sub or patch_rays(height))
     toward = points.scene.to_room(suns)
     visible, through = disc_visibility(points.scene, toward)
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
@@ -84,14 +84,15 @@ def sun_patches(
     *,
     height: int,
     heading_deg: float | None = None,
-    sub: int = 3,
+    sub: int | None = None,
     progress: Progress = quiet,
 ) -> SunPatches:
     """Return the luminance of surfaces due to direct sun only (Radiance's -ab 0), without the disc.
 
     sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); normal_illuminance_lx
     : [n] of the sun outside, on a plane normal to it. A box room is traced exactly (hard shadows,
-    sub x sub rays for each pixel, one mirror image in the panes); a room of kind "radiance" is
+    sub x sub rays for each pixel, by default as many as `patch_rays` gives, one mirror image in
+    the panes); a room of kind "radiance" is
     traced by rtrace. heading_deg : by default the setup's. Raises InputError for an impossible
     room.
     """

@@ -10,21 +10,22 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
-from fieldlum.arrays import Floats, Floats32
+from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene.geometry import BoxScene, transmissivity
 from fieldlum.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
-from fieldlum.scene.view import WINDOW_RAYS, pixel_rays
+from fieldlum.scene.view import LEAST_RAYS, WINDOW_RAYS, patch_rays, pixel_rays
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
-# Direct light only, with all sources tested, and at most four reflections or transmissions.
-PATCH_RAYS = 2  # in each direction of a pixel: a process for each hour is slow; not measured
+_EVEN = 0.01  # standard deviation of a pixel's rays, as a share of their mean; chosen
 # As oconv writes it after its command lines; the octree's own data follow.
 _OCTREE_FORMAT = b"FORMAT=Radiance_octree"
 _HEADER_BYTES = 1 << 16  # chosen: long command lines of oconv have some thousand
+# Direct light only, with all sources tested, and at most four reflections or transmissions.
 _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 
@@ -254,7 +255,10 @@ def iter_traced(
     normal to the sun; chunk : hours in each result. Raises InputError for a missing or invalid room
     file, and for a viewpoint_m without three numbers.
     """
-    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, PATCH_RAYS)
+    more = patch_rays(height)
+    few = max(LEAST_RAYS, (more + 1) // 2)
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, few)
+    fine = pixel_rays(height, heading_deg, more) if more > few else None
     with _room_octree(room) as base:
         for start in range(0, len(suns), chunk):
             rows = range(start, min(start + chunk, len(suns)))
@@ -266,8 +270,14 @@ def iter_traced(
                     continue
                 with octree(sun_text(suns[hour]), base=base) as lit:
                     values = trace(lit, eye, rays, ["-dv-"])
+                    maps[k] = _pixel_mean(pixel, values, height) * normal_lx[hour]
+                    if fine is not None:
+                        uneven = uneven_pixels(pixel, values, height).ravel()
+                        chosen = np.flatnonzero(uneven[fine[0]])
+                        values = trace(lit, eye, fine[1][chosen], ["-dv-"])
+                        exact = _pixel_mean(fine[0][chosen], values, height) * normal_lx[hour]
+                        maps[k].flat[uneven] = exact.flat[uneven]
                     disc = trace(lit, eye, disc_rays(suns[hour])) * SUN_SR
-                maps[k] = _pixel_mean(pixel, values, height) * normal_lx[hour]
                 passed = disc > 1e-3
                 visible[k] = passed.mean()
                 through[k] = disc[passed].mean() if passed.any() else 0.0
@@ -288,9 +298,24 @@ def traced_sky_share(room: Room, rays: Floats) -> Floats:
 
 
 def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats32:
+    """Return the mean of each pixel's rays, 0 for pixels without a ray, [H, W]."""
     count = 2 * height**2
-    total = np.bincount(pixel, values, count) / np.bincount(pixel, minlength=count)
+    total = np.bincount(pixel, values, count) / np.maximum(np.bincount(pixel, minlength=count), 1)
     return total.reshape(height, 2 * height).astype(np.float32)
+
+
+def uneven_pixels(pixel: NDArray[np.int32], values: Floats, height: int) -> Mask:
+    """Return the pixels whose own or whose neighbours' rays differ by over 1 %, [H, W].
+
+    pixel: index of each ray's pixel [r]; values: light of each ray [r]. The panorama has `height`
+    rows, and its first and last column are neighbours. A pixel in the dark middle of dark ones, or
+    in the middle of a patch, is even.
+    """
+    mean = _pixel_mean(pixel, values, height)
+    spread = _pixel_mean(pixel, (values - mean.ravel()[pixel]) ** 2, height)
+    differs = np.sqrt(spread) > _EVEN * mean
+    around = np.pad(differs, ((0, 0), (1, 1)), mode="wrap")
+    return np.asarray(maximum_filter(around, 3)[:, 1:-1], bool)
 
 
 def traced_window_fraction(room: Room, height: int, heading_deg: float) -> Floats32:

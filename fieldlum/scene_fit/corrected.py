@@ -34,11 +34,12 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
     )
 
 
-def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
+def with_patches(data: Dataset, *, sub: int | None = None, progress: Progress = quiet) -> Dataset:
     """Return the captures with sun patches computed from the room of `data.setup`, not None.
 
-    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises InputError for
-    an impossible room.
+    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. sub: rays of a pixel
+    in each direction, None for the number of `scene.sun_patches`. Raises InputError for an
+    impossible room.
     """
     assert data.setup.room is not None
     made = sun_patches(
@@ -48,6 +49,7 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
         data.light.direct_lx,
         height=data.shape[0],
         heading_deg=data.heading_deg,
+        sub=sub,
         progress=progress,
     )
     return replace(data, patch_cdm2=made.luminance_cdm2)

@@ -24,6 +24,7 @@ from fieldlum.models.transport.patch_edges import edge_range
 from fieldlum.models.transport.pixel_fit import basis_of
 from fieldlum.models.transport.ridge import pair_products
 from fieldlum.records import Room
+from fieldlum.scene.view import LEAST_RAYS
 from fieldlum.scene_fit.corrected import corrected, with_patches
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess, camera_is_free
@@ -120,7 +121,8 @@ def learned_light(objective: Objective, data: Dataset, guess: Guess, stated: Roo
     """
     evidence, albedo = objective.evidence, objective.albedo_of(guess)
     room = true_room(guess, stated)
-    lit = with_patches(corrected(data, guess.north_deg, guess.clock_min, room))
+    moved = corrected(data, guess.north_deg, guess.clock_min, room)
+    lit = with_patches(moved, sub=LEAST_RAYS)  # only where edges are, and hours without the sun
     arrays = training_arrays_of(lit, with_patch=True)
     covariance = Kernel(arrays.facades)(arrays.features, arrays.features)  # [N, N]
     basis = basis_of(covariance, _RANK).values  # [N, r]

@@ -19,7 +19,7 @@ from fieldlum.projection import equirect_rays
 from fieldlum.records import Panorama, Progress, Room, SiteFile, SunSource, quiet
 from fieldlum.scene.patches import disc_visibility
 from fieldlum.scene.points import SunPoints, sun_points
-from fieldlum.scene.view import SceneView, look
+from fieldlum.scene.view import SceneView, look, patch_rays
 from fieldlum.session import replacing_path
 from fieldlum.session.provenance import digest
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
@@ -102,7 +102,9 @@ class GroundTruth:
 
     @cached_property
     def _view_points(self) -> SunPoints:
-        return self.view.sun_points()
+        finer = patch_rays(self.height) + 1  # a model's patches must not share the truth's rays
+        room, heading_deg = box_room(self.setup), self.view.heading_deg
+        return look(room, self.height, heading_deg, finer).sun_points()
 
     @cached_property
     def _piece_points(self) -> SunPoints:

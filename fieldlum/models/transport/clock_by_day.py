@@ -15,15 +15,19 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.arrays import Array
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport.misalignment import Evidence, evidence_of
+from fieldlum.models.transport.misalignment import Evidence, below_patches, evidence_of
 from fieldlum.models.transport.model import held_out_errors
 from fieldlum.records import Progress, quiet
 from fieldlum.scene import sun_patches
+from fieldlum.scene.view import patch_rays
 from fieldlum.statistics import is_no_worse
 
 # Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
-SUB = 3  # rays per pixel in each direction, as in the stated patches (`sun_patches`); chosen
+# Factors on the patches' gain, tried in two rounds. Light below that is estimated without patches
+# includes a part of them, so that the first gain is 0.6 to 0.8 of the true one, and offsets are off
+# by up to 1.3 min (decision 43).
+_GAIN_FACTORS = ((1.0, 1.2, 1.45, 1.75, 2.1), (0.9, 1.0, 1.1))
 _FEWEST_HOURS = 3  # sunny captures of a day whose offset is estimated; chosen
 _FEWEST_DAYS = 3  # with such captures, to have a median; chosen
 # Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
@@ -58,12 +62,13 @@ class ClockByDay:
 def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None:
     """Return the clock error of each day; None if it does not differ between days.
 
-    Each day's offset is the one under which computed sun patches match the captured ones best. With
-    these offsets corrected, the held-out error must fall by a tenth and by one standard error,
-    else the result is None. It is None also without sun patches or a box room, and if fewer than
-    three days have three or more sunny captures.
+    Each day's offset is the one under which computed sun patches match the captured ones best; the
+    light below them is then estimated again with these offsets, twice. With the offsets corrected,
+    the held-out error must fall by a tenth and by one standard error, else the result is None. It
+    is None also without sun patches or a box room, and if fewer than three days have three or more
+    sunny captures.
     """
-    evidence = evidence_of(data, SUB)
+    evidence = evidence_of(data, patch_rays(data.shape[0]))  # as in the stated patches
     if evidence is None or evidence.points is None:
         return None
     days = data.days[evidence.rows]
@@ -71,8 +76,14 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
     names = names[counts >= _FEWEST_HOURS]
     if len(names) < _FEWEST_DAYS:
         return None
-    misfits = _misfits(evidence, progress)  # [offsets, n]
-    late = np.array([_least(misfits[:, days == day].sum(axis=1)) for day in names])
+    late = _late(evidence, names, progress, 0)
+    for done, factors in enumerate(_GAIN_FACTORS, start=1):
+        maps = with_clock(data, ClockByDay(names, late)).patch_cdm2
+        assert maps is not None
+        patch = maps.reshape(len(data), -1)[:, evidence.pixels][evidence.rows]
+        tries = [below_patches(evidence, maps, f * evidence.gains[1]) for f in factors]
+        evidence = min(tries, key=lambda e: float(e.misfit(patch, e.gains[1]).mean()))
+        late = _late(evidence, names, progress, done)
     if late.std() < _LEAST_SPREAD_MIN:
         return None
     clock = ClockByDay(names, late)
@@ -81,13 +92,21 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
     return clock if better and not is_no_worse(before, after, data.days) else None
 
 
-def _misfits(evidence: Evidence, progress: Progress) -> Array:
-    """Return the misfit of each hour under each offset, [offsets, n]."""
+def _late(
+    evidence: Evidence, names: NDArray[np.datetime64], progress: Progress, done: int
+) -> Array:
+    """Return the offset of each of the days `names` under which patches match best, [k] min.
+
+    done: number of earlier searches, for the progress.
+    """
+    total = len(_TRIED_MIN) * (1 + len(_GAIN_FACTORS))
     rows = []
     for k, late_min in enumerate(_TRIED_MIN):
-        progress(k, len(_TRIED_MIN), "clock of each day")
+        progress(done * len(_TRIED_MIN) + k, total, "clock of each day")
         rows.append(evidence.misfit(evidence.computed(0.0, float(late_min)), evidence.gains[1]))
-    return np.array(rows)
+    misfits = np.array(rows)  # [offsets, n]
+    days = evidence.data.days[evidence.rows]
+    return np.array([_least(misfits[:, days == day].sum(axis=1)) for day in names])
 
 
 def _least(misfits: Array) -> float:

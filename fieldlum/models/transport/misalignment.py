@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.arrays import Array, Floats, Indices
+from fieldlum.arrays import Array, Floats, Floats32, Indices
 from fieldlum.light import Kernel, facades_of
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.features import LEAST_CDM2, training_arrays_of
@@ -24,6 +24,7 @@ HOURS = 48  # those with most direct sun in view; bounds the time; chosen
 LEAST_HOURS = 3  # not measured
 FAINT = 0.02  # of the most direct sun in view: hours below it are not used; not measured
 PIXELS = 4000  # bounds the time; chosen
+_LEAST_REST = 0.05  # of a captured value, that patches leave; chosen
 SUB = 2  # rays per pixel in each direction; bounds the time; chosen
 WITHOUT_PATCH = Recipe(1e-2, rounds=4, rank=40)  # robust rounds find the light below the patches
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; not measured
@@ -240,6 +241,17 @@ def _without_patches(data: Dataset, pixels: Indices) -> tuple[Array, Array]:
     )
     background = surface + fitted.sky_gain * arrays.sky
     return np.maximum(arrays.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
+
+
+def below_patches(evidence: Evidence, maps: Floats32, gain: float) -> Evidence:
+    """Return the evidence with the light below sun patches estimated again, for a gain on them.
+
+    maps: sun patches of all captures [N, H, W] cd/m2, which are subtracted, times `gain`.
+    """
+    captured = evidence.data.luminance_cdm2
+    rest = np.maximum(captured - gain * maps, _LEAST_REST * captured)
+    _, below = _without_patches(replace(evidence.data, luminance_cdm2=rest), evidence.pixels)
+    return replace(evidence, background=below[evidence.rows], gains=(gain, gain))
 
 
 def _brightness(excess: Array, patch: Array) -> float:
