@@ -46,7 +46,8 @@ def main() -> None:
         year.dni_wm2, year.dhi_wm2, at.altitude_deg, year.t_utc
     )
     prepare = _cpu()
-    scene.look(setup.room, asked.height, setup.camera.heading_deg)
+    sub = view.patch_rays(asked.height)
+    scene.look(setup.room, asked.height, setup.camera.heading_deg, sub)
     prepare = _cpu() - prepare
     wall, cpu = time.perf_counter(), _cpu()
     total = 0.0
@@ -63,7 +64,7 @@ def main() -> None:
     built = scene.build(setup.room)
     text, (_, rays) = (
         radiance.rad_text(built),
-        view.pixel_rays(asked.height, setup.camera.heading_deg, 3),
+        view.pixel_rays(asked.height, setup.camera.heading_deg, sub),
     )
     rays = built.to_room(rays)
     for k in np.argsort(-normal)[: asked.rtrace]:

@@ -235,7 +235,7 @@ def test_streaming_equals_all_at_once() -> None:
 @pytest.mark.analytic
 def test_a_pixel_at_a_patchs_edge_has_its_lit_share() -> None:
     """The floor is lit up to y = 2.25 m, as in the test by hand: a pixel that this line crosses has
-    the share of its rows of equal solid angle below it.
+    the share of its solid angle above it.
     """
     height, eye_m = 60, np.array([2.0, 2.5, 1.5])
     suns, lx = sun.direction(45.0, 180.0)[None], [10000.0]
@@ -251,7 +251,7 @@ def test_a_pixel_at_a_patchs_edge_has_its_lit_share() -> None:
 
 @pytest.mark.analytic
 @pytest.mark.parametrize(("height", "rays"), [(20, 8), (60, 8), (115, 6), (230, 3), (460, 3)])
-def test_rays_of_a_patch_are_as_near_as_the_sun_is_wide(height: int, rays: int) -> None:
+def test_rays_of_a_patch_by_rows(height: int, rays: int) -> None:
     assert view.patch_rays(height) == rays
 
 
@@ -270,13 +270,44 @@ def test_default_rays_give_the_area_in_the_sun() -> None:
 
 
 @pytest.mark.analytic
-def test_uneven_pixels_are_those_at_an_edge() -> None:
+@pytest.mark.parametrize(
+    ("lit_rays", "expected"),
+    [
+        (slice(0, 9), [0, 3, 4, 5, 15]),  # 4.5 pixels; the seam is an edge too
+        (slice(8, 12), [3, 4, 5, 6]),  # 2 whole pixels: their neighbours differ from them
+        (slice(0, 32), []),
+        (slice(0, 0), []),
+    ],
+)
+def test_uneven_pixels_are_those_at_an_edge(lit_rays: slice, expected: list[int]) -> None:
     height, sub = 8, 2
     pixel, _ = view.pixel_rays(height, 0.0, sub)
-    columns = np.arange(len(pixel)) % (2 * height * sub)
-    uneven = radiance.uneven_pixels(pixel, np.where(columns < 9, 100.0, 0.0), height)
-    assert (uneven == uneven[0]).all()  # 4.5 pixels are lit: column 4 is mixed
-    assert np.flatnonzero(uneven[0]).tolist() == [3, 4, 5]
+    light = np.zeros((height * sub, 2 * height * sub))
+    light[:, lit_rays] = 100.0
+    uneven = radiance.uneven_pixels(pixel, light.ravel(), height)
+    assert (uneven == uneven[0]).all()
+    assert np.flatnonzero(uneven[0]).tolist() == expected
+
+
+@pytest.mark.authority
+def test_a_traced_room_misses_no_edge_between_pixels(tmp_path: Path) -> None:
+    """Vertical edges at 16 places across a pixel, against all rays in every pixel."""
+    built = geometry.build(BARE)
+    path = tmp_path / "room.rad"
+    path.write_text(radiance.rad_text(built))
+    room = Room(kind="radiance", file=str(path), viewpoint_m=built.camera_m)
+    height, toward = 30, sun.direction(20.0, 135.0)
+    more = view.patch_rays(height)
+    for k in range(16):
+        heading = 180.0 + k * 180.0 / height / 16.0
+        suns = {"height": height, "heading_deg": heading}
+        made = scene.sun_patches(room, None, toward[None], [1e4], **suns).luminance_cdm2[0]
+        pixel, rays = view.pixel_rays(height, heading, more)
+        with radiance.octree(radiance.rad_text(built), radiance.sun_text(toward)) as lit:
+            values = radiance.trace(lit, np.array(built.camera_m), rays, ["-dv-"])
+        exact = radiance._pixel_mean(pixel, values, height) * 1e4
+        off = np.abs(made - exact) > 0.02 * exact.max()
+        assert not off.any(), heading
 
 
 @pytest.mark.authority
@@ -293,7 +324,7 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
     b = scene.sun_patches(room, None, suns, [1e4, 2e4], height=20, heading_deg=180.0)
     assert b.luminance_cdm2.sum() == pytest.approx(a.luminance_cdm2.sum(), rel=5e-3)
     off = np.abs(b.luminance_cdm2 - a.luminance_cdm2) > 0.02 * a.luminance_cdm2.max()
-    assert off.mean() < 4e-3  # edges are traced as finely in both
+    assert off.mean() < 1e-3  # edges are traced as finely in both
     assert b.disc_lx == pytest.approx(a.disc_lx, rel=5e-3)
     share = scene.window_fraction(room, None, 20, 180.0)
     assert np.abs(share - scene.window_fraction(BARE, None, 20, 180.0)).mean() < 1e-3

@@ -15,6 +15,7 @@ from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
 from fieldlum.records import JsonTable, Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.scene import iter_sun_patches
+from fieldlum.scene.view import patch_rays
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.json_file import write_object
@@ -95,6 +96,7 @@ def _recipe(
         plain(room),
         plain(setup.camera),
         height,
+        patch_rays(height),
         heading,
         round(altitude, 4),
         round(azimuth, 4),

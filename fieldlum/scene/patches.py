@@ -71,7 +71,7 @@ def iter_sun_patches(
     progress(len(suns), len(suns), "")
 
 
-@lru_cache(maxsize=1)  # units of one year ask for the same points again and again
+@lru_cache(maxsize=2)  # units of one year ask for the same points again and again
 def _sun_points(room: Room, height: int, heading_deg: float, sub: int) -> SunPoints:
     return look(room, height, heading_deg, sub).sun_points()
 
@@ -92,9 +92,8 @@ def sun_patches(
     sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); normal_illuminance_lx
     : [n] of the sun outside, on a plane normal to it. A box room is traced exactly (hard shadows,
     sub x sub rays for each pixel, by default as many as `patch_rays` gives, one mirror image in
-    the panes); a room of kind "radiance" is
-    traced by rtrace. heading_deg : by default the setup's. Raises InputError for an impossible
-    room.
+    the panes); a room of kind "radiance" is traced by rtrace, and `sub` does not count.
+    heading_deg : by default the setup's. Raises InputError for an impossible room.
     """
     parts = list(
         iter_sun_patches(

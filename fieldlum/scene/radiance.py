@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
@@ -21,7 +21,7 @@ from fieldlum.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
 from fieldlum.scene.view import LEAST_RAYS, WINDOW_RAYS, patch_rays, pixel_rays
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
-_EVEN = 0.01  # standard deviation of a pixel's rays, as a share of their mean; chosen
+_EVEN = 0.02  # range of rays' light, as a share of the brightest ray; chosen
 # As oconv writes it after its command lines; the octree's own data follow.
 _OCTREE_FORMAT = b"FORMAT=Radiance_octree"
 _HEADER_BYTES = 1 << 16  # chosen: long command lines of oconv have some thousand
@@ -252,8 +252,10 @@ def iter_traced(
     """Yield sun patches of a room of kind "radiance", traced by rtrace -ab 0 hour by hour.
 
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
-    normal to the sun; chunk : hours in each result. Raises InputError for a missing or invalid room
-    file, and for a viewpoint_m without three numbers.
+    normal to the sun; chunk : hours in each result. All pixels have half of the rays of
+    `patch_rays` in each direction; `uneven_pixels` are traced again with all. What is narrower than
+    the first rays are apart can be missed. Raises InputError for a missing or invalid room file,
+    and for a viewpoint_m without three numbers.
     """
     more = patch_rays(height)
     few = max(LEAST_RAYS, (more + 1) // 2)
@@ -305,17 +307,20 @@ def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats
 
 
 def uneven_pixels(pixel: NDArray[np.int32], values: Floats, height: int) -> Mask:
-    """Return the pixels whose own or whose neighbours' rays differ by over 1 %, [H, W].
+    """Return the pixels whose rays and their neighbours' rays differ by over 2 %, [H, W].
 
     pixel: index of each ray's pixel [r]; values: light of each ray [r]. The panorama has `height`
     rows, and its first and last column are neighbours. A pixel in the dark middle of dark ones, or
     in the middle of a patch, is even.
     """
-    mean = _pixel_mean(pixel, values, height)
-    spread = _pixel_mean(pixel, (values - mean.ravel()[pixel]) ** 2, height)
-    differs = np.sqrt(spread) > _EVEN * mean
-    around = np.pad(differs, ((0, 0), (1, 1)), mode="wrap")
-    return np.asarray(maximum_filter(around, 3)[:, 1:-1], bool)
+    least, most = np.full(2 * height**2, np.inf), np.full(2 * height**2, -np.inf)
+    np.minimum.at(least, pixel, values)
+    np.maximum.at(most, pixel, values)
+    low, high = (
+        np.pad(v.reshape(height, -1), ((0, 0), (1, 1)), mode="wrap") for v in (least, most)
+    )
+    low, high = minimum_filter(low, 3), maximum_filter(high, 3)
+    return np.asarray((high - low > _EVEN * high)[:, 1:-1], bool)
 
 
 def traced_window_fraction(room: Room, height: int, heading_deg: float) -> Floats32:

@@ -37,8 +37,8 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
 def with_patches(data: Dataset, *, sub: int | None = None, progress: Progress = quiet) -> Dataset:
     """Return the captures with sun patches computed from the room of `data.setup`, not None.
 
-    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. sub: rays of a pixel
-    in each direction, None for the number of `scene.sun_patches`. Raises InputError for an
+    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. sub: as in
+    `scene.sun_patches`. Raises InputError for an
     impossible room.
     """
     assert data.setup.room is not None

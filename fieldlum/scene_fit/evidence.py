@@ -16,6 +16,7 @@ from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.light_below import LEAST_CDM2, LightBelow, levelled
+from fieldlum.scene_fit.lit_misfit import lit_gain
 from fieldlum.scene_fit.renderer import FLOOR, SHELL, Surfaces, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.sampling import draw_pixels, rays_of
 from fieldlum.scene_fit.sunny import (
@@ -180,13 +181,10 @@ class SceneEvidence:
         hour, ray: indices from 0 [k]; shine: the ray's irradiance per lx of the sun, times albedo
         [k]. Other pairs get no direct sun.
         """
-        count = len(self.pixels)
-        total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)
-        lit = np.flatnonzero(total)
-        at_hour, at_pixel = np.divmod(lit, count)
-        patch = total[lit] * self.direct_lx[at_hour] / (np.pi * self.sub**2)
-        gain = self.dark_loss.ravel()[lit] - self.loss(lit, patch)
-        return self.dark_misfit - float(gain @ self.weights[at_pixel]) / len(self)
+        scale = self.direct_lx / (np.pi * self.sub**2)
+        arrays = (self.below, self.log_seen, self.dark_loss, self.weights)
+        gain = lit_gain(hour, ray, shine, self.pixel, scale, *arrays, WIDTH)
+        return self.dark_misfit - gain / len(self)
 
     @cached_property
     def dark_misfit(self) -> float:

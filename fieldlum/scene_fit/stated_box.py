@@ -13,6 +13,7 @@ import numpy as np
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.data import Dataset
 from fieldlum.records import Progress, Room, quiet
+from fieldlum.scene.view import LEAST_RAYS
 from fieldlum.scene_fit.apply import in_scene, with_scene
 from fieldlum.scene_fit.corrected import with_patches
 from fieldlum.scene_fit.evidence import gather
@@ -133,7 +134,10 @@ def _has_patches_of_room(data: Dataset) -> bool:
     """Return whether the captures have no patches, or those of their `[room]`."""
     if data.patch_cdm2 is None:
         return True
-    made = with_patches(data).patch_cdm2
-    assert made is not None
-    difference = float(np.abs(made - data.patch_cdm2).sum())
-    return difference <= MAX_OTHER_SHARE * float(made.sum() + data.patch_cdm2.sum())
+    for sub in (None, LEAST_RAYS):  # versions before decision 43 had the least number of rays
+        made = with_patches(data, sub=sub).patch_cdm2
+        assert made is not None
+        difference = float(np.abs(made - data.patch_cdm2).sum())
+        if difference <= MAX_OTHER_SHARE * float(made.sum() + data.patch_cdm2.sum()):
+            return True
+    return False

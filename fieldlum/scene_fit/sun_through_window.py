@@ -40,15 +40,15 @@ def _top(window: Floats32, u: np.float32) -> np.float32:
 def _blocks(
     position: Floats32, axis: int, window: Floats32, spread: Floats32
 ) -> tuple[Floats32, Floats32, Floats32]:
-    """Return numbers of rays in blocks [b, 4, 32], and their least and largest values [b, 4].
+    """Return numbers of rays in blocks [b, 5, 32], and their least and largest values [b, 5].
 
-    The numbers are u, z, distance to the wall and one over the spread. The last block is filled up
-    with its last ray.
+    The numbers are u, z, distance to the wall, one over the spread, and the place along the wall's
+    normal. The last block is filled up with its last ray.
     """
     inner, outward = window[0], window[1]
     count = (len(position) + _BLOCK - 1) // _BLOCK
-    numbers = np.empty((count, 4, _BLOCK), np.float32)
-    least, most = np.full((count, 4), _INFINITE), np.full((count, 4), -_INFINITE)
+    numbers = np.empty((count, 5, _BLOCK), np.float32)
+    least, most = np.full((count, 5), _INFINITE), np.full((count, 5), -_INFINITE)
     for block in range(count):
         for k in range(_BLOCK):
             ray = min(block * _BLOCK + k, len(position) - 1)
@@ -56,7 +56,8 @@ def _blocks(
             numbers[block, 1, k] = position[ray, 2]
             numbers[block, 2, k] = (inner - position[ray, axis]) * outward
             numbers[block, 3, k] = _ONE / spread[ray]
-            for number in range(4):
+            numbers[block, 4, k] = position[ray, axis]
+            for number in range(5):
                 least[block, number] = min(least[block, number], numbers[block, number, k])
                 most[block, number] = max(most[block, number], numbers[block, number, k])
     return numbers, least, most
@@ -72,6 +73,30 @@ def _may_shade(solids: Floats32, number: int, box: Floats32, inverse: Floats32, 
         enters = max(enters, (solids[number, near, axis] - box[far, axis]) * toward)
         leaves = min(leaves, (solids[number, far, axis] - box[near, axis]) * toward)
     return bool(leaves > enters and leaves > AHEAD_M)
+
+
+@compiled
+def _shade(
+    solids: Floats32, solid: int, axis: int, numbers: Floats32, block: int, inverses: Floats32,
+    hour: int, strengths: Floats32, pair: int,
+) -> None:  # fmt: skip
+    """Set the strengths of a block's rays to 0 where a box hides the sun; as `sunlit.is_shaded`."""
+    along = 1 - axis
+    by_a, by_u, by_z = inverses[hour, axis], inverses[hour, along], inverses[hour, 2]
+    low_a, low_u, low_z = solids[solid, 0, axis], solids[solid, 0, along], solids[solid, 0, 2]
+    size_a = (solids[solid, 1, axis] - low_a) * by_a
+    size_u = (solids[solid, 1, along] - low_u) * by_u
+    size_z = (solids[solid, 1, 2] - low_z) * by_z
+    near_a, near_u, near_z = min(size_a, _ZERO), min(size_u, _ZERO), min(size_z, _ZERO)
+    far_a, far_u, far_z = max(size_a, _ZERO), max(size_u, _ZERO), max(size_z, _ZERO)
+    for k in range(_BLOCK):
+        a = (low_a - numbers[block, 4, k]) * by_a
+        u = (low_u - numbers[block, 0, k]) * by_u
+        z = (low_z - numbers[block, 1, k]) * by_z
+        enters = max(max(a + near_a, u + near_u), z + near_z)
+        leaves = min(min(a + far_a, u + far_u), z + far_z)
+        hidden = (leaves > enters) & (leaves > AHEAD_M) & (enters > -AHEAD_M)
+        strengths[pair, k] = _ZERO if hidden else strengths[pair, k]
 
 
 @compiled
@@ -108,6 +133,20 @@ def _opening(
 
 
 @compiled
+def _range(
+    least: Floats32, most: Floats32, block: int, number: int, slope: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Return between what values a block's lines to the sun cross the wall, with half their spread.
+
+    least, most: of `_blocks`; number: 0 for u, 1 for z; slope: of the lines, see `_opening`.
+    """
+    near, far = slope * least[block, 2], slope * most[block, 2]
+    reach = _HALF / least[block, 3]
+    low = least[block, number] + min(near, far) - reach
+    return low, most[block, number] + max(near, far) + reach
+
+
+@compiled
 def _reached(
     axis: int, window: Floats32, least: Floats32, most: Floats32, suns: Floats32
 ) -> tuple[Indices, Indices]:
@@ -123,14 +162,9 @@ def _reached(
             continue
         slope_u, slope_z, _, _, low_u, high_u, low_z, high_z = _opening(axis, window, suns, hour)
         for block in range(len(least)):
-            reach = _HALF / least[block, 3]
-            near, far = slope_u * least[block, 2], slope_u * most[block, 2]
-            if (
-                least[block, 0] + min(near, far) < high_u + reach
-                and most[block, 0] + max(near, far) > low_u - reach
-                and least[block, 1] + slope_z * least[block, 2] < high_z + reach
-                and most[block, 1] + slope_z * most[block, 2] > low_z - reach
-            ):
+            least_u, most_u = _range(least, most, block, 0, slope_u)
+            least_z, most_z = _range(least, most, block, 1, slope_z)
+            if least_u < high_u and most_u > low_u and least_z < high_z and most_z > low_z:
                 hours[count], blocks[count] = hour, block
                 count += 1
     return hours[:count], blocks[:count]
@@ -175,6 +209,7 @@ def lit_blocks(
     numbers, least, most = _blocks(position, axis, window, spread)
     hours, blocks = _reached(axis, window, least, most, suns)
     boxes, faces = _boxes(position), _faces(face, len(least))
+    alike = np.array([(faces[block] == faces[block, 0]).all() for block in range(len(faces))])
     cosines, inverses = _cosines(suns), inverses_of(suns)
     is_sloped = window[7] != _ZERO or window[8] != _ZERO
     strengths = np.empty((len(hours), _BLOCK), np.float32)
@@ -183,14 +218,24 @@ def lit_blocks(
         hour, block = hours[pair], blocks[pair]
         sun = _opening(axis, window, suns, hour)
         slope_u, slope_z, shift_u, shift_z, low_u, high_u, low_z, high_z = sun
+        least_u, most_u = _range(least, most, block, 0, slope_u)
+        least_z, most_z = _range(least, most, block, 1, slope_z)
         for k in range(_BLOCK):
             across, inverse = numbers[block, 2, k], numbers[block, 3, k]
             us[k] = numbers[block, 0, k] + slope_u * across
             zs[k] = numbers[block, 1, k] + slope_z * across
             share = _passed(us[k] - low_u, inverse) * _passed(high_u - us[k], inverse)
             share *= _passed(zs[k] - low_z, inverse) * _passed(high_z - zs[k], inverse)
-            share *= cosines[hour, faces[block, k]]
-            strengths[pair, k] = share * glass[hour] if across > _ZERO else _ZERO
+            strengths[pair, k] = share if across > _ZERO else _ZERO
+        if alike[block]:
+            cosine = cosines[hour, faces[block, 0]]
+            for k in range(_BLOCK):
+                strengths[pair, k] = strengths[pair, k] * cosine * glass[hour]
+        else:
+            for k in range(_BLOCK):
+                strengths[pair, k] = (
+                    strengths[pair, k] * cosines[hour, faces[block, k]] * glass[hour]
+                )
         if is_sloped:
             for k in range(_BLOCK):
                 inverse = numbers[block, 3, k]
@@ -202,6 +247,8 @@ def lit_blocks(
             slope = slope_u if upright else slope_z
             near, far = slope * bars[bar, 3], slope * bars[bar, 4]
             low, high = bars[bar, 1] - max(near, far), bars[bar, 2] - min(near, far)
+            if high <= (least_u if upright else least_z) or low >= (most_u if upright else most_z):
+                continue
             at = us if upright else zs
             for k in range(_BLOCK):
                 inverse = numbers[block, 3, k]
@@ -209,6 +256,9 @@ def lit_blocks(
                 strengths[pair, k] *= _ONE - hidden
         for solid in range(len(solids)):
             if not _may_shade(solids, solid, boxes[block], inverses, hour):
+                continue
+            if solids[solid, 2, 0] <= _ZERO:
+                _shade(solids, solid, axis, numbers, block, inverses, hour, strengths, pair)
                 continue
             for k in range(min(_BLOCK, len(position) - block * _BLOCK)):
                 ray = block * _BLOCK + k
@@ -228,9 +278,14 @@ def add_to_pixels(
     pixel: index below m of each ray's pixel [r].
     """
     for pair in range(len(hours)):
-        first = blocks[pair] * _BLOCK
+        first, hour = blocks[pair] * _BLOCK, hours[pair]
+        current, total = pixel[first], _ZERO  # neighbouring rays belong to the same pixel
         for k in range(min(_BLOCK, len(pixel) - first)):
-            totals[hours[pair], pixel[first + k]] += strengths[pair, k] * tone[first + k]
+            if pixel[first + k] != current:
+                totals[hour, current] += total
+                current, total = pixel[first + k], _ZERO
+            total += strengths[pair, k] * tone[first + k]
+        totals[hour, current] += total
 
 
 @compiled

@@ -183,6 +183,7 @@ def _forget_other(
         np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
     ).hexdigest()
     now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
+    now |= {"sun_rays": str(truth.sun_rays)}
     now |= {"troubles": troubles} if troubles else {}
     if made_from(path, now) is not None:
         return

@@ -55,8 +55,9 @@ QUALITIES = {
 class Rendering:
     """Pictures of n moments, without the sun disc.
 
-    luminance_cdm2, patch_cdm2 (direct sun only) : [n, H, W]; disc_lx : [n] on a plane normal to the
-    sun at the camera; visible_fraction : [n] of the disc; light : as requested.
+    luminance_cdm2 : [n, H, W]; patch_cdm2 : [n, H, W] of direct sun, with the rays of
+    `scene.sun_patches`, which are fewer than those in the picture; disc_lx : [n] on a plane normal
+    to the sun at the camera; visible_fraction : [n] of the disc; light : as requested.
     """
 
     luminance_cdm2: Floats32
@@ -100,11 +101,20 @@ class GroundTruth:
         """Rows of the panorama."""
         return self.view.height
 
+    @property
+    def sun_rays(self) -> int:
+        """Rays of direct sun in each direction of a pixel: more than a model's patches have."""
+        return patch_rays(self.height) + 1
+
     @cached_property
-    def _view_points(self) -> SunPoints:
-        finer = patch_rays(self.height) + 1  # a model's patches must not share the truth's rays
+    def _view_points(self) -> tuple[SunPoints, SunPoints]:
+        """Return the points of the pictures' direct sun, and those of sun patches for a model."""
         room, heading_deg = box_room(self.setup), self.view.heading_deg
-        return look(room, self.height, heading_deg, finer).sun_points()
+        shown, given = (
+            look(room, self.height, heading_deg, rays).sun_points()
+            for rays in (self.sun_rays, patch_rays(self.height))
+        )
+        return shown, given
 
     @cached_property
     def _piece_points(self) -> SunPoints:
@@ -125,21 +135,22 @@ class GroundTruth:
         n, pixels = len(light), 2 * self.height**2
         toward = self.view.scene.to_room(light.shown_sun_direction)
         direct_lx = light.direct_lx
-        patch = np.zeros((n, pixels), np.float32)
+        shown, given = np.zeros((2, n, pixels), np.float32)
         sunlit = np.zeros((n, len(self.pieces)), np.float32)
         for k in np.flatnonzero(direct_lx > 0):
-            patch[k] = self._view_points.direct(toward[k]) * direct_lx[k]
+            for patch, points in zip((shown, given), self._view_points, strict=True):
+                patch[k] = points.direct(toward[k]) * direct_lx[k]
             sunlit[k] = self._piece_points.direct(toward[k]) * direct_lx[k]
         columns = self._columns(light, sunlit)
         out = np.ascontiguousarray(self.pixels_cdm2(columns).T, np.float32)
-        out += patch
+        out += shown
         seen_sky = self._seen_sky
         out[:, seen_sky] += light.sky_at(self._sky_rays[seen_sky]) * self.view.sky.ravel()[seen_sky]
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
         visible, through = disc_visibility(self.view.scene, toward)
         shape = (n, self.height, 2 * self.height)
         return Rendering(
-            out.reshape(shape), patch.reshape(shape), direct_lx * visible * through, visible, light
+            out.reshape(shape), given.reshape(shape), direct_lx * visible * through, visible, light
         )
 
     def _columns(self, light: Light, sunlit: Floats32) -> Floats32:

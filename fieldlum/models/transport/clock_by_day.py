@@ -25,8 +25,8 @@ from fieldlum.statistics import is_no_worse
 # Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
 # Factors on the patches' gain, tried in two rounds. Light below that is estimated without patches
-# includes a part of them, so that the first gain is 0.6 to 0.8 of the true one, and offsets are off
-# by up to 1.3 min (decision 43).
+# includes a part of them, so that the first gain is 0.5 to 0.7 of the true one, and offsets are off
+# by up to 1.3 min (decision 16).
 _GAIN_FACTORS = ((1.0, 1.2, 1.45, 1.75, 2.1), (0.9, 1.0, 1.1))
 _FEWEST_HOURS = 3  # sunny captures of a day whose offset is estimated; chosen
 _FEWEST_DAYS = 3  # with such captures, to have a median; chosen
@@ -86,8 +86,9 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
         late = _late(evidence, names, progress, done)
     if late.std() < _LEAST_SPREAD_MIN:
         return None
-    clock = ClockByDay(names, late)
-    before, after = held_out_errors(data), held_out_errors(with_clock(data, clock))
+    # Both with patches of the same rays: those of `data` can be of an earlier version.
+    clock, none = ClockByDay(names, late), ClockByDay(names, np.zeros(len(names)))
+    before, after = (held_out_errors(with_clock(data, c)) for c in (none, clock))
     better = after.mean() < (1.0 - _LEAST_GAIN) * before.mean()
     return clock if better and not is_no_worse(before, after, data.days) else None
 

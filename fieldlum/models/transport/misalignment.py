@@ -248,9 +248,12 @@ def below_patches(evidence: Evidence, maps: Floats32, gain: float) -> Evidence:
 
     maps: sun patches of all captures [N, H, W] cd/m2, which are subtracted, times `gain`.
     """
-    captured = evidence.data.luminance_cdm2
-    rest = np.maximum(captured - gain * maps, _LEAST_REST * captured)
-    _, below = _without_patches(replace(evidence.data, luminance_cdm2=rest), evidence.pixels)
+    data, pixels = evidence.data, evidence.pixels
+    luminance = data.luminance_cdm2.reshape(len(data), -1).copy()
+    captured, patch = luminance[:, pixels], maps.reshape(len(data), -1)[:, pixels]
+    luminance[:, pixels] = np.maximum(captured - gain * patch, _LEAST_REST * captured)
+    rest = replace(data, luminance_cdm2=luminance.reshape(maps.shape))
+    _, below = _without_patches(rest, pixels)
     return replace(evidence, background=below[evidence.rows], gains=(gain, gain))
 
 
