@@ -103,79 +103,112 @@ def fit_scene(
     InputError for a room that is not a box, has no window or is impossible, NotEnoughDataError for
     fewer than six captures with direct sun on a window.
     """
-    prior = StatedRoom(room, pose, clock_sd_min)
-
-    def search_all(captures: Dataset, shown: Progress) -> tuple[list[Searched], Searched]:
-        def searched(number: int) -> Searched:
-            shown_by = quiet if number else shown
-            return _searched(captures, prior, pixels, seed + number, shown_by)
-
-        tries = list(pool.map(searched, range(starts)))
-        return tries, _cheapest(tries, pool)
-
     # Two searches fill two cores; threads of BLAS would only wait for each other.
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(starts) as pool:
-        tries, best = search_all(data, progress)
-        changed = _changed_captures(data, best, room)
-        if len(changed) < _FEWEST_CHANGED:
-            changed = changed[:0]
-        else:
-            rest = data.take(np.setdiff1d(np.arange(len(data)), changed))
+        plan = _Plan(StatedRoom(room, pose, clock_sd_min), pixels, seed, starts, pool)
+        tries = _searches(data, plan, progress)
+        tries, changed = _without_changed(data, tries, plan, progress)
+        guess = _joined(tries, plan, progress)
+    return _described(data, tries[0], guess, changed, plan, progress)
 
-            def again(done: int, total: int, text: str) -> None:
-                progress(done, total, f"{text}, without {len(changed)} captures of a changed room")
 
-            try:
-                tries, best = search_all(rest, again)
-                data = rest
-            except NotEnoughDataError:  # too few sunny hours without them
-                changed = changed[:0]
-        search, misfits = best.search, best.misfits
-        guess = best.guess
-        if others := [one.guess for one in tries if one is not best]:
-            progress(90, 100, "both searches together")
-            more, new = 2 * pixels, seed + starts
-            guess = joined(search, guess, others, pixels=more, seed=new, pool=pool)
-            search.relight(guess)
-    inside = guess
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """How often to search, with how many random pixels, drawn with which seed; see `fit_scene`."""
+
+    prior: StatedRoom
+    pixels: int
+    seed: int
+    starts: int
+    pool: Executor
+
+
+def _searches(data: Dataset, plan: _Plan, progress: Progress) -> list[Searched]:
+    """Search as often as planned, at the same time; return the search of least cost first."""
+
+    def searched(number: int) -> Searched:
+        shown = quiet if number else progress
+        return _searched(data, plan.prior, plan.pixels, plan.seed + number, shown)
+
+    tries = list(plan.pool.map(searched, range(plan.starts)))
+    best = _cheapest(tries, plan.pool)
+    return [best, *(one for one in tries if one is not best)]
+
+
+def _without_changed(
+    data: Dataset, tries: list[Searched], plan: _Plan, progress: Progress
+) -> tuple[list[Searched], Indices]:
+    """Search again without captures of a changed room; return the searches and these captures.
+
+    With fewer than three, or if too few sunny hours remain, the given searches stay.
+    """
+    changed = _changed_captures(data, tries[0], plan.prior.room)
+    if len(changed) < _FEWEST_CHANGED:
+        return tries, changed[:0]
+
+    def again(done: int, total: int, text: str) -> None:
+        progress(done, total, f"{text}, without {len(changed)} captures of a changed room")
+
+    rest = data.take(np.setdiff1d(np.arange(len(data)), changed))
+    try:
+        return _searches(rest, plan, again), changed
+    except NotEnoughDataError:
+        return tries, changed[:0]
+
+
+def _joined(tries: list[Searched], plan: _Plan, progress: Progress) -> Guess:
+    """Return the guess that the searches together find; light below the first one becomes its."""
+    best, others = tries[0], tries[1:]
+    if not others:
+        return best.guess
+    progress(90, 100, "both searches together")
+    more, new = 2 * plan.pixels, plan.seed + plan.starts
+    guesses = [one.guess for one in others]
+    guess = joined(best.search, best.guess, guesses, pixels=more, seed=new, pool=plan.pool)
+    best.search.relight(guess)
+    return guess
+
+
+def _described(
+    data: Dataset, best: Searched, inside: Guess, changed: Indices, plan: _Plan, progress: Progress
+) -> SceneFit:
+    """Return a guess with a facade that panes show, and with uncertainties and notes.
+
+    data: all captures; changed: those that were not used [k].
+    """
+    search, room = best.search, plan.prior.room
+    used = data.take(np.setdiff1d(np.arange(len(data)), changed))
     cost = last_cost(search, inside)
-    guess = with_skyline(cost, data, inside)
+    guess = with_skyline(cost, used, inside)
     progress(95, 100, "uncertainties")
-    spread = posterior(search.objective(search.evidence), guess, room, seed)
+    spread = posterior(search.objective(search.evidence), guess, room, plan.seed)
     coarse = search.objective(search.evidence.coarse().thinned(REACH_EVERY))
-    reach = reach_of(coarse, guess, (WALL, CLOCK) if prior.is_clock_open else (WALL,))
+    reach = reach_of(coarse, guess, (WALL, CLOCK) if plan.prior.is_clock_open else (WALL,))
     u = {
         name: float(np.linalg.norm((u, search.valley[name], reach[name])))
         for name, u in spread.u.items()
     }
-    before = {p.name: p.read(search.start) for p in search.parameters}
-    after = {p.name: p.read(guess) for p in search.parameters}
-    room_found = _with_albedo(room_of(guess, room), search.albedo)
     notes = (
         *_notes(u, search.evidence),
         *_facade_notes(inside, guess),
         *body_notes(cost, inside, len(search.start.solids)),
+        *_changed_notes(len(changed), len(data)),
     )
-    if len(changed):
-        notes += (
-            f"in {len(changed)} of {len(data) + len(changed)} captures a lamp was on, or the light "
-            "contradicts the other days: the fit does not use them; see the warnings of train",
-        )
     progress(100, 100, "")
     return SceneFit(
-        room,
-        data.heading_deg,
-        guess,
-        room_found,
-        search.albedo_with_solids(guess),
-        before,
-        after,
-        u,
-        misfits,
-        len(search.evidence),
-        notes,
-        spread.room_draws,
-        changed,
+        stated=room,
+        heading_deg=data.heading_deg,
+        guess=guess,
+        room=_with_albedo(room_of(guess, room), search.albedo),
+        albedo=search.albedo_with_solids(guess),
+        before={p.name: p.read(search.start) for p in search.parameters},
+        after={p.name: p.read(guess) for p in search.parameters},
+        u=u,
+        misfits=best.misfits,
+        hours=len(search.evidence),
+        notes=notes,
+        room_draws=spread.room_draws,
+        changed=changed,
     )
 
 
@@ -279,6 +312,16 @@ def _facade_notes(before: Guess, guess: Guess) -> list[str]:
             "state an [[room.obstruction]] with its measures"
         )
     return notes
+
+
+def _changed_notes(changed: int, captures: int) -> list[str]:
+    """Return a note on captures of a changed room, if there are any."""
+    if not changed:
+        return []
+    return [
+        f"in {changed} of {captures} captures a lamp was on, or the light contradicts the other "
+        "days: the fit does not use them; see the warnings of train"
+    ]
 
 
 def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
