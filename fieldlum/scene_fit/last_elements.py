@@ -21,6 +21,7 @@ from fieldlum.scene_fit.learned_light import LearnedCost
 from fieldlum.scene_fit.parameters import bar_parameters, inset_parameters
 from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.search import pattern_search
+from fieldlum.scene_fit.wall_moves import with_best_walls
 
 # Chosen between true elements and others in rooms of bench/scene_rooms.py, draw 8 (decision 37).
 _LEAST_GAIN = 0.02
@@ -48,9 +49,10 @@ class Elements:
     def corrected(self, guess: Guess, *, reshape: bool) -> Guess:
         """Return the guess without elements of no effect, and with missed bars and furniture.
 
-        reshape: search the faces of solids first. Otherwise furniture would be added where only a
-        face is displaced.
+        Walls are moved first. reshape: search the faces of solids too. Otherwise furniture would be
+        added where only a wall or a face is displaced.
         """
+        guess = with_best_walls(self.cost, guess)
         guess = _repeated(self._with_bar, self._merged(self.pruned(guess)), _MOST_BARS)
         guess = self._reshaped(guess) if reshape else guess
         return self.pruned(_repeated(self._with_furniture, guess, _MOST_SOLIDS))
