@@ -100,8 +100,7 @@ def patch_rays(height: int) -> int:
     """Return the number of rays in each direction of a pixel that sun patches need.
 
     Rays are at most the sun's radius apart, but there are at least 3 and at most 8, which is too
-    few for that under 85 rows (decision 43).
-    height: rows of the panorama.
+    few for that under 85 rows (decision 43). height: rows of the panorama.
     """
     return int(np.clip(np.ceil(180.0 / height / SUN_RADIUS_DEG), LEAST_RAYS, MOST_RAYS))
 

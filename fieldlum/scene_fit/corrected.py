@@ -38,8 +38,7 @@ def with_patches(data: Dataset, *, sub: int | None = None, progress: Progress = 
     """Return the captures with sun patches computed from the room of `data.setup`, not None.
 
     Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. sub: as in
-    `scene.sun_patches`. Raises InputError for an
-    impossible room.
+    `scene.sun_patches`. Raises InputError for an impossible room.
     """
     assert data.setup.room is not None
     made = sun_patches(

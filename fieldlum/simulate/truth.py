@@ -55,9 +55,9 @@ QUALITIES = {
 class Rendering:
     """Pictures of n moments, without the sun disc.
 
-    luminance_cdm2 : [n, H, W]; patch_cdm2 : [n, H, W] of direct sun, with the rays of
-    `scene.sun_patches`, which are fewer than those in the picture; disc_lx : [n] on a plane normal
-    to the sun at the camera; visible_fraction : [n] of the disc; light : as requested.
+    luminance_cdm2 : [n, H, W]; patch_cdm2 : [n, H, W] of direct sun, with the fewer rays of
+    `scene.sun_patches`; disc_lx : [n] on a plane normal to the sun at the camera; visible_fraction
+    : [n] of the disc; light : as requested.
     """
 
     luminance_cdm2: Floats32
@@ -109,12 +109,11 @@ class GroundTruth:
     @cached_property
     def _view_points(self) -> tuple[SunPoints, SunPoints]:
         """Return the points of the pictures' direct sun, and those of sun patches for a model."""
-        room, heading_deg = box_room(self.setup), self.view.heading_deg
-        shown, given = (
-            look(room, self.height, heading_deg, rays).sun_points()
-            for rays in (self.sun_rays, patch_rays(self.height))
-        )
-        return shown, given
+        return self._points(self.sun_rays), self._points(patch_rays(self.height))
+
+    def _points(self, rays: int) -> SunPoints:
+        view = look(box_room(self.setup), self.height, self.view.heading_deg, rays)
+        return view.sun_points()
 
     @cached_property
     def _piece_points(self) -> SunPoints:
@@ -207,10 +206,8 @@ class GroundTruth:
 
     def panorama(self, t_utc: datetime, dni_wm2: float, dhi_wm2: float) -> Panorama:
         """Render one moment with its DNI and DHI as a panorama with its separate visible sun."""
-        made = self.render(
-            light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2]))
-        )
-        return self.as_panorama(made, 0)
+        light = light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2]))
+        return self.as_panorama(self.render(light), 0)
 
     def as_panorama(self, made: Rendering, k: int) -> Panorama:
         """Return moment `k` (from 0) of a rendering as a panorama, with its visible sun apart."""
