@@ -30,7 +30,7 @@ RANKS = (
         "light_clock",
     },
     {"images", "linear_light", "raw", "profiles", "site_toml", "session", "scene", "weather"},
-    {"devices", "notify", "scheduler"},
+    {"devices", "notify", "scheduler", "sky_view"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench", "scene_fit"},
     {"campaign", "report", "demo", "cli", "api", "view", "web"},

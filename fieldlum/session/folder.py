@@ -65,6 +65,7 @@ class Session:
     panoramas = _Place("panoramas")  # merged
     quality = _Place("panoramas", "quality.csv")  # one row for each merged bracket
     suns = _Place("suns.csv")  # the sun of each panorama, completed by `pair`
+    sky_view = _Place("sky_view.exr")  # where the camera sees the sky, by `pair`
     sunpatches = _Place("sunpatches")  # maps of sun patches
     pairs = _Place("pairs.csv")  # panoramas with their light
     models = _Place("models")  # trained
@@ -77,6 +78,7 @@ class Session:
     capture_file = _SlotPlace("raw", "{}", "capture.json")
     panorama = _SlotPlace("panoramas", "{}.exr")
     sidecar = _SlotPlace("panoramas", "{}.json")
+    sky_picture = _SlotPlace("panoramas", "{}.sky.npz")
     sunpatch = _SlotPlace("sunpatches", "{}.exr")
     sunpatch_sidecar = _SlotPlace("sunpatches", "{}.json")
     truth_panorama = _SlotPlace("truth", "{}.exr")

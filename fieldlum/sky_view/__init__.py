@@ -1,0 +1,10 @@
+"""Estimate where the camera sees the sky, and how much of the sun's beam arrives from there."""
+
+from fieldlum.sky_view.picture import (
+    SkyGrid,
+    SkyPicture,
+    cut_panorama,
+    read_sky_picture,
+    sky_picture,
+    write_sky_picture,
+)
