@@ -2,7 +2,7 @@
 
     python bench/reliability_log.py --work DIR [--rows 1000000]
 
-Prints the tables of docs/results/parsers.md.
+Prints the tables of docs/validation.md.
 """
 
 from __future__ import annotations

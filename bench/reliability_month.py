@@ -10,7 +10,7 @@ being root:
     unshare -rm sh -c 'mount -t tmpfs -o size=400m tmpfs /mnt && python bench/reliability_month.py
     --work /mnt'
 
-Prints the table of docs/results/month.md.
+Prints the table of docs/validation.md.
 """
 
 from __future__ import annotations

@@ -454,11 +454,11 @@ ROOMS = {
     # Not looked at while the fit was changed.
     "arch": arch,
     "blind": blind,
-    # Rendered before, and fitted after, the last change of the verdict (decision 18).
+    # Rendered before, and fitted after, the last change of the verdict.
     "corner": corner,
     "gallery": gallery,
     "curtain": curtain,
-    # Written, rendered and fitted after the last change of the scene fit (decision 43).
+    # Written, rendered and fitted after the last change of the scene fit.
     "evening": evening,
     "morning": morning,
 }

@@ -1,6 +1,6 @@
 """Stray light of simulated lenses with known haze and ghosts: what `calibrate stray` removes.
 
-    python bench/stray_light.py SESSION [--out docs/results/stray-light.md]
+    python bench/stray_light.py SESSION [--out docs/validation.md]
 
 SESSION: one with truth/ (`fieldlum simulate` or `fieldlum demo`). A lens of 186 degrees looks at
 its panoramas along four headings. Its pictures are the truth plus haze (a power of the angle, not

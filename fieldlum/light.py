@@ -23,7 +23,7 @@ from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart
 
 LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
 # Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
-# Chosen, not measured (docs/decisions/0003-light-kernel.md).
+# Chosen, not measured (docs/decisions.md).
 BEHIND = 0.1
 # Typical cosine between facade and sun, so that the facade factor is about the beam's share.
 # Chosen.
@@ -250,11 +250,11 @@ class Kernel:
     `facades` and the two widths is the weight (prior variance) of one term. beam_width,
     flux_width: distances between two unit vectors to the sun over which the terms of facades and
     of flux change (0.5 is about 29 degrees). The defaults are from a study of one room and may
-    change threefold with little effect (docs/decisions/0003-light-kernel.md). constant: a room
+    change threefold with little effect (docs/decisions.md). constant: a room
     that follows total light, direct sun, and sun on the ground;
     sky: distribution of the sky's light; facade: sun on the facades, smooth in the sun's
     direction; cells: sun patches in cells of the picture; flux: all sun patches together, half of
-    it smooth in the sun's direction (docs/decisions/0034-flux-of-sun-patches.md); bounced: the
+    it smooth in the sun's direction (docs/decisions.md); bounced: the
     sun's light in a coarse model of the room; lamps: electric light, ten times the room's daylight
     at LAMP_LX outside; changed: effect of a state of the room on its response to light.
     """

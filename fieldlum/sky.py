@@ -384,6 +384,6 @@ def direct_normal_illuminance_lx(
     """Return the sun's illuminance on a plane normal to it, [n], in lx.
 
     By Perez's direct luminous efficacy (never 179 lm/W), about 93 lm/W on average over the hours of
-    docs/results/simulation.md. when : day of the year or UTC times.
+    docs/validation.md. when : day of the year or UTC times.
     """
     return perez_coefficients(dni_wm2, dhi_wm2, sun_altitude_deg, when).direct_lx

@@ -2,7 +2,7 @@
 
 `tests/test_golden.py` compares the summary with the stored one, `tests/golden/chain.json`. After an
 intended change of results, renew the stored summary and give the figures before and after in
-docs/decisions/:
+docs/decisions.md:
 
     python tests/golden_chain.py
 """

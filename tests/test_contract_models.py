@@ -66,7 +66,7 @@ def test_configs_of_0_1_0_state_whether_patches_are_required(config: dict, wante
 
 
 def test_a_transport_model_without_the_flux_of_patches_predicts_without_it() -> None:
-    """Models of 0.2.0 before decision 34 have no flux in their kernel and their captures."""
+    """Models of early 0.2.0 have no flux in their kernel and their captures."""
     data = dataset(DAYS, height=6)
     state = transport.fit(data).state()
     table = dict(state.config["transport"])

@@ -145,7 +145,7 @@ def test_position_index_grows_and_is_capped() -> None:
 @pytest.mark.authority
 def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
     # authority: evalglare of pyradiance, 800 px. Tolerances: half a per cent of Ev, 0.005 of DGP
-    # (docs/results/glare.md).
+    # (docs/validation.md).
     maps = np.full((115, 230), 120.0, np.float32)
     maps[40:58, 95:112] = 4000.0
     maps[40:58, 114:130] = 9000.0

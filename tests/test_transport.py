@@ -362,7 +362,7 @@ def test_duplicates_change_little() -> None:
 
 @pytest.mark.analytic
 def test_captures_with_an_unmeasured_sun_raise_only_hours_like_them() -> None:
-    """A pyranometer in the shade of hills reports no sun, and the camera sees one (decision 29)."""
+    """A pyranometer in the shade of hills reports no sun, and the camera sees one."""
     beam = np.array([0.0] * 10 + [0.3] * 6 + [0.8] * 6)
     errors = np.where(beam > 0.5, 4e-4, 5e-6)
     errors[:2] = 0.05, 0.12
@@ -528,7 +528,7 @@ def test_a_strangers_file_runs_no_code(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.property
 def test_patches_of_a_fitted_scene_are_never_learnt_by_a_plain_fit() -> None:
-    """Edges that are centimetres off teach a plain fit wrong light (decision 0013)."""
+    """Edges that are centimetres off teach a plain fit wrong light."""
     fitted = training_arrays_of(replace(TRAIN, scene={"chosen": "fitted"}), with_patch=True)
     assert fitted.fitted_patches
     assert not training_arrays_of(TRAIN, with_patch=True).fitted_patches

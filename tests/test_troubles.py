@@ -182,7 +182,7 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, WEATHER, 80, 4, TIMES)]
     fitted = models.fit("transport", data, patch="absolute", seed=0)
     assert isinstance(fitted, Transport)
-    # light computed for the room does not hide what the windows showed (decision 27)
+    # light computed for the room does not hide what the windows showed
     assert fitted.sky_field is not None and fitted.response.pixels.computed.any()
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95

@@ -22,7 +22,7 @@ from fieldlum.statistics import robust_sigma
 # A change over the campaign is reported if it exceeds these limits and is significant. k [%]:
 # accuracy of calibrating k by spot readings (docs/accuracy.md). Heading [deg]: the sun's diameter,
 # by which a sun patch would then miss its pixels. Residual [%]: three times a merge's usual 0.3 %.
-# How often drifting cameras are reported: docs/results/campaign.md, bench/campaign_drift.py.
+# How often drifting cameras are reported: docs/validation.md, bench/campaign_drift.py.
 LIMITS = {"k": 5.0, "heading": 0.5, "residual": 1.0}
 UNITS = {"k": "%", "heading": "°", "residual": "%"}
 FEWEST = 20  # least number of captures; chosen

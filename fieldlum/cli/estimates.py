@@ -25,7 +25,7 @@ _YEAR_S = 124.0 / (460 * 230 * 10)
 _SIMULATE_FIXED_S = {"draft": 10.0, "quick": 28.0, "paper": 75.0}
 _SIMULATE_S = {"draft": 5e-4, "quick": 1.6e-3, "paper": 1.0e-3}  # a pixel
 _HOUR_S = 0.025  # 292 more hours at 60 x 30 took 6.9 CPU s
-# docs/results/learning.md, transport at 115 x 58: 8 s for 108 captures, 20 s for 200.
+# docs/validation.md, transport at 115 x 58: 8 s for 108 captures, 20 s for 200.
 _FIT_S_PER_CAPTURE = 0.09
 # The same page: 168 s for a picture of 115 x 58 by rtrace with the paper's options.
 _RADIANCE_S = 168.0 / (115 * 58)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 # Number of recent lines that count, and number of lines from which on a part can count as constant.
 # Chosen so that a format is known after half a minute to some minutes; effect in
-# docs/results/parsers.md.
+# docs/validation.md.
 RECENT = 60
 ENOUGH = 20
 _NUMBER = re.compile(

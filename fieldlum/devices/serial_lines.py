@@ -18,7 +18,7 @@ _POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; c
 # this many bytes without an end mark mean a wrong baud rate; chosen, not measured
 _LONGEST_REST = 4096
 # Number of lines whose median is taken, and largest time between them, because the light changes
-# over longer times. Effect in docs/results/parsers.md.
+# over longer times. Effect in docs/validation.md.
 _VOTES = 3
 _SLOWEST_VOTE_S = 2.0
 _REJECTED_STORED = 100  # number of the last rejected lines that `refused` can return

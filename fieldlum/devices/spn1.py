@@ -24,7 +24,7 @@ LARGEST_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (
 # padded to six characters with blanks or zeros
 _SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
-# Three differences of answers that are a tenth of a second apart [W/m2] (docs/results/parsers.md):
+# Three differences of answers that are a tenth of a second apart [W/m2] (docs/validation.md):
 # the instrument's noise; the largest difference under a steady sky; the largest from the first to
 # the third answer at the edge of a shadow, which the sun's half degree and the cloud's own edge
 # blur.
@@ -34,7 +34,7 @@ STEEPEST_WM2 = 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
-ASKED_AT_MOST = 3  # a third answer decides if two differ (docs/results/parsers.md)
+ASKED_AT_MOST = 3  # a third answer decides if two differ (docs/validation.md)
 _WAKE_TRIES = 3  # a sleeping SPN1 may lose the first character; chosen, not measured
 # A total this far below the diffuse is doubtful, because the instrument's own noise is below 3
 # W/m2. Larger differences were seen in the field at dawn. Chosen.

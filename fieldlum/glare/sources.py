@@ -5,7 +5,7 @@ each other belong to the same source, so that the panes of a window are one sour
 a source is its luminance-weighted centre. Pixels from 50 000 cd/m2 on are removed from their source
 and form sources of their own. These are evalglare's defaults (-b 2000, -r 0.2 with its own
 definition of the search angle, -Y 50000). An additive sum over pixels, which needs no grouping, is
-higher for windows with bright and dark panes (docs/results/glare.md, "Glare").
+higher for windows with bright and dark panes (docs/validation.md, "Glare").
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ _STEADY, _STEADY_WINDOW_S = 0.05, 600.0
 _DAY_STEADY_S = 1800.0  # least seconds of steady sun on a day whose median is used; not measured
 # A day's scatter is (1 + this / steady seconds)^0.5 times that of an endless clear day: an hour of
 # steady sun between clouds scatters by 1.3 %, seven hours scatter by 0.5 % (three months at
-# Lyngby). Measured with the data of docs/results/station.md.
+# Lyngby). Measured with the data of docs/validation.md.
 _FULL_DAY_S = 28800.0
 # Least step, in multiples of the day-to-day scatter; without a step, 2 % of 20-day records reach
 # it. Chosen.

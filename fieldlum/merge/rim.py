@@ -14,7 +14,7 @@ from fieldlum.session.files.merge_report import DarkRim
 _RINGS = 7
 _LEAST_PIXELS = 50  # of a ring, for its median; chosen
 # A ring below this share of the reference is dark. The outermost one of a real 8 mm fisheye has 0.2
-# (docs/results/merge-real.md); scenes seldom darken so much within 3 degrees. Chosen.
+# (docs/validation.md); scenes seldom darken so much within 3 degrees. Chosen.
 _DARK_SHARE = 0.6
 _BRIGHT_SHARE = 0.9  # the rim ends at the first ring above it; chosen
 _TAPER_DEG = float(np.degrees(TAPER_RAD))

@@ -28,7 +28,7 @@ from fieldlum.sun_images import (
 
 # Kernel of the labels; chosen. In three views of a mirroring facade, other widths (6 to 18 degrees,
 # 0.05 to 0.2) change the error of DGP by -25 to +30 %, some by a factor of two
-# (docs/decisions/0025-mirrored-sun.md).
+# (docs/decisions.md).
 _NEAR_DEG = 9.0
 _ALIKE_LOG10 = 0.1  # rms difference of log10 luminance over the captures
 _FAR_WEIGHT = 0.01  # of a label at any distance whose pixel is alike; chosen

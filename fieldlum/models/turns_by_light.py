@@ -18,7 +18,7 @@ from fieldlum.statistics import MAD_TO_SIGMA
 
 # Other days must predict the change within a day better than no effect does: by this factor in the
 # sum of absolute deviations. In a room at 70 degrees north without a turned camera the factors are
-# 0.48 to 0.68 (decision 20). Chosen above them.
+# 0.48 to 0.68. Chosen above them.
 MOST_LEFT = 0.8
 LEAST_DAYS = 3  # two days to learn from, one to confirm; chosen
 _ROUNDS = 20  # of the robust fit; chosen

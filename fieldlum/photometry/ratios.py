@@ -20,7 +20,7 @@ MIN_PIXELS = 50
 _SYSTEMATIC = 5e-4
 # Relative standard uncertainty of a snapped shutter time, from SHORT_S on and below it: mechanical
 # shutters are less accurate at short times. Chosen so that measured ratios outweigh them: errors of
-# up to 3.9 % are found (docs/results/merge-estimator.md). Not measured on real cameras.
+# up to 3.9 % are found (docs/validation.md). Not measured on real cameras.
 PRIOR_LONG = 0.003
 PRIOR_SHORT = 0.03
 SHORT_S = 1 / 1000

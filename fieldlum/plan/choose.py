@@ -22,7 +22,7 @@ DHI_FULL_WM2 = 700.0
 # memory grows with their square. Chosen so that the ranking is stable; not measured.
 YEAR_HOURS = 800
 POOL_HOURS = 2200
-NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions/0003-light-kernel.md)
+NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions.md)
 
 
 # ----------------------------------------------------------------------------------------------

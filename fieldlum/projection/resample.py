@@ -30,7 +30,7 @@ _EDGE_RAD = 0.002
 _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}
 # Samples along an edge of a target pixel, at least, and their largest distance over `_SPACING`.
 # Chosen so that no sensor pixel is skipped; energy is kept within 0.35 %
-# (docs/results/merge-estimator.md, geometry).
+# (docs/validation.md, geometry).
 _LEAST = 3
 _STEP = 1.1
 # Largest distance of the nodes at which lens coordinates are computed exactly, half a degree:

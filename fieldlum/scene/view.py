@@ -17,7 +17,7 @@ from fieldlum.scene.sun_disc import SUN_RADIUS_DEG
 from fieldlum.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_crossings
 
 # In each direction of a pixel, for sun patches: with 3 they had an error of 1.0e-4 to 1.6e-4 (log10
-# MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5 (decision 43).
+# MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5.
 LEAST_RAYS, MOST_RAYS = 3, 8
 WINDOW_RAYS = 3  # in each direction of a pixel, for its share of window; not measured
 
@@ -100,7 +100,7 @@ def patch_rays(height: int) -> int:
     """Return the number of rays in each direction of a pixel that sun patches need.
 
     Rays are at most the sun's radius apart, but there are at least 3 and at most 8, which is too
-    few for that under 85 rows (decision 43). height: rows of the panorama.
+    few for that under 85 rows. height: rows of the panorama.
     """
     return int(np.clip(np.ceil(180.0 / height / SUN_RADIUS_DEG), LEAST_RAYS, MOST_RAYS))
 

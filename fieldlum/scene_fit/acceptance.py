@@ -18,7 +18,7 @@ BAR_GAIN = 0.002
 SOLID_GAIN = 0.004
 SHADE_GAIN = 0.02
 # The same in held-out hours: it exceeds rounding. The sun may light an object in no held-out hour;
-# with a gain of `UNSEEN_GAIN` in the others these need only not contradict (decision 30).
+# with a gain of `UNSEEN_GAIN` in the others these need only not contradict.
 KEPT_OUT_GAIN = 0.001
 UNSEEN_GAIN = 0.02
 

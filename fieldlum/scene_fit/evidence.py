@@ -41,7 +41,7 @@ PIXELS = 4000
 COARSE_PIXELS = 1000
 SUB = 2  # rays into which a pixel is divided, in each direction
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; chosen with the study, not varied
-_WALLS_FACTOR = 2.0  # between the albedos of walls; chosen (decision 28)
+_WALLS_FACTOR = 2.0  # between the albedos of walls; chosen
 _KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Searches stop in different places near the best scene, and are joined (decision 41). Two, because
-# a laptop has two cores or more (decision 33).
+# Searches stop in different places near the best scene, and are joined. Two, because
+# a laptop has two cores or more.
 STARTS = 2
 REACH_EVERY = 3  # chosen, for time: use every n-th pixel for how far numbers can move
 # Fewer captures of a changed room hardly move a robust search, and imperfect patches, as of trees,

@@ -1,8 +1,7 @@
 """Join searches that saw other pixels: start between their results, and search at more pixels.
 
 Each search ends near the best scene, displaced by the pixels that it saw. Between two such results
-the displacements partly cancel, and the mean of their numbers is a start that neither would reach
-(decision 41).
+the displacements partly cancel, and the mean of their numbers is a start that neither would reach.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 In the searches before, light below that follows each trial hides thin bars and displaced solids.
 Below learned light a true element lowers the cost by 5 % or more, and one that explains noise by at
-most 1.2 % (decision 37). A trial takes milliseconds, so that each window is scanned for bars.
+most 1.2 %. A trial takes milliseconds, so that each window is scanned for bars.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.search import pattern_search
 from fieldlum.scene_fit.wall_moves import with_best_walls
 
-# Chosen between true elements and others in rooms of bench/scene_rooms.py, draw 8 (decision 37).
+# Chosen between true elements and others in rooms of bench/scene_rooms.py, draw 8.
 _LEAST_GAIN = 0.02
 _SOLID_GAIN = 0.04  # true boxes: 10 and 17 %; boxes that are not there: 1.8 and 2.9 %
 _MERGED_LOSS = 0.01  # by which a bar in place of two may raise the cost

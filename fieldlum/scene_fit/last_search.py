@@ -13,8 +13,7 @@ from fieldlum.scene_fit.scene_search import SceneSearch
 from fieldlum.scene_fit.search import Objective
 
 # Log errors at which a pixel counts as half wrong: of the first search, of the following ones, and
-# of the comparison of scenes. Chosen in rooms of bench/scene_rooms.py, draws 7 and 8 (decisions 36,
-# 37), as are the other numbers, but for the rounds (decision 41).
+# of the comparison of scenes. Chosen in rooms of bench/scene_rooms.py, draws 7 and 8.
 _FIRST_WIDTH, _WIDTH, _COST_WIDTH = 0.8, 0.2, 0.4
 _ROUNDS = 2
 _SHARE = 0.15  # steps of the slopes, in first steps of the parameters

@@ -1,10 +1,10 @@
 """Learn the light below sun patches away from their edges, and compare scenes with it.
 
 The light of `light_below` follows each trial, so that a scene can lower its cost by light far from
-its patches (decision 35). Here the light does not change during a search. Values within a pixel of
+its patches. Here the light does not change during a search. Values within a pixel of
 a patch's edge teach it almost nothing, and values in a patch little: a Gaussian process with the
 kernel of the transport model predicts them from other hours and from neighbouring pixels, and
-states their uncertainty (decision 36).
+states their uncertainty.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
     from fieldlum.scene_fit.pose_prior import PosePrior
 
-# Chosen in rooms of bench/scene_rooms.py, draw 7 (decision 36).
+# Chosen in rooms of bench/scene_rooms.py, draw 7.
 _RANK = 60  # features of the process
 _NOISE = 0.02  # relative standard deviation of a value far from patches
 _TONE_SD = 0.1  # of the luminance of a sun patch, as a share of it: albedos differ within a surface
@@ -49,7 +49,7 @@ _ROBUST_WIDTH = 0.15  # log residual at which a value has half weight; as in the
 _NEIGHBOURS, _NEIGHBOUR_SHARE, _NEIGHBOUR_DEG = 16, 0.003, 5.0
 _HALF_WEIGHT_SD = 0.1  # standard deviation of ln luminance at which a value counts half
 # Standard deviation of the lit share of a pixel that has 4 x 4 rays. Without it a cost has kinks at
-# edges of solids, at which a search stops (decision 37).
+# edges of solids, at which a search stops.
 _PART_SD = 0.03
 _MOST_REFLECTED = 0.8  # share of a value's light; chosen, as in light_below
 

@@ -1,7 +1,7 @@
 """Search a scene with light below its patches that is estimated again for each trial.
 
 Light below that was estimated with one scene's patches favours this scene: patches that it lacks
-count as light below. A search that keeps this light stays where it starts (decision 32).
+count as light below. A search that keeps this light stays where it starts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Chosen in rooms of bench/scene_rooms.py (decision 32). Rays in a pixel, each way: with 2 the cost
+# Chosen in rooms of bench/scene_rooms.py. Rays in a pixel, each way: with 2 the cost
 # of the true scene was 6 % higher, and rough. Rounds of the light below: with 6 the minimum is
 # flatter.
 FINE_SUB = 4

@@ -25,7 +25,7 @@ from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, GeometryCandidate, SceneVe
 from fieldlum.session import Session, check_writable
 from fieldlum.statistics import is_no_worse
 
-# With four or five, two of four scenes had 2.4 and 3.3 times their expected error (decision 35).
+# With four or five, two of four scenes had 2.4 and 3.3 times their expected error.
 MIN_HOURS_OUTSIDE = 6
 
 

@@ -1,6 +1,6 @@
 """Choose between the stated box and no sun patch, without a fitted scene and with few clear hours.
 
-As no search used the captures, all hours with direct sun judge the box (decision 17).
+As no search used the captures, all hours with direct sun judge the box.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fieldlum.scene_fit.sunny import MIN_SUNNY_HOURS, sunny_hours
 from fieldlum.scene_fit.verdict import SAME_MISFIT
 
 # With fewer clear hours, held-out days chose plain recipes for patches of a tape-measured box in
-# two rooms of four, with up to 2.6 times the error (decision 24).
+# two rooms of four, with up to 2.6 times the error.
 MIN_CLEAR_HOURS = 12
 # Chosen: of the sum of two pictures of patches, beyond rounding; other patches are of a 3D model.
 MAX_OTHER_SHARE = 0.02
@@ -96,7 +96,7 @@ def with_judged_box(
     not change with a scene, with 12 clear hours or more, with `patch` "none", without a box
     `[room]` with windows, or with sun patches of another source than this room. As edges measured
     by tape are wrong by centimetres, patches of the stated box are learnt like those of a fitted
-    scene, by robust recipes (decision 13). Raises InputError for an impossible room.
+    scene, by robust recipes. Raises InputError for an impossible room.
     """
     room = data.setup.room
     if data.scene is not None or patch == "none" or room is None:
@@ -134,7 +134,7 @@ def _has_patches_of_room(data: Dataset) -> bool:
     """Return whether the captures have no patches, or those of their `[room]`."""
     if data.patch_cdm2 is None:
         return True
-    for sub in (None, LEAST_RAYS):  # versions before decision 43 had the least number of rays
+    for sub in (None, LEAST_RAYS):  # versions before 0.2.0 had the least number of rays
         made = with_patches(data, sub=sub).patch_cdm2
         assert made is not None
         difference = float(np.abs(made - data.patch_cdm2).sum())

@@ -1,8 +1,8 @@
 """Choose the geometry for training, and its expected error: no patch, stated box, or fitted scene.
 
-The sun patches of hours that no search used choose the geometry (decision 17). The expected error
+The sun patches of hours that no search used choose the geometry. The expected error
 and the share of trusted hours are those that a transport model of some pixels, trained with the
-chosen geometry, gives to hours of a year (decision 18).
+chosen geometry, gives to hours of a year.
 """
 
 from __future__ import annotations

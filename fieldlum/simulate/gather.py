@@ -36,7 +36,7 @@ _OFFSET_M = 1e-3  # points are this far above their surface, so that rays do not
 _SUB = 4  # squared: sample points of direct sun in a piece; chosen, not measured
 # Distances are rounded to this many decimals [m2], so that members of a set that are equally far
 # from its middle, as in a symmetric room, are taken by their order. Their last bit differs between
-# processors (docs/results/processors.md).
+# processors (docs/validation.md).
 _TIE_DECIMALS = 9
 
 

@@ -43,7 +43,7 @@ class Quality:
     smooth_px: int = 2
 
 
-# Accuracy of "quick" against Radiance: docs/results/simulation.md; the others are chosen around it.
+# Accuracy of "quick" against Radiance: docs/validation.md; the others are chosen around it.
 QUALITIES = {
     "draft": Quality(0.8, 64, 128),
     "quick": Quality(0.4, 400, 1024),

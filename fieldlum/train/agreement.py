@@ -38,7 +38,7 @@ _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances; smaller ones are
 _LAMP_VARIANCE = 100.0  # prior variance of a lamp's light, as in fieldlum.light.Kernel
 # Prior variance of the relative change by a factor on the light of some captures. It refers to
 # their measured level: 0.3 of the light is a change of 2.3. With 0.1, the wrong days are found for
-# a factor of 0.3 (decision 42).
+# a factor of 0.3.
 _LEVEL_VARIANCE = 1.0
 # share of the pixels with the largest deviations that are omitted, because they are edges of sun
 # patches; chosen
@@ -48,7 +48,7 @@ _LEAST_TYPICAL = 0.01
 # Squared deviation over that of the median capture or day, in nine simulated rooms at 46 x 23
 # pixels. Largest without a change: 185 and 6. With lamps of 10 cd/m2 at dusk: 140 and more. With a
 # blind half down for a day: 20 and more. A larger value only starts a search; the gain decides what
-# is omitted. Chosen between these (docs/results/troubles.md, nine simulated rooms).
+# is omitted. Chosen between these (docs/validation.md, nine simulated rooms).
 CAPTURE_LIMIT = 100.0
 DAY_LIMIT = 10.0
 _SOFT = 0.1  # of the limits: smaller deviations cost little; chosen

@@ -16,7 +16,7 @@ from fieldlum.train.folds import one_day_only
 from fieldlum.train.selection import Trial
 
 # Of a sky's luminance in the windows over Perez's. Nineteen sets under Perez's skies have up to
-# 0.05, eight with clouds 0.15 and more (docs/results/troubles.md). Chosen between these.
+# 0.05, eight with clouds 0.15 and more (docs/validation.md). Chosen between these.
 _LEAST_SCATTER = 0.1
 
 

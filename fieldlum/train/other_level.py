@@ -1,7 +1,7 @@
 """Find captures whose light is a common factor of what the others predict, as with a blind down.
 
 Clouds and a distant instrument make each capture deviate, so that captures with a blind are not
-conspicuous by the size of their deviations, but all deviate to the same side (decision 42).
+conspicuous by the size of their deviations, but all deviate to the same side.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from fieldlum.arrays import Array, Floats
 from fieldlum.train.agreement import LeftOut, Process, Rows, Typical, disagreement
 
-# Price of a day and least factor; chosen between what these sets have (decision 42): nine days of
+# Price of a day and least factor; chosen between what these sets have: nine days of
 # the office and of nine rooms with a blind half down for a day and twelve other troubles gain 12 to
 # 55 by it, with factors of 0.64 to 0.8; other days gain up to 9, and 12 beside such a day.
 _DAY_PRICE = 10.0

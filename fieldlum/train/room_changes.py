@@ -40,7 +40,7 @@ from fieldlum.train.other_level import (
 
 # Least gain of a lamp or of omitting captures (difference of log costs). Nine rooms without a
 # change reach 10; lamps of 10 cd/m2 reach 93 to 285; a blind half down on one day 87 to 106
-# (docs/results/troubles.md).
+# (docs/validation.md).
 _LEAST_GAIN = 25.0
 _LAMP_PRICE = 1.0  # cost of a capture with a lamp; less than PRICE, because its light is explained
 # local standard times from which lamps may be on; chosen

@@ -18,7 +18,7 @@ from fieldlum.records import Site
 from fieldlum.weather.year import Weather
 
 # Seven files that are right have at most 8 min; labels at an end of the hour give 22 to 38 min.
-# Chosen between them, on the same files (docs/results/weather.md).
+# Chosen between them, on the same files (docs/validation.md).
 MOST_SHIFT_MIN = 20.0
 _SHIFTS_MIN = (-60.0, -30.0, 0.0, 30.0, 60.0)  # between them the result is interpolated; chosen
 # Altitudes that are compared, deg. Lower ones may be behind a hill; at higher ones direct light

@@ -35,7 +35,7 @@ LEAST_OVERCAST_HOURS = 20  # chosen so that a median is meaningful; not measured
 # Global irradiance is never below the diffuse one, and equals it under overcast skies. Direct
 # irradiance is below it in most overcast hours. Of the hours with over 20 W/m2 of diffuse, the
 # files of five places have 34 to 62 % below and 1 to 3 % equal; with global as direct they have at
-# most 2 % below and at least 10 % equal. Measured (docs/results/weather.md); chosen between.
+# most 2 % below and at least 10 % equal. Measured (docs/validation.md); chosen between.
 LEAST_BELOW = 0.05
 MOST_EQUAL = 0.05
 _SAME_WITHIN = 0.05  # relative, as two instruments agree; chosen

@@ -26,13 +26,13 @@ from fieldlum.statistics import is_no_worse
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
 # Factors on the patches' gain, tried in two rounds. Light below that is estimated without patches
 # includes a part of them, so that the first gain is 0.5 to 0.7 of the true one, and offsets are off
-# by up to 1.3 min (decision 16).
+# by up to 1.3 min.
 _GAIN_FACTORS = ((1.0, 1.2, 1.45, 1.75, 2.1), (0.9, 1.0, 1.1))
 _FEWEST_HOURS = 3  # sunny captures of a day whose offset is estimated; chosen
 _FEWEST_DAYS = 3  # with such captures, to have a median; chosen
 # Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
 # clock that drifts by 2 min in a week 0.6 min. Chosen between the two
-# (docs/decisions/0016-clock-of-each-day.md).
+# (docs/decisions.md).
 _LEAST_SPREAD_MIN = 0.3
 _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; chosen
 

@@ -30,12 +30,12 @@ from fieldlum.simulate.truth import ground_truth
 
 HEIGHT = 16  # rows of the coarse panorama from which the modes are computed; not measured
 # Rows of the panorama of computed light. With 16 rows the error of two days is 1.4 to 1.8 times
-# that of 60 rows, with 40 rows 1.05 to 1.15 times (decision 19).
+# that of 60 rows, with 40 rows 1.05 to 1.15 times.
 LIGHT_HEIGHT = 40
 QUALITY = "draft"
 MODES = 48  # number of singular modes that compare hours; not measured
 # Numbers of modes of computed light from the sun and from the sky. With 200 sun modes two days have
-# 6 to 14 % more error than with 500; the basis of 64 skies costs nothing (decision 19).
+# 6 to 14 % more error than with 500; the basis of 64 skies costs nothing.
 SUN_MODES, SKY_MODES = 300, 64
 _SKY_STEP_H = 41.0  # all hours of the day in all seasons; chosen
 # Suns whose light on the pieces is stored: more than the captures of a campaign; limits the memory

@@ -23,7 +23,7 @@ _GAIN_NOISE = 1e-2
 _OFTEN_SHARE = 0.75  # of hours with any sun patch; ground before a window is lit in more; chosen
 SKY_GAIN_VARIANCE = 0.04  # prior variance of a window pixel's sky gain; not measured
 # Prior variance of a pixel's gain of computed light, next to its level in the captures. Errors with
-# 1e-6 differ by 4 % or less, except 30 % less and 12 % more in two of twelve fits (decision 19).
+# 1e-6 differ by 4 % or less, except 30 % less and 12 % more in two of twelve fits.
 COMPUTED_VARIANCE = 0.04
 LOG_STEPS = 2  # number of unbiased solves after the first fit; chosen
 LOG_STEP_FROM = 0.03  # rms log error below which the bias (1.5 of its square) is under 0.2 %

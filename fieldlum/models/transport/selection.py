@@ -97,7 +97,7 @@ def recipes_for(
     with_patch: whether sun patches are used; one_season: whether all captures are from one season,
     which excludes the smallest noises; fitted_patches: whether the patches are from a fitted room,
     which excludes all recipes that are not robust: patch edges that are 2 cm off teach a plain fit
-    wrong light in all sunny hours, and held-out days do not show it (decision 0013).
+    wrong light in all sunny hours, and held-out days do not show it.
     """
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
     if not with_patch:
