@@ -134,7 +134,10 @@ def _merge(run: _Run, room: CampaignRoom) -> str:
     failed = [v.slot for v in verdicts if v.state == "failed"]
     bad = f", failed: {', '.join(failed[:5])}" if failed else ""
     merged_count = len(verdicts) - len(failed)
-    return f"{merged_count} of {len(verdicts)} merged{bad}; {sum(p.ok for p in pairs)} usable pairs"
+    text = f"{merged_count} of {len(verdicts)} merged{bad}; {sum(p.ok for p in pairs)} usable pairs"
+    if failed:
+        raise InputError(session.raw, text, remedy="run fieldlum merge for this room to see why")
+    return text
 
 
 def _train(

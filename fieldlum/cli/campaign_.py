@@ -44,7 +44,7 @@ def command() -> None:
 
 
 def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json: bool) -> None:
-    """Run a stage and print one line for each room; exit with 3 if any room was skipped."""
+    """Run a stage and print one line for each room; exit with 3 if any room failed."""
     from fieldlum.campaign import read_campaign, run_stage
 
     campaign = read_campaign(campaign_file)
@@ -60,7 +60,7 @@ def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json
         emit_json({"campaign": campaign.name, "rooms": rooms})
     failed = sum(result.state == "failed" for result in results)
     if failed:
-        say(f"{failed} of {len(results)} rooms skipped")
+        say(f"{failed} of {len(results)} rooms failed")
         raise SystemExit(InputError.exit_code)
 
 

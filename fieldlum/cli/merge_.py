@@ -20,10 +20,13 @@ from fieldlum.cli.options import (
     scheduler_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
+from fieldlum.errors import InputError
 
 if TYPE_CHECKING:
     from fieldlum.merge import MergeOptions
+    from fieldlum.merge.stage import Verdict
     from fieldlum.scheduler import Scheduler
+    from fieldlum.session import Session
 
 
 @click.command()
@@ -153,7 +156,13 @@ def _merge_session(
         verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
     if as_json:
         emit_json({"slots": [v.table() for v in verdicts]})
-        return
+    else:
+        _print_verdicts(session, verdicts)
+    if any(v.state == "failed" for v in verdicts):
+        raise SystemExit(InputError.exit_code)
+
+
+def _print_verdicts(session: Session, verdicts: list[Verdict]) -> None:
     for v in verdicts:
         click.echo(f"{v.slot} {v.state}: {v.text}")
     counts = {

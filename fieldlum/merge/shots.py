@@ -17,6 +17,7 @@ from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import is_jpeg, possible_frames, read_exif
 from fieldlum.records import Exposure
+from fieldlum.session import sha256
 from fieldlum.session.files.capture_json import CaptureFile
 
 U_REPEAT = 2e-4  # relative u of a shutter time from frame to frame; not measured
@@ -63,6 +64,26 @@ def shots_of_slot(folder: Path) -> list[Shot]:
         Shot(folder / frame.file, frame.exposure, frame.heading_deg, frame.t_utc, frame.sha256)
         for frame in capture.frames
     ]
+
+
+def verified(shots: Sequence[Shot]) -> list[Shot]:
+    """Return the frames with the SHA-256 that their files have now.
+
+    A frame is read once for it; the merge, which follows, finds it in memory. Raises InputError,
+    which names them all, for frames whose content is not the recorded one.
+    """
+    now = [replace(shot, sha256=sha256(shot.path)) for shot in shots]
+    changed = [b.path for a, b in zip(shots, now, strict=True) if a.sha256 not in ("", b.sha256)]
+    if changed:
+        names = ", ".join(path.name for path in changed)
+        raise InputError(
+            changed[0],
+            f"the content of {names} changed after the capture or import",
+            "the frames whose sha256 is in capture.json",
+            "copy them from the card again, or remove their entries from capture.json to merge "
+            "without them",
+        )
+    return now
 
 
 def frame_files(folder: Path) -> list[Path]:

@@ -13,7 +13,7 @@ from fieldlum.merge.bracket import MergeResult, merge_shots
 from fieldlum.merge.disc import disc_px, expected_sun_deg, mosaic_u_rel
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.session_summary import summary_due, write_summary
-from fieldlum.merge.shots import Shot, middle_of, shots_of_slot
+from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
@@ -28,8 +28,9 @@ from fieldlum.version import __version__
 
 # The verdict reports the relative uncertainty of the sun's illuminance from this value on. Chosen.
 _SUN_WARN = 0.02
-# Increase it when the arithmetic changes: earlier panoramas are then merged again.
-_RECIPE = 5
+# Increase it when the arithmetic changes: earlier panoramas are then merged again. Before 6, frames
+# were not compared with their recorded sha256.
+_RECIPE = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
         {
             "file": s.path.name,
             "size": s.path.stat().st_size,
-            "sha256": s.sha256 or sha256(s.path),
+            "sha256": s.sha256,
             "heading_deg": s.heading_deg,
         }
         for s in shots
@@ -94,6 +95,16 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
         "drop_moved": job.options.drop_moved,
     }
     return {**inputs, "digest": digest(inputs)}
+
+
+def _untouched(shots: list[Shot], sidecar: Path) -> bool:
+    """Return whether all frames have a recorded sha256 and no file is newer than the sidecar.
+
+    The merge compared them then, so that the recorded sha256 can be used without reading the files.
+    """
+    if not sidecar.is_file() or not all(shot.sha256 for shot in shots):
+        return False
+    return max(s.path.stat().st_mtime_ns for s in shots) < sidecar.stat().st_mtime_ns
 
 
 def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | None:
@@ -131,10 +142,13 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     session = Session(root)
     try:
         shots = shots_of_slot(session.capture_file(job.slot).parent)
+        untouched = not job.force and _untouched(shots, session.sidecar(job.slot))
+        shots = shots if untouched else verified(shots)
         recipe = _recipe(job, shots)
         before = None if job.force else _merged_before(session, job.slot, recipe)
         if before is not None:
             return Verdict(job.slot, "kept", before.verdict, before.report)
+        shots = verified(shots) if untouched else shots
         capture = CaptureFile.find(session.capture_file(job.slot))
         t_utc = _slot_time(capture, job.slot, shots)
         result, lost = _merge_readable(job, shots, expected_sun_deg(t_utc, job.site))

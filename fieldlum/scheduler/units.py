@@ -202,8 +202,8 @@ def corrected(unit: WorkUnit, answer: Answer) -> WorkUnit | None:
     answer: of kind "stale". The file that it names must have the hash here that the worker found
     (`answer.seen`); if it is absent on both, its record is removed. Return None for any other
     content, and for a file without a recorded sha256: then the worker's file system is out of date.
-    A frame that was damaged after its capture differs from what capture.json records; the stage
-    decides what to do with it, on a worker as on this computer.
+    A frame that was damaged after its capture differs from what capture.json records; `merge_slot`
+    then refuses the bracket by the frame's name, on a worker as on this computer.
     """
     recorded = dict(unit.recorded)
     if answer.text not in recorded or _digest(unit.folder / answer.text) != answer.seen:
