@@ -39,6 +39,7 @@ COMMANDS = (
     "simulate",
     "campaign",
     "info",
+    "permit",
 )
 
 INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C

@@ -93,12 +93,39 @@ def device_options(function: Command) -> Command:
 def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     """Return the URIs of camera, pyranometer and meter, in this order; "" without a device.
 
-    given: the values of the three options; None takes the URI of the session's last capture.
+    given: the values of the three options; None takes the URI of the session's last capture. A
+    given URI that names a program, a file or another computer is permitted from now on. Raises
+    InputError for one of the session that was never permitted on this computer.
     """
+    from fieldlum.devices.stored import require_permitted
+
     uris = session.table().get("devices", {}).get("uris", {})
-    names = [name.removeprefix("--") for name, _ in _DEVICES]
-    pairs = zip(names, given, strict=True)
-    return tuple(uris.get(name, "") if uri is None else uri for name, uri in pairs)
+    answer = []
+    for (option, _), uri in zip(_DEVICES, given, strict=True):
+        if uri is None:
+            uri = uris.get(option.removeprefix("--"), "")
+            if uri:
+                require_permitted(uri, session.toml, option)
+        else:
+            _permit_device(uri)
+        answer.append(uri)
+    return tuple(answer)
+
+
+def _permit_device(uri: str) -> None:
+    """Permit a URI that the user named, for later commands that take it from the session."""
+    from fieldlum.cli.terminal import say
+    from fieldlum.devices.stored import names_more
+    from fieldlum.errors import DeviceError
+    from fieldlum.session.permits import permit
+
+    try:
+        if uri and (wanted := names_more(uri)):
+            permit(wanted)
+    except DeviceError:  # opening the device reports it
+        return
+    except OSError as error:
+        say(f"note: could not store that you permit {uri} ({error}): name it again next time")
 
 
 json_option = click.option(

@@ -13,7 +13,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import CAPTURE_SET, EXISTING_PATH, PATH, json_option, out_option
 
 if TYPE_CHECKING:
-    from fieldlum.records import Site
+    from fieldlum.records import Site, SiteFile
     from fieldlum.weather import Weather
 
 
@@ -144,6 +144,7 @@ def _planned(
         set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count
     )
     weather = _weather(weather_file, setup.site)
+    _permit_room(setup)
     with terminal.progress("choosing hours") as progress:
         session, made = plan.run(setup, request, out, weather, progress)
     answer = plan.summary(session, made)
@@ -155,6 +156,24 @@ def _planned(
     if html:
         plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
     return asdict(answer), sentences
+
+
+def _permit_room(setup: SiteFile) -> None:
+    """Permit the room file of a SITE.toml that the user named, with a note of what it could run."""
+    from fieldlum.scene.room_commands import described, what_runs
+    from fieldlum.session.permits import permit
+
+    if setup.room is None or setup.room.kind == "box":
+        return
+    path = Path(setup.room.file)
+    wanted = what_runs(path)
+    if wanted is None:
+        return
+    terminal.say(f"note: {path} is {described(path)}; permitted, as you plan with it")
+    try:
+        permit(wanted)
+    except OSError as error:
+        terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
 
 
 def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:

@@ -17,6 +17,7 @@ from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene.geometry import BoxScene, transmissivity
+from fieldlum.scene.room_commands import require_permitted
 from fieldlum.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
 from fieldlum.scene.view import LEAST_RAYS, WINDOW_RAYS, patch_rays, pixel_rays
 
@@ -201,7 +202,10 @@ def _require_octree(path: Path) -> None:
 
 @contextmanager
 def _room_octree(room: Room) -> Iterator[Path]:
-    """Yield the room's file as an octree. Raises InputError if it is missing or invalid."""
+    """Yield the room's file as an octree.
+
+    Raises InputError if it is missing or invalid, or could run something without a permission.
+    """
     import pyradiance
 
     path = Path(room.file)
@@ -214,7 +218,9 @@ def _room_octree(room: Room) -> Iterator[Path]:
         )
     if path.suffix.lower() == ".oct":
         _require_octree(path)
-        yield path
+    require_permitted(path)
+    if path.suffix.lower() == ".oct":
+        yield path.resolve()  # oconv would run a relative name that begins with an exclamation mark
         return
     with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
         out = Path(folder) / "room.oct"

@@ -1,0 +1,36 @@
+"""`fieldlum permit`: permit a room file that runs commands, or a link in a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command("permit")
+@click.argument("paths", metavar="PATH...", type=EXISTING_PATH, nargs=-1, required=True)
+def command(paths: tuple[Path, ...]) -> None:
+    """Permit a room file that runs commands, or a link in a session.
+
+    A Radiance room file (kind = "radiance") can run any command, and a link can lead out of the
+    session. fieldlum uses neither before you permit it. The permission holds on this computer until
+    the file, a file that it names, or the link's target changes. Read a room file first.
+
+    \b
+    Example:
+      fieldlum permit office.rad
+    """
+    from fieldlum.scene.room_commands import commands, what_runs
+    from fieldlum.session.permits import permit
+
+    for path in paths:
+        wanted = what_runs(path)
+        if wanted is None:
+            click.echo(f"{path}: needs no permission: it runs nothing")
+            continue
+        permit(wanted)
+        for line in commands(path):
+            click.echo(f"{path}: runs: {ascii(line)[1:-1]}")
+        click.echo(f"{path}: permitted on this computer until it changes")

@@ -1,0 +1,84 @@
+"""Tell apart device addresses that only name a device from those that name more.
+
+An address in session.toml may come from another person. One that names a program, a file, a folder
+or another computer is used only after the user of this computer named it on the command line.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+from fieldlum.devices.uri import DeviceUri, parse_uri
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.session import sha256
+from fieldlum.session.permits import Subject, is_permitted, subject
+
+# Options whose values are numbers or single letters in every driver. All others may name a file.
+_HARMLESS = re.compile(
+    "seed|noise|clock_offset|overhead|f_number|delete|unit|dhi_unit|dni_unit|baud|parity|stop|"
+    "timeout|silence"
+)
+_NAMES = ("kind", "profile")  # of a shipped file, unless the value is a path
+_PLAIN = re.compile(r"(?!.*\.toml$)[\w.-]+", re.ASCII)
+_PORT = re.compile(r"/dev/(?!.*\.\.)[\w./:+-]+|usb=[\w:.-]*|COM\d+", re.ASCII)
+_SERIAL = ("serial", "modbus", "cl200a")
+_NO_PLACE = ("sim", "gphoto", "rpicam")  # their place is a word or a number
+
+
+def names_more(text: str) -> Subject | None:
+    """Return what needs a permission in an address; None if it names only a device.
+
+    The subject changes with the content of a named file and with the place of a named folder.
+    Raises DeviceError for a text that is no address.
+    """
+    uri = parse_uri(text)
+    named = [value for name, value in uri.options.items() if not _is_harmless(name, value)]
+    if not _is_device(uri):
+        named.append(uri.place)
+    if not named:
+        return None
+    return subject("device", text, text, *(_state(value) for value in named))
+
+
+def _is_harmless(name: str, value: str) -> bool:
+    is_shipped = name in _NAMES and _PLAIN.fullmatch(value) is not None
+    return is_shipped or _HARMLESS.fullmatch(name) is not None
+
+
+def _is_device(uri: DeviceUri) -> bool:
+    if uri.scheme in _SERIAL:
+        return _PORT.fullmatch(uri.place) is not None
+    return uri.scheme in _NO_PLACE or (uri.scheme == "theta" and not uri.place)
+
+
+def _state(value: str) -> str:
+    """Return a named path without links and, for a file, the digest of its content."""
+    path = Path(shutil.which(value) or value)
+    try:
+        return f"{path.resolve()} {sha256(path) if path.is_file() else ''}"
+    except (OSError, ValueError):
+        return value
+
+
+def require_permitted(text: str, source: Path, option: str) -> None:
+    """Raise InputError for an address of a session that names more than a device.
+
+    source: the session.toml; option: such as --camera. It is accepted if the user of this computer
+    named the address before.
+    """
+    try:
+        wanted = names_more(text)
+    except DeviceError:
+        return  # opening the device reports it
+    if wanted is None or is_permitted(wanted):
+        return
+    raise InputError(
+        source,
+        f"{option.removeprefix('--')} = {text}, which names a program, file or computer",
+        "an address that was named on the command line of this computer",
+        "if you trust it, permit it with: fieldlum doctor "
+        f"{shlex.quote(str(source.parent))} {option} {shlex.quote(text)}",
+    )

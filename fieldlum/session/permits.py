@@ -1,0 +1,134 @@
+"""Record outside every session what the user of this computer permitted.
+
+A session is data that anybody may have written. It may name a program, a file, another computer or
+a link only if the user of this computer named it once on the command line.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import os
+import platform
+import secrets
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fieldlum.session.writing import replacing
+
+FORMAT = 1  # of the file; docs/file-formats.md
+_KEY_BYTES = 32  # as many as SHA-256 has (RFC 2104)
+_MACHINE_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id")  # machine-id(5)
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Something that needs a permission.
+
+    kind: device, room or link; name: for people; digest: of everything that decides what happens,
+    so that another content asks again.
+    """
+
+    kind: str
+    name: str
+    digest: str
+
+
+def subject(kind: str, name: str, *parts: str | bytes) -> Subject:
+    """Return a subject whose digest covers its kind and `parts`."""
+    total = hashlib.sha256(kind.encode())
+    for part in parts:
+        data = part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part
+        total.update(hashlib.sha256(data).digest())
+    return Subject(kind, name, total.hexdigest())
+
+
+def config_folder() -> Path:
+    """Return the user's folder of settings: XDG_CONFIG_HOME or ~/.config, on Windows APPDATA.
+
+    Raises OSError for a user without a home folder.
+    """
+    name = "APPDATA" if sys.platform == "win32" else "XDG_CONFIG_HOME"
+    stated = Path(os.environ.get(name, ""))
+    try:
+        # The XDG specification ignores relative paths; one could lead into a session.
+        return (stated if stated.is_absolute() else Path.home() / ".config") / "fieldlum"
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+
+
+@cache
+def computer() -> str:
+    """Return an identity of this computer, which does not reveal its machine-id."""
+    for name in _MACHINE_FILES:
+        with suppress(OSError):
+            identity = Path(name).read_text(encoding="ascii").strip()
+            if identity:
+                return hashlib.sha256(f"fieldlum {identity}".encode()).hexdigest()[:32]
+    return hashlib.sha256(f"fieldlum {platform.node()}".encode()).hexdigest()[:32]
+
+
+def is_permitted(wanted: Subject) -> bool:
+    """Return whether the user permitted a subject on this computer."""
+    return wanted.digest in _read().get(computer(), {})
+
+
+def permit(*wanted: Subject) -> None:
+    """Record that the user permits some subjects on this computer. Raises OSError."""
+    permitted = _read()
+    mine = permitted.setdefault(computer(), {})
+    new = {w.digest: f"{w.kind} {w.name}" for w in wanted if w.digest not in mine}
+    if not new:
+        return
+    mine |= new
+    path = _record()
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with replacing(path, "w", encoding="utf-8", errors="backslashreplace") as file:
+        json.dump({"format": FORMAT, "permitted": permitted}, file, indent=1)
+
+
+def _record() -> Path:
+    return config_folder() / "permitted.json"
+
+
+def _read() -> dict[str, dict[str, str]]:
+    """Return the names of permitted subjects by digest, by computer; empty if unreadable."""
+    try:
+        table: Any = json.loads(_record().read_text(encoding="utf-8"))
+        permitted = table["permitted"] if table["format"] == FORMAT else {}
+        return {str(key): dict(value) for key, value in permitted.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def seal(text: str) -> str:
+    """Return a code of `text` that only this user can compute, and only on this computer.
+
+    The key is outside every session. If it cannot be stored, it is that of this process.
+    """
+    return hmac.new(_key(), f"{computer()}\n{text}".encode(), "sha256").hexdigest()
+
+
+@cache
+def _key_of_process() -> bytes:
+    return secrets.token_bytes(_KEY_BYTES)
+
+
+def _key() -> bytes:
+    try:
+        path = config_folder() / "key"
+        with suppress(FileNotFoundError):
+            if len(key := path.read_bytes()) == _KEY_BYTES:
+                return key
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with replacing(path) as file:
+            Path(file.name).chmod(0o600)
+            file.write(_key_of_process())
+        return path.read_bytes()
+    except OSError:
+        return _key_of_process()

@@ -1,0 +1,265 @@
+"""A session that another person sends is data: nothing in it runs, nothing leaves its folder."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import SEATTLE
+from tiny_field import make_session
+
+from fieldlum.devices.stored import names_more, require_permitted
+from fieldlum.errors import InputError
+from fieldlum.records import CameraSetup, Room, SiteFile
+from fieldlum.session import Session, update_session
+from fieldlum.session.permits import computer, config_folder, is_permitted, permit, seal, subject
+
+pytestmark = [
+    pytest.mark.contract,
+    pytest.mark.skipif(sys.platform == "win32", reason="scripts and links of POSIX"),
+]
+INERT = "void plastic grey\n0\n0\n5 .5 .5 .5 0 0\ngrey sphere ball\n0\n0\n4 0 0 0 1\n"
+
+
+@pytest.fixture(autouse=True)
+def _new_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begin each test on a computer whose user has permitted nothing."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+
+
+def fieldlum(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line as a user does."""
+    line = [sys.executable, "-c", "from fieldlum.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, timeout=120, check=False)
+
+
+def program(path: Path, proof: Path) -> Path:
+    path.write_text(f"#!/bin/sh\ntouch {proof}\n", encoding="utf-8")
+    path.chmod(0o755)
+    return path
+
+
+def with_camera(session: Session, address: str) -> None:
+    update_session(session, {"devices": {"uris": {"camera": address}}})
+
+
+# ----------------------------------------------------------------------------------------------
+# programs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["doctor", "capture"])
+def test_a_program_in_a_stored_address_does_not_run(tmp_path: Path, command: str) -> None:
+    session = make_session(tmp_path / "s")
+    proof = tmp_path / "ran"
+    address = f"rpicam:0?program={program(session.root / 'camera', proof)}"
+    with_camera(session, address)
+    result = fieldlum(command, session.root)
+    assert result.returncode == InputError.exit_code
+    assert not proof.exists()
+    assert result.stderr.count("\n") == 1 and "permit it with: fieldlum doctor" in result.stderr
+
+
+@pytest.mark.slow
+def test_an_address_that_the_user_named_works_until_the_program_changes(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    proof = tmp_path / "ran"
+    script = program(tmp_path / "camera", proof)
+    address = f"rpicam:0?program={script}"
+    fieldlum("doctor", session.root, "--camera", address)
+    assert proof.exists()
+    proof.unlink()
+    with_camera(session, address)
+    fieldlum("doctor", session.root)
+    assert proof.exists()
+    proof.unlink()
+    script.write_text(f"#!/bin/sh\ntouch {proof} # edited\n", encoding="utf-8")
+    assert fieldlum("doctor", session.root).returncode == InputError.exit_code
+    assert not proof.exists()
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "sim:office?seed=1&noise=2",
+        "gphoto:Nikon?delete=1",
+        "rpicam:0?f_number=2.0",
+        "theta:",
+        "serial:/dev/serial/by-id/usb-1?kind=spn1&baud=9600",
+        "serial:usb=0403:6001?kind=ascii&profile=arduino-json",
+        "modbus:/dev/ttyUSB0?kind=smp&unit=1",
+        "cl200a:COM3?parity=E",
+    ],
+)
+def test_an_address_of_a_device_needs_no_permission(address: str) -> None:
+    assert names_more(address) is None
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "rpicam:0?program=reboot",
+        "replay:/home/me/pictures",
+        "sim:office?profile=/home/me/camera.toml",
+        "sim:office?profile=camera.toml",
+        "theta:http://10.0.0.1",
+        "serial:/home/me/file?kind=spn1",
+        "serial:/dev/../home/me/file?kind=spn1",
+        "serial:/dev/ttyUSB0?kind=ascii&profile=../p.toml",
+        "modbus:/dev/ttyUSB0?kind=/tmp/smp.toml",
+        "gphoto:?newer=1",
+        "future:x",
+    ],
+)
+def test_an_address_of_more_than_a_device_needs_a_permission(tmp_path: Path, address: str) -> None:
+    with pytest.raises(InputError, match=r"permit it with: fieldlum doctor .* --camera"):
+        require_permitted(address, tmp_path / "session.toml", "--camera")
+    wanted = names_more(address)
+    assert wanted is not None
+    permit(wanted)
+    require_permitted(address, tmp_path / "session.toml", "--camera")
+
+
+# ----------------------------------------------------------------------------------------------
+# rooms
+
+
+def room_of(path: Path) -> Room:
+    return Room(kind="radiance", file=str(path), viewpoint_m=(0.0, 0.0, 3.0))
+
+
+def traced(path: Path) -> np.ndarray:
+    from fieldlum import scene
+
+    return scene.window_fraction(room_of(path), None, 8, 180.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "!touch {proof}\n",
+        "{inert}  !touch {proof}\n",
+        "{inert}!\\\ntouch {proof}\n",
+        "#\rcomment\n!touch {proof}\n",
+        "void mixfunc a\n3\n# x !b\n!touch {proof}\n",
+        "!cat {nested}\n",
+        "!xform -t 1 0 0 {nested}\n",
+    ],
+)
+def test_commands_of_a_room_do_not_run(tmp_path: Path, text: str) -> None:
+    proof, nested, room = (tmp_path / name for name in ("ran", "nested.rad", "room.rad"))
+    nested.write_text(f"!touch {proof}\n")
+    room.write_text(text.format(proof=proof, nested=nested, inert=INERT))
+    with pytest.raises(InputError, match=r"permit it with: fieldlum permit .*room\.rad"):
+        traced(room)
+    assert not proof.exists()
+
+
+def test_an_octree_and_a_scene_that_loads_one_need_a_permission(tmp_path: Path) -> None:
+    """An octree that is not frozen names its scenes, and one of them can be a command."""
+    import pyradiance
+
+    proof = tmp_path / "ran"
+    (tmp_path / "a.rad").write_text(INERT)
+    octree = tmp_path / "a.oct"
+    octree.write_bytes(pyradiance.oconv(tmp_path / "a.rad", warning=False))
+    evil = octree.read_bytes().replace(str(tmp_path / "a.rad").encode(), f"!touch {proof}".encode())
+    octree.write_bytes(evil)
+    instance = tmp_path / "b.rad"
+    instance.write_text(f"void instance a\n1 {octree}\n0\n0\n")
+    for room in (octree, instance):
+        with pytest.raises(InputError, match="fieldlum permit"):
+            traced(room)
+    assert not proof.exists()
+
+
+def test_a_room_without_commands_needs_no_permission(tmp_path: Path) -> None:
+    (tmp_path / "room.rad").write_text(INERT)
+    assert traced(tmp_path / "room.rad").shape == (8, 16)
+
+
+def test_a_permitted_room_asks_again_after_an_edit_of_a_nested_file(tmp_path: Path) -> None:
+    from fieldlum.scene.room_commands import what_runs
+
+    nested, room = tmp_path / "nested.rad", tmp_path / "room.rad"
+    nested.write_text(INERT)
+    room.write_text(f"!cat {nested}\n")
+    wanted = what_runs(room)
+    assert wanted is not None
+    permit(wanted)
+    traced(room)
+    nested.write_text(f"{INERT}\n!touch {tmp_path / 'ran'}\n")
+    with pytest.raises(InputError, match="fieldlum permit"):
+        traced(room)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.slow
+def test_the_command_permit_shows_what_a_room_runs(tmp_path: Path) -> None:
+    room = tmp_path / "room.rad"
+    room.write_text(f"{INERT}!touch {tmp_path / 'ran'}\n")
+    result = fieldlum("permit", room)
+    assert result.returncode == 0 and f"runs: touch {tmp_path / 'ran'}" in result.stdout
+    assert not (tmp_path / "ran").exists()
+    traced(room)
+    assert (tmp_path / "ran").exists()
+
+
+@pytest.mark.slow
+def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
+    tmp_path: Path,
+) -> None:
+    from fieldlum.site_toml import site_table
+
+    room = tmp_path / "room.rad"
+    (tmp_path / "ball.rad").write_text(INERT)
+    room.write_text(f"!cat {tmp_path / 'ball.rad'}\n")
+    site = tmp_path / "site.toml"
+    import tomli_w
+
+    setup = SiteFile(SEATTLE, CameraSetup(), room_of(room))
+    site.write_text(tomli_w.dumps(site_table(setup)), encoding="utf-8")
+    result = fieldlum("plan", site, "--set", "4-day", "--out", tmp_path / "s")
+    assert result.returncode == 0, result.stderr
+    assert "permitted, as you plan with it" in result.stderr
+    traced(room)
+    assert replace(setup).room == Session(tmp_path / "s").site_file().room
+
+
+# ----------------------------------------------------------------------------------------------
+# the record
+
+
+def test_a_permission_holds_for_one_computer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = subject("device", "x", "x")
+    permit(wanted)
+    assert is_permitted(wanted) and config_folder().is_relative_to(tmp_path)
+    sealed = seal("text")
+    assert seal("text") == sealed != seal("other text")
+    monkeypatch.setattr("fieldlum.session.permits.computer", lambda: f"not {computer()}")
+    assert not is_permitted(wanted) and seal("text") != sealed
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": 1, "permitted": 7}', "\0"])
+def test_a_damaged_record_permits_nothing(content: str) -> None:
+    wanted = subject("device", "x", "x")
+    permit(wanted)
+    (config_folder() / "permitted.json").write_text(content)
+    assert not is_permitted(wanted)
+    permit(wanted)
+    assert is_permitted(wanted)
+
+
+def test_a_record_that_cannot_be_written_does_not_end_a_command(tmp_path: Path) -> None:
+    from fieldlum.cli.options import device_uris
+
+    (tmp_path / "settings").write_text("a file in place of the folder")
+    session = make_session(tmp_path / "s")
+    assert device_uris(session, "replay:pictures", "", "") == ("replay:pictures", "", "")
+    assert len(seal("text")) == 64 and seal("text") == seal("text")
