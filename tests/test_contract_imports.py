@@ -21,6 +21,7 @@ RANKS = (
         "projection",
         "rowwise",
         "statistics",
+        "strict_csv",
         "strict_toml",
         "sun",
         "sun_disc",

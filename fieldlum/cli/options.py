@@ -137,6 +137,14 @@ json_lines_option = click.option(
 force_option = click.option(
     "--force", is_flag=True, help="Compute again, even if the inputs have not changed."
 )
+label_shift_option = click.option(
+    "--label-shift",
+    "label_shift_min",
+    type=click.FloatRange(-720, 720),
+    default=0.0,
+    metavar="MIN",
+    help="Minutes to add to the times of the weather file, if they are known to be wrong.",
+)
 site_option = click.option(
     "--site",
     type=PATH,

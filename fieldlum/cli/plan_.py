@@ -10,11 +10,21 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import CAPTURE_SET, EXISTING_PATH, PATH, json_option, out_option
+from fieldlum.cli.options import (
+    CAPTURE_SET,
+    EXISTING_PATH,
+    PATH,
+    json_option,
+    label_shift_option,
+    out_option,
+)
 
 if TYPE_CHECKING:
     from fieldlum.records import Site, SiteFile
     from fieldlum.weather import Weather
+
+WeatherFile = tuple[Path | None, float]
+"""A weather file, and the minutes to add to its times."""
 
 
 @click.command("plan")
@@ -41,6 +51,7 @@ if TYPE_CHECKING:
     type=PATH,
     help="Weather year (EPW, TMY3 or CSV), for skies and coverage.",
 )
+@label_shift_option
 @out_option("The session folder")
 @click.option("--ics", is_flag=True, help="Also write plan.ics, one event per day.")
 @click.option("--html", is_flag=True, help="Also write plan.html, one printable sheet per day.")
@@ -60,6 +71,7 @@ def command(
     days: int | None,
     count: int | None,
     weather_file: Path | None,
+    label_shift_min: float,
     out: Path | None,
     ics: bool,
     html: bool,
@@ -88,10 +100,13 @@ def command(
         raise click.UsageError(
             "--next and --replan keep the session's dates: omit --start, --year, --days and --count"
         )
+    if label_shift_min and weather_file is None:
+        raise click.UsageError("--label-shift is for a weather file: name one with --weather")
+    sky = (weather_file, label_shift_min)
     if next_:
-        answer, sentences = _coming(target, weather_file)
+        answer, sentences = _coming(target, sky)
     elif replan:
-        answer, sentences = _replanned(target, ics, html, weather_file)
+        answer, sentences = _replanned(target, ics, html, sky)
     elif set_ is None or out is None:
         raise click.UsageError(
             "name --set and --out, for example: fieldlum plan SITE.toml --set 9-day --out "
@@ -100,7 +115,7 @@ def command(
     else:
         _check(set_, start, year, days, count, weather_file)
         asked = (set_, start.date() if start else None, year, days, count)
-        answer, sentences = _planned(target, asked, weather_file, out, ics, html)
+        answer, sentences = _planned(target, asked, sky, out, ics, html)
     if as_json:
         terminal.emit_json(answer)
     else:
@@ -133,7 +148,7 @@ def _check(
 
 
 def _planned(
-    target: Path, asked: tuple, weather_file: Path | None, out: Path, ics: bool, html: bool
+    target: Path, asked: tuple, sky: WeatherFile, out: Path, ics: bool, html: bool
 ) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.site_toml import load_site
@@ -143,7 +158,7 @@ def _planned(
     request = plan.Request(
         set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count
     )
-    weather = _weather(weather_file, setup.site)
+    weather = _weather(sky, setup.site)
     _permit_room(setup)
     with terminal.progress("choosing hours") as progress:
         session, made = plan.run(setup, request, out, weather, progress)
@@ -176,12 +191,12 @@ def _permit_room(setup: SiteFile) -> None:
         terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
 
 
-def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
+def _coming(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
     from fieldlum.plan import coming
     from fieldlum.session import open_session
 
     session = open_session(target)
-    weather = _weather(weather_file, session.site_file().site)
+    weather = _weather(sky, session.site_file().site)
     if weather is None:
         from fieldlum.weather import synthetic_weather
 
@@ -194,9 +209,7 @@ def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
     return coming.as_table(answer), coming.sentences(answer, session.site_file().site)
 
 
-def _replanned(
-    target: Path, ics: bool, html: bool, weather_file: Path | None
-) -> tuple[dict, list[str]]:
+def _replanned(target: Path, ics: bool, html: bool, sky: WeatherFile) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.plan import makeup
     from fieldlum.session import open_session
@@ -206,13 +219,14 @@ def _replanned(
     if ics or (session.root / "plan.ics").exists():
         plan.write_calendar(session, datetime.now(UTC))
     if html or (session.root / "plan.html").exists():
-        plan.write_sheets(session, _weather(weather_file, session.site_file().site))
+        plan.write_sheets(session, _weather(sky, session.site_file().site))
     return asdict(answer), makeup.sentences(answer)
 
 
-def _weather(path: Path | None, site: Site) -> Weather | None:
+def _weather(sky: WeatherFile, site: Site) -> Weather | None:
+    path, label_shift_min = sky
     if path is None:
         return None
     from fieldlum.weather import read_weather
 
-    return read_weather(path, site)
+    return read_weather(path, site, label_shift_min=label_shift_min)

@@ -11,6 +11,7 @@ from fieldlum.cli.options import (
     PATH,
     force_option,
     json_option,
+    label_shift_option,
     out_option,
     scheduler_of,
     scheduler_option,
@@ -25,17 +26,10 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
     "weather_path",
     required=True,
     type=PATH,
-    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic, for "
+    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere or CSV; or the word synthetic, for "
     "an invented year that must not be used to judge a place.",
 )
-@click.option(
-    "--label-shift",
-    "label_shift_min",
-    type=click.FloatRange(-720, 720),
-    default=0.0,
-    metavar="MIN",
-    help="Minutes to add to the times of the weather file, if they are known to be wrong.",
-)
+@label_shift_option
 @out_option("Folder of the year", default="SESSION/annual/NAME")
 @click.option(
     "--maps",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,7 +17,8 @@ from fieldlum.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.profiles import shipped
 from fieldlum.projection import direction
 from fieldlum.records import Site
-from fieldlum.weather.formats import WeatherRow, WeatherTable, read_lines, read_table
+from fieldlum.strict_csv import lines_of, read_text
+from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
 from fieldlum.weather.label_shift import label_notes
 from fieldlum.weather.plausibility import check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
@@ -33,11 +33,6 @@ NEAR_KM = 30.0
 FAR_KM = 300.0
 # A longer gap is a mistyped year. Chosen longer than two missing years; not measured.
 LONGEST_GAP = timedelta(days=800)
-# Light below this altitude counts as light at night. Chosen so that the mean of an hour may include
-# light from half an hour before sunrise; not measured.
-_NIGHT_BELOW_DEG = -8.0
-# Share of the year's light that may be at night; a shift of one hour gives more. Not measured.
-_MOST_LIGHT_AT_NIGHT = 0.01
 _EARTH_RADIUS_KM = 6371.0  # mean radius (IUGG)
 _HOUR = timedelta(hours=1)
 
@@ -47,7 +42,7 @@ _HOUR = timedelta(hours=1)
 
 
 def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
-    """Read an EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV file as hours at `site`.
+    """Read an EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere or CSV file as hours at `site`.
 
     label_shift_min : minutes added to the times that the file states, for labels that are known to
     be wrong; listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
@@ -56,38 +51,33 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     year, gaps up to three hours. Longer gaps are left out and listed.
 
     Raises InputError for a row that cannot be read or irradiance outside -10 to 1600 W/m2, with the
-    line, for rows that are not an hour apart, a station over 300 km away, light at night (a wrong
-    time zone), and what `check_sense` finds: wrong units, exchanged columns, labels that are not at
-    the middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
+    line, for rows that are not an hour apart, a station over 300 km away, and what `check_sense`
+    finds: light at night, wrong units, exchanged columns, labels that are not at the middle of
+    their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
     """
     path = Path(path)
     if str(path) == SYNTHETIC:
         return synthetic_weather(site)
-    expected, remedy = "an EPW, TMY3 or CSV weather file", "download the file again"
-    with input_errors(path, expected, remedy, csv.Error, OverflowError):
-        table = _shifted(read_table(path, read_lines(path), site), label_shift_min)
+    expected = "an EPW, TMY3 or CSV weather file"
+    lines = lines_of(read_text(path, expected))
+    if not any(line.strip() for line in lines):
+        raise InputError(path, "an empty file", expected, "download the file again")
+    table = read_table(path, lines, site)
     if not table.rows:
         raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
-    repairs = [*table.notes, *_check_place(path, table.place, site)]
-    rows = _in_order(path, table, site, repairs)
+    repairs = [*table.notes]
+    if label_shift_min:
+        repairs.append(f"times of all rows moved by {label_shift_min:+g} min")
+    repairs += _check_place(path, table.place, site)
+    shift = table.shift + timedelta(minutes=label_shift_min)
+    with input_errors(path, "times from year 1 to 9999", "correct the dates", OverflowError):
+        rows = _in_order(path, _in_utc(table, shift, site, repairs))
     columns = _values(rows, repairs)
     check_hourly(path, [row.when for row in rows])
     weather = _fill_gaps(table, site, rows, columns, repairs)
-    _check_night(path, weather)
     _check_sense(path, table, rows, columns, weather)
     repairs += label_notes(weather, table.place or site)
     return replace(weather, repairs=tuple(repairs))
-
-
-def _shifted(file: WeatherTable, minutes: float) -> WeatherTable:
-    """Return the file with the times of its rows moved, and with a note of the shift."""
-    if not minutes:
-        return file
-    shift = timedelta(minutes=minutes)
-    rows = [replace(row, when=row.when + shift) for row in file.rows]
-    return replace(
-        file, rows=rows, notes=(*file.notes, f"times of all rows moved by {minutes:+g} min")
-    )
 
 
 # The place of the shipped year: Liu, Colburn, Inanici 2020, section 2.
@@ -131,24 +121,33 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     return [f"the weather station {place.name} is {away:.0f} km from the site"]
 
 
-def _in_order(path: Path, table: WeatherTable, site: Site, repairs: list[str]) -> list[WeatherRow]:
-    """Return the rows sorted by time; those of a typical year dated in TYPICAL_YEAR.
+def _in_utc(
+    table: WeatherTable, shift: timedelta, site: Site, repairs: list[str]
+) -> list[WeatherRow]:
+    """Return the rows at the middle of their hours in UTC; a typical year in TYPICAL_YEAR.
 
-    Leaves out 29 February of a typical year (local standard time) and lists it in `repairs`. Raises
-    InputError for an hour that occurs twice and for a gap over 800 days.
+    Leaves out 29 February of a typical year on the file's own clock, and lists it in `repairs`: a
+    February of a leap year that ends with the 28th in UTC has no such day. Rows that pass the end
+    of the site's year continue at its beginning.
     """
-    rows = table.rows
-    if table.typical:
-        offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
-        local = [(row, row.when + offset) for row in rows]
-        leap = [row for row, t in local if (t.month, t.day) == (2, 29)]
-        if leap:
-            repairs.append(f"29 February left out ({len(leap)} hours): a typical year has 365 days")
-        rows = [
-            replace(row, when=t.replace(year=TYPICAL_YEAR) - offset)
-            for row, t in local
-            if (t.month, t.day) != (2, 29)
-        ]
+    if not table.typical:
+        return [replace(row, when=row.when - table.clock + shift) for row in table.rows]
+    offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
+    rows = [row for row in table.rows if (row.when.month, row.when.day) != (2, 29)]
+    if left_out := len(table.rows) - len(rows):
+        repairs.append(f"29 February left out ({left_out} hours): a typical year has 365 days")
+    local = [row.when.replace(year=TYPICAL_YEAR) - table.clock + shift + offset for row in rows]
+    return [
+        replace(row, when=when.replace(year=TYPICAL_YEAR) - offset)
+        for row, when in zip(rows, local, strict=True)
+    ]
+
+
+def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
+    """Return the rows sorted by time.
+
+    Raises InputError for an hour that occurs twice and for a gap over 800 days.
+    """
     rows = sorted(rows, key=lambda row: row.when)
     for a, b in pairwise(rows):
         if a.when == b.when:
@@ -233,28 +232,6 @@ def _gaps(times: list[datetime], typical: bool) -> Iterator[list[datetime]]:
 def _some(times: list[datetime]) -> str:
     shown = ", ".join(f"{t:%m-%d %H:%M}" for t in times[:3])
     return f"{shown} ... {times[-1]:%m-%d %H:%M} UTC" if len(times) > 3 else f"{shown} UTC"
-
-
-def _check_night(path: Path, weather: Weather) -> None:
-    """Raise InputError for light while the sun is far below the horizon.
-
-    Light at night shows a wrong time zone or hemisphere.
-    """
-    altitude = sun.position(weather.t_utc, weather.site).altitude_deg
-    light = weather.dni_wm2 + weather.dhi_wm2
-    total = float(light.sum())
-    at_night = float(light[altitude < _NIGHT_BELOW_DEG].sum())
-    if total > 0 and at_night > _MOST_LIGHT_AT_NIGHT * total:
-        raise InputError(
-            path,
-            f"{100 * at_night / total:.0f} % of the file's irradiance is at times when the sun is "
-            "down "
-            f"at {weather.site.name}",
-            "irradiance only while the sun is up",
-            "check the file's time zone, the sign of the site's longitude, and whether a row's "
-            "time "
-            "is the middle of its hour",
-        )
 
 
 def _check_sense(

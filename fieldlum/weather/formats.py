@@ -1,20 +1,35 @@
-"""Readers of weather files: one strict reader for each format."""
+"""Readers of weather files: a table of formats that all read their rows in the same strict way.
+
+Each format states times in its own way: its documentation defines which span or moment a row is of.
+Where it leaves a choice, the choice that agrees best with sunrise and sunset is taken and listed.
+"""
 
 from __future__ import annotations
 
-import csv
+import json
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fieldlum import sun
 from fieldlum.errors import InputError
-from fieldlum.records import Site, parse_utc
-from fieldlum.weather.providers import ProviderYear, best_shift, epw_time_offset, read_provider
+from fieldlum.records import Site
+from fieldlum.strict_csv import (
+    check_names,
+    is_wm2,
+    numbered,
+    read_time,
+    split_header,
+    split_heading,
+    split_rows,
+)
+from fieldlum.weather.plausibility import hours_against
 from fieldlum.weather.year import TYPICAL_YEAR
 
 # A cell outside of these two limits is an error. Chosen so that every hourly mean of a real sky is
@@ -22,21 +37,41 @@ from fieldlum.weather.year import TYPICAL_YEAR
 # thermopile is a few W/m2 below zero. Not measured.
 HIGHEST_WM2 = 1600.0
 LOWEST_WM2 = -10.0
+# Codes of a missing value: EPW 9999, TMY3 -9900, SolarAnywhere -999 (their documentation).
+_MISSING = (9999.0, 99999.0, 999999.0, -9900.0, -9999.0, -999.0)
 # Degrees of longitude over 15 minus the zone's hours; western China (3.3 h) is the extreme of the
 # time zones in use, so that a larger difference is a wrong sign or zone. Chosen just above.
 _LARGEST_ZONE_OFFSET_H = 3.5
+_HALF = timedelta(minutes=30)  # of an hour, by definition
+# A span of +-10 min separates labels that are half an hour apart, which a span of an hour does not.
+# Chosen.
+_NARROW = timedelta(minutes=10)
+_EVERY_DAY = 5  # every fifth day decides: 73 sunrises and sunsets, at a fifth of the time; chosen
+_HOURS_OF_LEAP_YEAR = 8784
+# Below this altitude the direct irradiance of a horizontal plane does not determine the normal one.
+# The limit of pvlib.irradiance.dni.
+_LOW_SUN_DEG = 2.0
+_OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IGNORECASE)
+# The letters of column headings without their unit, by quantity: TMY3, SAM, NSRDB, PVGIS,
+# SolarAnywhere.
+_HEADINGS = {
+    "dni": {"dni", "beam", "dn", "gbn", "directnormal", "directnormalirradiancedni"},
+    "dhi": {"dhi", "diffuse", "df", "gdh", "diffusehorizontal", "diffusehorizontalirradiancedif"},
+    "ghi": {"ghi", "global", "gh", "globalhorizontal", "globalhorizontalirradianceghi"},
+}
+_IN_PLANE = {"dni": {"gbi"}, "dhi": {"gdi"}, "ghi": set[str]()}
 
 
 @dataclass(frozen=True, slots=True)
 class WeatherRow:
     """One hour of a file; irradiances in W/m2, NaN where missing.
 
-    line: number in the file, from 1, or of the row if pvlib read it; when: middle of the hour in
-    UTC, with the year of the file.
+    line: number in the file, from 1; when: a time within the hour that the file states, on the
+    file's own clock and written as if it were UTC; in `files`, the middle of the hour in UTC.
     """
 
     line: int
-    when: datetime  # middle of the hour, UTC; with the year of the file
+    when: datetime
     dni: float
     dhi: float
     ghi: float
@@ -46,6 +81,7 @@ class WeatherRow:
 class WeatherTable:
     """The content of a file: rows, whether they are a typical year, and its name.
 
+    clock: the file's clock minus UTC; shift: from the time of a row to the middle of its hour;
     place: that of the header, None without one; notes: choices of the reader, one sentence each.
     """
 
@@ -53,44 +89,9 @@ class WeatherTable:
     typical: bool
     name: str
     place: Site | None = None
+    clock: timedelta = timedelta()
+    shift: timedelta = timedelta()
     notes: tuple[str, ...] = ()
-
-
-def _of_provider(path: Path, year: ProviderYear) -> WeatherTable:
-    """Return the rows of a file that pvlib read.
-
-    Raises InputError for irradiance outside -10 to 1600 W/m2.
-    """
-    rows = []
-    columns = zip(year.t_utc, year.dni_wm2, year.dhi_wm2, year.ghi_wm2, strict=True)
-    for number, (when, dni, dhi, ghi) in enumerate(columns, start=1):
-        values = [
-            _number(path, number, name, repr(float(value)))
-            for name, value in (("DNI", dni), ("DHI", dhi), ("GHI", ghi))
-        ]
-        rows.append(WeatherRow(number, when, *values))
-    return WeatherTable(
-        rows, year.typical, f"{path.name} ({year.place.name})", year.place, year.notes
-    )
-
-
-def _pvgis_epw(file: WeatherTable, place: Site, offset: timedelta, zone: timedelta) -> WeatherTable:
-    """Return the rows of a PVGIS EPW, dated by the offset that its comments state.
-
-    Values are of one moment: the label (hours 1 to 24) plus the stated offset. Some versions of
-    PVGIS write the rows in UTC although the header states a zone; the choice that agrees better
-    with sunrise and sunset is taken.
-    """
-    # `_read_epw` gives the middle of the hour that ends at the label: add half an hour.
-    times = tuple(row.when + timedelta(minutes=30) + offset for row in file.rows)
-    dni, dhi, ghi = np.array([(row.dni, row.dhi, row.ghi) for row in file.rows]).T
-    year = ProviderYear(place, times, dni, dhi, ghi, typical=True)
-    minutes = offset.total_seconds() / 60
-    stated = f"rows moved by {minutes:+.0f} min, the irradiance time offset that PVGIS states"
-    if zone:
-        year = best_shift(year, {"header's zone": timedelta(0), "UTC": zone}, "row times taken in")
-    rows = [replace(row, when=when) for row, when in zip(file.rows, year.t_utc, strict=True)]
-    return replace(file, rows=rows, notes=(stated, *year.notes))
 
 
 def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -99,37 +100,26 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     lines: of the file; site: for formats that state no place or zone. Raises InputError for a
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
-    if (year := read_provider(path, lines)) is not None:
-        return _of_provider(path, year)
-    if path.suffix.lower() == ".epw" or lines[0].upper().startswith("LOCATION,"):
+    first, second = lines[0].lstrip(), lines[1] if len(lines) > 1 else ""
+    if path.suffix.lower() == ".tm2":
+        return _read_tmy2(path, lines)
+    if path.suffix.lower() == ".epw" or first.upper().startswith("LOCATION,"):
         return _read_epw(path, lines)
-    if len(lines) > 1 and lines[1].startswith("Date (MM/DD/YYYY)"):
+    if first.startswith("Latitude (decimal degrees)"):
+        return _read_pvgis_csv(path, lines)
+    if first.startswith("{"):
+        return _read_pvgis_json(path, lines)
+    if first.startswith("Source,"):
+        return _read_sam(path, lines)
+    if "ObservationTime(LST)" in second:
+        return _read_solaranywhere(path, lines)
+    if second.lstrip('"').startswith("Date (MM/DD/YYYY)"):
         return _read_tmy3(path, lines)
     return _read_csv(path, lines, site)
 
 
-def read_lines(path: Path) -> list[str]:
-    """Return the lines of a file in UTF-8 or Latin-1.
-
-    Raises InputError for an empty, binary or unreadable file.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig", errors="strict")
-    except UnicodeDecodeError:
-        text = path.read_text(encoding="latin-1")
-    except OSError as error:
-        raise InputError(
-            path, error.strerror or str(error), "a readable weather file", "check the path"
-        ) from None
-    lines = text.splitlines()
-    if not lines or "\0" in text:
-        raise InputError(
-            path,
-            "an empty or binary file",
-            "an EPW, TMY3 or CSV weather file",
-            "download the file again",
-        )
-    return lines
+# ----------------------------------------------------------------------------------------------
+# cells, columns and headers
 
 
 def _bad_row(path: Path, found: str, expected: str) -> InputError:
@@ -137,18 +127,18 @@ def _bad_row(path: Path, found: str, expected: str) -> InputError:
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
-    """Return an irradiance; NaN for an empty cell, nan, and the codes 9999 (EPW), -9900 (TMY3).
+    """Return an irradiance; NaN for an empty cell, nan, and the codes of missing values.
 
     Raises InputError for a cell that is no number or outside -10 to 1600 W/m2.
     """
-    text = text.strip()
     if text.lower() in ("", "nan", "na"):
         return math.nan
     try:
         value = float(text)
     except ValueError:
-        raise _bad_row(path, f"line {line}: {name} is '{text}'", "a number in W/m2") from None
-    if value in (9999.0, 99999.0, 999999.0, -9900.0, -9999.0):
+        commas = "a number with a decimal point, in W/m2"
+        raise _bad_row(path, f"line {line}: {name} is '{text}'", commas) from None
+    if value in _MISSING:
         return math.nan
     if not LOWEST_WM2 <= value <= HIGHEST_WM2:
         raise InputError(
@@ -160,47 +150,159 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     return value
 
 
-def _header_place(
-    path: Path, line: str, columns: tuple[int, int, int, int], expected: str
-) -> tuple[Site, timedelta]:
-    """Return the place and the zone of a header line; the name is in its second cell.
+def _columns(
+    path: Path, names: Sequence[str], headings: Mapping[str, set[str]] = _HEADINGS
+) -> dict[str, int]:
+    """Return the column of each quantity: dni, dhi, and ghi if the file has it.
 
-    columns : of latitude, longitude, altitude and zone. Raises InputError for another line.
+    Raises InputError if one is missing, or if several columns have the same quantity.
     """
-    cells = line.split(",")
+    columns: dict[str, int] = {}
+    for quantity, keys in headings.items():
+        at = [
+            k
+            for k, name in enumerate(names)
+            if re.sub("[^a-z]", "", split_heading(name)[0].lower()) in keys
+        ]
+        if len(at) > 1:
+            raise InputError(
+                path,
+                f"several columns of {quantity.upper()}: {', '.join(names[k] for k in at)}",
+                "one column",
+                "rename or remove the others",
+            )
+        if at:
+            columns[quantity] = at[0]
+        elif quantity != "ghi":
+            raise InputError(
+                path,
+                f"no column of {quantity.upper()} in W/m2 among {', '.join(names)[:120]}",
+                "columns of direct normal (DNI) and diffuse horizontal (DHI) irradiance in W/m2",
+                "download the file again with these columns",
+            )
+    return columns
+
+
+def _rows(
+    path: Path,
+    cells_of_lines: Iterable[tuple[int, Sequence[str]]],
+    columns: Mapping[str, int],
+    when: Callable[[int, Sequence[str]], datetime],
+    names: Sequence[str] = (),
+) -> list[WeatherRow]:
+    """Return the rows of a file; when: the time that the cells of a line state."""
+    rows = []
+    headings = {q: names[at] if names else q.upper() for q, at in columns.items()}
+    for line, cells in cells_of_lines:
+        dni, dhi, ghi = (
+            _number(path, line, headings[q], cells[columns[q]]) if q in columns else math.nan
+            for q in _HEADINGS
+        )
+        rows.append(WeatherRow(line, when(line, cells), dni, dhi, ghi))
+    return rows
+
+
+def _below(
+    path: Path, lines: list[str], header: int
+) -> tuple[list[str], list[tuple[int, tuple[str, ...]]]]:
+    """Return the column names in line `header` (from 0), and the rows below them."""
+    if len(lines) <= header:
+        raise InputError(
+            path, f"{len(lines)} lines", "a line of column names", "download the file again"
+        )
+    names = split_header(path, (header + 1, lines[header]))
+    check_names(path, names)
+    return names, split_rows(path, numbered(lines[header + 1 :], header + 2), len(names))
+
+
+def _place(
+    path: Path, cells: Sequence[Any], expected: str, name: str, *, local: bool = True
+) -> tuple[Site, timedelta]:
+    """Return a place and its clock from latitude, longitude, altitude and zone.
+
+    Raises InputError if they are no numbers, or if the zone of a local clock is far from the
+    longitude.
+    """
     try:
-        latitude, longitude, altitude, zone = (float(cells[column]) for column in columns)
-        name = cells[1].strip('" ') or "weather station"
-        place, offset = Site(name, latitude, longitude, "UTC", altitude), timedelta(hours=zone)
-    except (IndexError, ValueError):
+        latitude, longitude, altitude, zone = (float(cell) for cell in cells)
+        place, clock = Site(name, latitude, longitude, "UTC", altitude), timedelta(hours=zone)
+    except (TypeError, ValueError):
         raise InputError(
             path,
-            f"line 1 is '{line[:60]}'",
+            f"latitude, longitude, altitude and zone {', '.join(map(str, cells)) or 'missing'}",
             expected,
             "correct the header, or download the file again",
         ) from None
-    _check_zone(path, place, offset)
-    return place, offset
+    hours = clock.total_seconds() / 3600
+    if local and abs(hours - longitude / 15) > _LARGEST_ZONE_OFFSET_H:
+        raise InputError(
+            path,
+            f"time zone UTC{hours:+g} at longitude {longitude:g} deg",
+            f"about UTC{longitude / 15:+.0f}",
+            "correct the header (east is positive)",
+        )
+    return place, clock
 
 
-def _rows_with(
-    path: Path, lines: list[str], header: int, cells: int, expected: str
-) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and cells of each row after the header that is not empty.
+def _header_place(
+    path: Path, lines: list[str], columns: tuple[int, int, int, int], expected: str
+) -> tuple[Site, timedelta]:
+    """Return the place and clock in line 1; columns : of latitude, longitude, altitude, zone."""
+    cells = split_header(path, (1, lines[0]))
+    name = cells[1] if len(cells) > 1 else ""
+    values = [cells[k] for k in columns] if len(cells) > max(columns) else []
+    return _place(path, values, expected, name or "weather station")
 
-    Raises InputError for a row with fewer cells.
+
+def _moment(path: Path, line: int, date: Sequence[str], hour: str, minute: str = "0") -> datetime:
+    """Return the time of year, month and day, an hour of 0 to 24 and a minute."""
+    try:
+        year, month, day = (int(float(text)) for text in date)
+        hours = float(hour) + float(minute) / 60.0
+        start = datetime(year, month, day, tzinfo=UTC)
+        if not 0 <= hours <= 24:
+            raise ValueError(f"hour {hours:g} is outside 0 to 24")
+    except (ValueError, OverflowError) as error:
+        raise _bad_row(
+            path,
+            f"line {line}: no such time {'-'.join(date)} hour {hour} ({error})",
+            "a date of the calendar and an hour of 0 to 24",
+        ) from None
+    return start + timedelta(seconds=round(hours * 3600))
+
+
+def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
+    """Return the table with which the fewest hours contradict the sun, and list the choice.
+
+    tables : the readings of one file by name; what : how the note begins.
     """
-    for number, row in enumerate(csv.reader(lines[header:]), start=header + 1):
-        if not row:
-            continue
-        if len(row) < cells:
-            raise InputError(
-                path,
-                f"line {number}: {len(row)} cells",
-                expected,
-                "the file is cut: download it again",
-            )
-        yield number, row
+    against: dict[str, int] = {}
+    for name, table in tables.items():
+        some = [row for k, row in enumerate(table.rows) if (k // 24) % _EVERY_DAY == 0]
+        times = [row.when - table.clock + table.shift for row in some]
+        light = np.nan_to_num([[row.dni, row.dhi] for row in some]).sum(axis=1)
+        place = table.place or Site("", 0.0, 0.0)
+        against[name] = sum(hours_against(times, light, place, half) for half in (_HALF, _NARROW))
+    chosen = min(against, key=lambda name: against[name])
+    counts = ", ".join(f"{name} {count}" for name, count in against.items())
+    note = f"{what} {chosen}, with which the fewest hours contradict sunrise and sunset ({counts})"
+    return replace(tables[chosen], notes=(*tables[chosen].notes, note))
+
+
+def _best_label(table: WeatherTable) -> WeatherTable:
+    """Return the table with its labels taken as start, middle or end of the hour."""
+    shifts = {"hour starts": _HALF, "hour middles": timedelta(0), "hour ends": -_HALF}
+    tables = {name: replace(table, shift=shift) for name, shift in shifts.items()}
+    return best_of(tables, "row times taken as")
+
+
+def _is_typical(rows: Sequence[WeatherRow]) -> bool:
+    """Return whether the months of one year come from several years."""
+    return len({row.when.year for row in rows}) > 1 and len(rows) <= _HOURS_OF_LEAP_YEAR
+
+
+# ----------------------------------------------------------------------------------------------
+# the formats
 
 
 def _read_epw(path: Path, lines: list[str]) -> WeatherTable:
@@ -209,18 +311,36 @@ def _read_epw(path: Path, lines: list[str]) -> WeatherTable:
     Hour 1 is 00:00 to 01:00 local standard time; the sun of a row is that of the middle, 00:30.
     """
     expected = "LOCATION,city,,,,,latitude,longitude,zone,altitude"
-    place, offset = _header_place(path, lines[0], (6, 7, 9, 8), expected)
-    rows = []
-    for number, cells in _rows_with(path, lines, 8, 16, "at least 16 cells"):
-        hour_start = float(_integer(path, number, cells[3]) - 1)
-        start = _moment(path, number, cells[0], cells[1], cells[2], hour_start)
-        ghi = _number(path, number, "GHI", cells[13])
-        dni = _number(path, number, "DNI", cells[14])
-        dhi = _number(path, number, "DHI", cells[15])
-        rows.append(WeatherRow(number, start + timedelta(minutes=30) - offset, dni, dhi, ghi))
-    file = WeatherTable(rows, True, f"{path.name} ({place.name})", place)
-    stated = epw_time_offset(lines)
-    return file if stated is None else _pvgis_epw(file, place, stated, offset)
+    place, clock = _header_place(path, lines, (6, 7, 9, 8), expected)
+    found = split_rows(path, numbered(lines[8:], 9))
+    if found and len(found[0][1]) < 16:
+        raise InputError(
+            path,
+            f"line {found[0][0]}: {len(found[0][1])} cells",
+            "at least 16 cells",
+            "the file is cut: download it again",
+        )
+
+    def start(line: int, cells: Sequence[str]) -> datetime:
+        return _moment(path, line, cells[:3], cells[3]) - timedelta(hours=1)
+
+    rows = _rows(path, found, {"ghi": 13, "dni": 14, "dhi": 15}, start)
+    table = WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock, _HALF)
+    comments = [line for line in lines[:8] if line.upper().startswith("COMMENTS")]
+    if not (stated := _OFFSET.search("\n".join(comments))):
+        return table
+    # PVGIS: values are of one moment, the label (hours 1 to 24) plus the stated offset. Some
+    # versions write the rows in UTC although the header states a zone.
+    hours = float(stated[1])
+    moved = replace(table, shift=timedelta(hours=1 + hours), notes=(_moved(hours),))
+    if not clock:
+        return moved
+    zones = {"header's zone": moved, "UTC": replace(moved, clock=timedelta())}
+    return best_of(zones, "row times taken in")
+
+
+def _moved(hours: float) -> str:
+    return f"rows moved by {60 * hours:+.0f} min, the irradiance time offset that PVGIS states"
 
 
 def _read_tmy3(path: Path, lines: list[str]) -> WeatherTable:
@@ -229,28 +349,211 @@ def _read_tmy3(path: Path, lines: list[str]) -> WeatherTable:
     Labels are the ends of hours, 01:00 to 24:00; the sun of a row is that of 30 minutes before.
     """
     expected = "USAF,name,state,zone,latitude,longitude,altitude"
-    place, offset = _header_place(path, lines[0], (4, 5, 6, 3), expected)
-    names = next(csv.reader(lines[1:2]))
-    wanted = ("GHI (W/m^2)", "DNI (W/m^2)", "DHI (W/m^2)")
-    if missing := [name for name in wanted if name not in names]:
+    place, clock = _header_place(path, lines, (4, 5, 6, 3), expected)
+    names, found = _below(path, lines, 1)
+    stated = _american(path)
+    rows = _rows(path, found, _columns(path, names), lambda line, c: stated(line, c) - _HALF, names)
+    return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock)
+
+
+def _read_solaranywhere(path: Path, lines: list[str]) -> WeatherTable:
+    """Return the rows of a SolarAnywhere file, a TMY3 header with times in one column."""
+    expected = "id,name,state,zone,latitude,longitude,altitude"
+    place, clock = _header_place(path, lines, (4, 5, 6, 3), expected)
+    names, found = _below(path, lines, 1)
+    when, at = _american(path), names.index("ObservationTime(LST)")
+    rows = _rows(
+        path,
+        found,
+        _columns(path, names),
+        lambda line, cells: when(line, cells[at].split(" ")),
+        names,
+    )
+    typical = _is_typical(rows) or "Type: Typical" in lines[0]
+    return _best_label(WeatherTable(rows, typical, f"{path.name} ({place.name})", place, clock))
+
+
+def _american(path: Path) -> Callable[[int, Sequence[str]], datetime]:
+    """Return a reader of the cells MM/DD/YYYY and HH:MM."""
+
+    def when(line: int, cells: Sequence[str]) -> datetime:
+        month, day, year = (*cells[0].split("/"), "", "")[:3]
+        hour, _, minute = (cells[1] if len(cells) > 1 else "").partition(":")
+        return _moment(path, line, (year, month, day), hour, minute)
+
+    return when
+
+
+def _read_sam(path: Path, lines: list[str]) -> WeatherTable:
+    """Return the rows of a csv of NSRDB or SAM: two lines on the place, names, then the rows.
+
+    Without a column Minute a row is of the middle of its hour (SAM's file format). NSRDB labels
+    the middle with minute 30. With minute 0 the choice that agrees best with the sun is taken.
+    """
+    expected = "a header with Latitude, Longitude, Elevation and Time Zone"
+    keys, values = (split_header(path, line) for line in list(enumerate(lines[:2], start=1)))
+    about = dict(zip(keys, values, strict=False))
+    cells = [about.get(key, "") for key in ("Latitude", "Longitude", "Elevation", "Time Zone")]
+    place, clock = _place(path, cells, expected, about.get("City", "").strip("-") or "station")
+    names, found = _below(path, lines, 2)
+    stamp = ("Year", "Month", "Day", "Hour")
+    if missing := [name for name in stamp if name not in names]:
+        raise InputError(
+            path, f"no column {missing[0]}", "columns " + ", ".join(stamp), "download it again"
+        )
+    at = [names.index(name) for name in stamp]
+    minutes = names.index("Minute") if "Minute" in names else None
+
+    def when(line: int, cells: Sequence[str]) -> datetime:
+        *date, hour = (cells[k] for k in at)
+        return _moment(path, line, date, hour, "0" if minutes is None else cells[minutes])
+
+    rows = _rows(path, found, _columns(path, names), when, names)
+    typical = _is_typical(rows) or "TMY" in about.get("Source", "").upper()
+    table = WeatherTable(rows, typical, f"{path.name} ({place.name})", place, clock)
+    if minutes is None:
+        return replace(table, shift=_HALF)
+    return _best_label(table) if {row.when.minute for row in rows} == {0} else table
+
+
+def _read_tmy2(path: Path, lines: list[str]) -> WeatherTable:
+    """Return the rows of a TMY2 file; each is the mean of the hour that ends at its label.
+
+    pvlib reads its fixed columns, and returns the start of the hour.
+    """
+    from pvlib.iotools import read_tmy2
+
+    for number, line in enumerate(lines[2:], start=3):
+        if len(line.rstrip()) != len(lines[1].rstrip()):
+            raise _bad_row(
+                path,
+                f"line {number}: {len(line.rstrip())} characters",
+                f"{len(lines[1].rstrip())} characters, as in line 2",
+            )
+    data: Any
+    meta: Any
+    try:
+        data, meta = read_tmy2(path)
+    except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
+        shown = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise InputError(path, shown, "a TMY2 file", "download it again as hourly data") from None
+    place, clock = _place(
+        path,
+        [meta[key] for key in ("latitude", "longitude", "altitude", "TZ")],
+        "a place in line 1",
+        str(meta["City"]).strip(),
+    )
+    starts = [t.replace(tzinfo=UTC) for t in data.index.to_pydatetime()]
+    cells = [
+        (line, (repr(float(a)), repr(float(b)), repr(float(c))))
+        for line, (a, b, c) in enumerate(data[["DNI", "DHI", "GHI"]].to_numpy(float), start=2)
+    ]
+    columns = {"dni": 0, "dhi": 1, "ghi": 2}
+    rows = _rows(path, cells, columns, lambda line, _: starts[line - 2])
+    return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock, _HALF)
+
+
+def _read_pvgis_csv(path: Path, lines: list[str]) -> WeatherTable:
+    """Return the rows of a csv of PVGIS, a typical year or an hourly series."""
+    header = next((k for k, line in enumerate(lines) if line.startswith("time")), len(lines))
+    stated_texts = (line.partition(":") for line in lines[:header])
+    about = {key.strip(): value.strip() for key, _, value in stated_texts}
+    # Below the rows, an empty line and a legend follow.
+    end = next((k for k, line in enumerate(lines) if k > header and not line.strip()), len(lines))
+    for number, line in enumerate(lines[end:], start=end + 1):
+        if re.match(r"\d{8}:", line):
+            raise _bad_row(path, f"line {number}: a row below the last one", "rows without gaps")
+    names, found = _below(path, lines[:end], header)
+    keys = ("Latitude (decimal degrees)", "Longitude (decimal degrees)", "Elevation (m)")
+    stated = [*(about.get(key, "") for key in keys), "0"]
+    slope = about.get("Slope", "0").split()[0]
+    return _pvgis(path, names, found, stated, about.get("Irradiance Time Offset (h)", "0"), slope)
+
+
+def _read_pvgis_json(path: Path, lines: list[str]) -> WeatherTable:
+    """Return the rows of a json of PVGIS, a typical year or an hourly series."""
+    try:
+        answer = json.loads("\n".join(lines))
+        outputs, about = answer["outputs"], answer["inputs"]
+        hours = outputs["tmy_hourly" if "tmy_hourly" in outputs else "hourly"]
+        names = list(hours[0])
+        cells = [
+            (k, tuple("" if hour[name] is None else str(hour[name]) for name in names))
+            for k, hour in enumerate(hours, start=1)
+        ]
+        place = about["location"]
+        stated = [*(place[key] for key in ("latitude", "longitude", "elevation")), "0"]
+        offset = next((str(v) for k, v in place.items() if "offset" in k.lower()), "0")
+        fixed = about.get("mounting_system", {}).get("fixed", {})
+        slope = str(fixed.get("slope", {}).get("value", 0))
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        shown = f"no key {error}" if isinstance(error, KeyError) else str(error)[:100]
+        expected = "json of PVGIS with outputs of each hour"
+        raise InputError(path, shown, expected, "download it again as hourly data") from None
+    return _pvgis(path, names, cells, stated, offset, slope)
+
+
+def _pvgis(
+    path: Path,
+    names: Sequence[str],
+    found: Iterable[tuple[int, Sequence[str]]],
+    stated: Sequence[Any],
+    offset: str,
+    slope: str,
+) -> WeatherTable:
+    """Return the hours of a PVGIS file; stated : its place.
+
+    Values are of one moment: the UTC time of the row plus the offset that the header states (PVGIS,
+    "TMY generator" page). Times of an hourly series are the moments themselves. A series has the
+    direct irradiance of a plane, which determines DNI only on a horizontal plane.
+    """
+    name = f"PVGIS at {stated[0]}, {stated[1]} deg"
+    place, _ = _place(path, stated, "a place in the header", name, local=False)
+    in_plane = "Gb(i)" in names
+    if in_plane and slope.replace(".", "").strip("0"):
         raise InputError(
             path,
-            f"no column {missing[0]}",
-            "columns of GHI, DNI and DHI in W/m^2",
-            "check that this is a TMY3 file",
+            f"irradiance of a plane with slope {slope} deg",
+            "a horizontal plane (slope 0 deg)",
+            "download the series with slope 0 and its radiation components",
         )
-    at = [names.index(name) for name in wanted]
-    rows = []
-    for number, cells in _rows_with(path, lines, 2, max(at) + 1, f"{len(names)} cells"):
-        month, _, rest = cells[0].partition("/")
-        day, _, year = rest.partition("/")
-        hour = cells[1].partition(":")[0]
-        end = _moment(path, number, year, month, day, float(_integer(path, number, hour)))
-        ghi, dni, dhi = (
-            _number(path, number, name, cells[k]) for name, k in zip(wanted, at, strict=True)
-        )
-        rows.append(WeatherRow(number, end - timedelta(minutes=30) - offset, dni, dhi, ghi))
-    return WeatherTable(rows, True, f"{path.name} ({place.name})", place)
+    at = next((k for k, name in enumerate(names) if name.startswith("time")), 0)
+
+    def when(line: int, cells: Sequence[str]) -> datetime:
+        try:
+            return datetime.strptime(cells[at], "%Y%m%d:%H%M").replace(tzinfo=UTC)
+        except ValueError:
+            raise _bad_row(
+                path, f"line {line}: time '{cells[at]}'", "a time such as 20230101:0010"
+            ) from None
+
+    columns = _columns(path, names, _IN_PLANE if in_plane else _HEADINGS)
+    rows = _rows(path, found, columns, when, names)
+    name = f"{path.name} (PVGIS)"
+    if in_plane:
+        note = "DNI computed as Gb(i) over the sine of the sun's altitude"
+        return WeatherTable(_normal(rows, place), False, name, place, notes=(note,))
+    hours = float(offset)
+    notes = (_moved(hours),) if hours else ()
+    return WeatherTable(rows, True, name, place, shift=timedelta(hours=hours), notes=notes)
+
+
+def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
+    """Return rows whose DNI is on a horizontal plane with it on a plane normal to the sun.
+
+    Zero with the sun below 2 deg, and at most 1.1 times that of a clear sky with the sun below 10
+    deg, as in pvlib.irradiance.dni: near the horizon a small error of time has a large effect.
+    """
+    times = [row.when for row in rows]
+    altitude = sun.position(times, place).altitude_deg
+    beam = np.array([row.dni for row in rows])
+    normal = beam / np.sin(np.radians(np.maximum(altitude, _LOW_SUN_DEG)))
+    limit = np.where(altitude < 10.0, 1.1 * sun.clearsky(times, place).dni_wm2, HIGHEST_WM2)
+    dni = np.where(altitude < _LOW_SUN_DEG, 0.0, np.minimum(normal, limit))
+    ghi = np.where(altitude < _LOW_SUN_DEG, np.nan, beam + [row.dhi for row in rows])
+    return [
+        replace(row, dni=float(a), ghi=float(b)) for row, a, b in zip(rows, dni, ghi, strict=True)
+    ]
 
 
 def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -259,57 +562,45 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     Columns t_utc, dni_wm2, dhi_wm2, or month, day, hour (local standard time), dni_wm2, dhi_wm2;
     ghi_wm2 is optional.
     """
-    place, offset = _place_comment(path, lines, site)
-    table = [
-        (n, line)
-        for n, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    names = [name.strip() for name in next(csv.reader([table[0][1]]))] if table else []
+    place, clock = _place_comment(path, lines, site)
+    table = numbered(lines)
+    names = split_header(path, table[0]) if table else []
+    check_names(path, names)
     dated = "t_utc" in names
-    wanted = ("t_utc",) if dated else ("month", "day", "hour")
-    if missing := [n for n in (*wanted, "dni_wm2", "dhi_wm2") if n not in names]:
+    quantities = {
+        split_heading(name)[0].lower(): k
+        for k, name in enumerate(names)
+        if is_wm2(split_heading(name)[1])
+    }
+    missing = [
+        name for name in (("t_utc",) if dated else ("month", "day", "hour")) if name not in names
+    ]
+    missing += [f"{name}_wm2" for name in ("dni", "dhi") if name not in quantities]
+    if missing:
         raise InputError(
             path,
             f"no column {', '.join(missing)}",
             "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2",
             "name the columns in the first row",
         )
-    found = []
-    for number, line in table[1:]:
-        cells = dict(zip(names, next(csv.reader([line])), strict=False))
-        if len(cells) < len(names):
-            raise _bad_row(path, f"line {number}: {len(cells)} cells", f"{len(names)} cells")
-        found.append((number, cells))
+    found = split_rows(path, table[1:], len(names))
+    at = [names.index(name) for name in (("t_utc",) if dated else ("month", "day", "hour"))]
     # Hour 24 of 28 February belongs to 29 February only in a file with that day.
-    leap = any(c.get("month") in ("2", "02") and c.get("day") == "29" for _, c in found)
-    year = "2024" if leap else "2023"
-    rows = []
-    for number, cells in found:
-        when = _csv_moment(path, number, cells, dated, year) - (timedelta() if dated else offset)
-        dni, dhi, ghi = (
-            _number(path, number, n, cells.get(n, "")) for n in ("dni_wm2", "dhi_wm2", "ghi_wm2")
-        )
-        rows.append(WeatherRow(number, when, dni, dhi, ghi))
-    return WeatherTable(rows, not dated, path.name, place)
+    leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in found)
 
-
-def _csv_moment(path: Path, line: int, cells: dict[str, str], dated: bool, year: str) -> datetime:
-    """Return the time of a row: UTC if dated, else local standard time in this year."""
-    if not dated:
+    def when(line: int, cells: Sequence[str]) -> datetime:
+        if not dated:
+            month, day, hour = (cells[k] for k in at)
+            return _moment(path, line, ("2024" if leap else "2023", month, day), hour)
         try:
-            hour = float(cells["hour"])
-        except ValueError:
+            return read_time(cells[at[0]], utc=True).astimezone(UTC)
+        except (ValueError, OverflowError) as error:
             raise _bad_row(
-                path, f"line {line}: hour is '{cells['hour']}'", "a number such as 12.5"
+                path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
             ) from None
-        return _moment(path, line, year, cells["month"], cells["day"], hour)
-    try:
-        return parse_utc(cells["t_utc"].strip())
-    except ValueError as error:
-        raise _bad_row(
-            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
-        ) from None
+
+    rows = _rows(path, found, quantities, when, names)
+    return WeatherTable(rows, not dated, path.name, place, clock=timedelta() if dated else clock)
 
 
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:
@@ -319,50 +610,8 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
     """
     for line in lines[:20]:
         if line.startswith("# place:"):
-            try:
-                name, latitude, longitude, zone = (part.strip() for part in line[8:].split(","))
-                place = Site(name, float(latitude), float(longitude))
-                offset = timedelta(hours=float(zone.removeprefix("UTC") or 0))
-            except ValueError:
-                raise InputError(
-                    path,
-                    f"the comment '{line}'",
-                    "'# place: NAME, LATITUDE, LONGITUDE, UTC-8'",
-                    "correct that line",
-                ) from None
-            _check_zone(path, place, offset)
-            return place, offset
+            name, *cells = (part.strip() for part in line[8:].rsplit(",", 3))
+            zone = [(cell.removeprefix("UTC") or "0") for cell in cells[2:]]
+            expected = "'# place: NAME, LATITUDE, LONGITUDE, UTC-8'"
+            return _place(path, [*cells[:2], "0", *zone], expected, name)
     return None, sun.standard_offset(site.timezone, TYPICAL_YEAR)
-
-
-def _integer(path: Path, line: int, text: str) -> int:
-    try:
-        return int(float(text))
-    except ValueError:
-        raise _bad_row(path, f"line {line}: '{text}' in the time", "an integer") from None
-
-
-def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float) -> datetime:
-    try:
-        y, m, d = (_integer(path, line, text) for text in (year, month, day))
-        start = datetime(y, m, d, tzinfo=UTC)
-        if not 0 <= hour <= 24:
-            raise ValueError(f"hour {hour:g} is outside 0 to 24")
-    except ValueError as error:
-        raise _bad_row(
-            path,
-            f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})",
-            "a date of the calendar and an hour of 0 to 24",
-        ) from None
-    return start + timedelta(seconds=round(hour * 3600))
-
-
-def _check_zone(path: Path, place: Site, offset: timedelta) -> None:
-    hours = offset.total_seconds() / 3600
-    if abs(hours - place.longitude_deg / 15) > _LARGEST_ZONE_OFFSET_H:
-        raise InputError(
-            path,
-            f"time zone UTC{hours:+g} at longitude {place.longitude_deg:g} deg",
-            f"about UTC{place.longitude_deg / 15:+.0f}",
-            "correct the header (east is positive)",
-        )

@@ -18,6 +18,7 @@ from fieldlum import sun
 from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import InputError
 from fieldlum.records import Site
+from fieldlum.weather.label_shift import label_shift_min
 from fieldlum.weather.year import Weather
 
 # Energy of the year's global irradiance over that of a cloudless sky. Chosen so that every climate
@@ -57,6 +58,14 @@ MOST_OF_FEW = 12  # files of a few days decide nothing below this count; not mea
 # Share that is an error although no shift of the labels helps: the weather is of another latitude
 # or hemisphere. Chosen so that a high horizon passes; not measured.
 MOST_AGAINST_ALL = 0.25
+# Light below this altitude is light at night: hourly means include light from half an hour before
+# sunrise. Chosen.
+NIGHT_BELOW_DEG = -8.0
+# Share of the year's light that may be at night; a shift of one hour gives more. Not measured.
+MOST_LIGHT_AT_NIGHT = 0.01
+# Share of the hours around solar midnight that may be lit. Chosen; files have none.
+MOST_LIT_MIDNIGHTS = 0.01
+_MIDNIGHT_WITHIN_H = 1.5  # of solar midnight: no day of a wrong latitude reaches it; chosen
 SHIFTS_MIN = tuple(m for m in range(-150, 151, 15) if m)
 _HALF = timedelta(minutes=30)  # of an hour, by definition
 _CORRECT_COLUMNS = "write the right columns, in W/m2"
@@ -68,6 +77,7 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
     ghi_wm2 : [n] global irradiance of the file, NaN where it has none, W/m2.
     """
     altitude = sun.position(weather.t_utc, station).altitude_deg
+    _check_night(path, weather, station, altitude)
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return
@@ -101,6 +111,48 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
             "one row for each hour",
             "average the file to hours first",
         )
+
+
+def _check_night(path: Path, weather: Weather, station: Site, altitude: Floats) -> None:
+    """Raise InputError for light while the sun is far below the horizon, and state its cause.
+
+    The cause is the time zone if moving all rows by hours removes the light. Otherwise it is a
+    column with light at midnight, or another place.
+    """
+    light = weather.dni_wm2 + weather.dhi_wm2
+    night = altitude < NIGHT_BELOW_DEG
+    solar_h = np.array([t.timestamp() for t in weather.t_utc]) / 3600.0 + station.longitude_deg / 15
+    midnight = night & (np.abs((solar_h + 12.0) % 24.0 - 12.0) < _MIDNIGHT_WITHIN_H)
+    lit = midnight & (light > LIGHT_WM2)
+    at_midnight = lit.sum() > MOST_LIT_MIDNIGHTS * midnight.sum() and lit.sum() > MOST_OF_FEW
+    share = float(light[night].sum() / max(light.sum(), 1.0))
+    if share <= MOST_LIGHT_AT_NIGHT and not at_midnight:
+        return
+    shares = {h: _share_at_night(weather, station, h) for h in range(-12, 13)}
+    best = min(shares, key=lambda hours: (shares[hours], abs(hours)))
+    found = f"{100 * share:.0f} % of the irradiance is at times when the sun is down"
+    if shares[best] <= MOST_LIGHT_AT_NIGHT and best:
+        found += f" at {station.name}; {100 * shares[best]:.0f} % with all row times moved by"
+        found += f" {best:+d} h"
+        remedy = "check the file's time zone, and the sign of the site's longitude"
+    elif at_midnight:
+        medians = {"DNI": weather.dni_wm2[lit], "DHI": weather.dhi_wm2[lit]}
+        shown = (f"{name} {np.median(values):.3g} W/m2" for name, values in medians.items())
+        found += f", whatever the time zone: {lit.sum()} hours around midnight have light (median "
+        found += ", ".join(shown) + ")"
+        remedy = "check that column: it has another quantity, or an offset that its days have too"
+    else:
+        found += f" at {station.name}, whatever the time zone"
+        remedy = "check that the file is of this place, and the sign of its latitude"
+    raise InputError(path, found, "irradiance only while the sun is up", remedy)
+
+
+def _share_at_night(weather: Weather, station: Site, hours: int) -> float:
+    """Return the share of the light at night if all rows are moved by some hours."""
+    moved = [t + timedelta(hours=hours) for t in weather.t_utc]
+    light = weather.dni_wm2 + weather.dhi_wm2
+    night = sun.position(moved, station).altitude_deg < NIGHT_BELOW_DEG
+    return float(light[night].sum() / max(light.sum(), 1.0))
 
 
 def _check_level(path: Path, weather: Weather, station: Site, total: Floats) -> None:
@@ -187,17 +239,25 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
         return
     other = {shift: _against(weather, station, shift) for shift in SHIFTS_MIN}
     fewest = min(other.values())
-    equal = [shift for shift in SHIFTS_MIN if other[shift] == fewest]
-    best = equal[
-        len(equal) // 2
-    ]  # sunrise and sunset often permit several; the middle is likeliest
+    # Sunrise and sunset often permit several shifts. Mornings and afternoons decide between them,
+    # otherwise the middle one is likeliest.
+    equal = [shift for shift in SHIFTS_MIN if other[shift] <= fewest + 0.01 * edges]
+    stated = label_shift_min(weather, station)
+    likeliest = float(np.median(equal)) if stated is None else stated
+    best = min(equal, key=lambda shift: (abs(shift - likeliest), abs(shift)))
     if other[best] < 0.5 * against:
+        remedy = (
+            "check the time zone, and whether a row's time is its hour's start, middle or end; if "
+            f"the labels are wrong, use --label-shift {best:+d}"
+        )
+        if other[best] > most:
+            remedy = f"check that the file is of {station.name}: no shift makes the times right"
         raise InputError(
             path,
             f"{against} hours have light while the sun is down or none while it is up; only "
             f"{other[best]} hours with all row times moved by {best:+d} min",
             f"at most {most} such hours in {edges // 2} days",
-            "check the time zone, and whether a row's time is its hour's start, middle or end",
+            remedy,
         )
     if against > MOST_AGAINST_ALL * edges:
         raise InputError(
