@@ -52,6 +52,10 @@ class NotEnoughDataError(FieldlumError):
     exit_code = 5
 
 
+class ChangedFileWarning(UserWarning):
+    """A file of a session differs from what fieldlum wrote: edited by hand, or damaged."""
+
+
 def reason_of(error: BaseException) -> str:
     """Return what an exception reports, in words for a reader who does not know Python."""
     if isinstance(error, KeyError):

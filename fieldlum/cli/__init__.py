@@ -8,11 +8,16 @@ from __future__ import annotations
 import errno
 import os
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import click
 
 from fieldlum.cli.options import LazyGroup
-from fieldlum.errors import FieldlumError, InputError
+from fieldlum.cli.terminal import say
+from fieldlum.errors import ChangedFileWarning, FieldlumError, InputError
 from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.
@@ -82,7 +87,8 @@ class _CommandGroup(LazyGroup):
         """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
         try:
-            return super().invoke(ctx)
+            with _warnings_as_notes():
+                return super().invoke(ctx)
         except FieldlumError as error:
             _complain(ctx, str(error))
             sys.exit(error.exit_code)
@@ -108,6 +114,22 @@ class _CommandGroup(LazyGroup):
                 err=True,
             )
             sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _warnings_as_notes() -> Iterator[None]:
+    """Print the warning of a changed file as one line on stderr, inside the block."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def note(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if issubclass(category, ChangedFileWarning):
+                say(f"WARNING: {message}")
+            else:
+                show(message, category, *place, **more)
+
+        warnings.showwarning = note
+        yield
 
 
 def _complain(ctx: click.Context, text: str) -> None:

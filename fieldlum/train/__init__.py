@@ -343,7 +343,7 @@ def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | 
     table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):
         return None
-    return ScoresFile.from_table(table, folder / SCORES).table()
+    return ScoresFile.read(folder).table()
 
 
 def _model_sha256(folder: Path) -> str:

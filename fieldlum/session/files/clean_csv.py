@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, input_errors
+from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
@@ -44,7 +45,10 @@ class CleanIrradiance:
 
     @classmethod
     def read(cls, path: Path) -> CleanIrradiance:
-        """Read the file. Raises InputError for a missing file or other content."""
+        """Read the file; warn if it changed after `write`.
+
+        Raises InputError for a missing file or other content.
+        """
         import pandas as pd
 
         if not path.is_file():
@@ -64,6 +68,7 @@ class CleanIrradiance:
             source, flags = (
                 table[name].fillna("").to_numpy(object) for name in ("source", "flags")
             )
+        change_of(path)
         return cls(t, ghi, dhi, dni, source, flags)
 
     def write(self, path: Path) -> None:
@@ -71,7 +76,10 @@ class CleanIrradiance:
         import pandas as pd
 
         count = len(self.t_unix_s)
-        with replacing(path, "w", newline="", encoding="utf-8") as file:
+        with (
+            sealed(path),
+            replacing(path, "w", newline="", encoding="utf-8") as file,
+        ):
             for first in range(0, max(count, 1), _BLOCK_ROWS):
                 rows = slice(first, first + _BLOCK_ROWS)
                 when = pd.to_datetime(self.t_unix_s[rows], unit="s", utc=True).round("ms")

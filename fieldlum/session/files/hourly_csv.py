@@ -14,6 +14,7 @@ import numpy as np
 from fieldlum.arrays import Floats
 from fieldlum.errors import input_errors
 from fieldlum.records import parse_utc, utc_text
+from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -67,8 +68,8 @@ class HourlyFile:
     def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
         """Read hourly.csv of a folder, with `count` rows and the view directions `azimuths_deg`.
 
-        Columns that version 0.1.0 did not write become NaN. Raises InputError for a missing file,
-        another number of rows or other content.
+        Warns of a file that changed after `write`. Columns that version 0.1.0 did not write become
+        NaN. Raises InputError for a missing file, another number of rows or other content.
         """
         path = folder / NAME
         with (
@@ -96,6 +97,7 @@ class HourlyFile:
                 name: np.stack([column[_view_column(name, a)] for a in azimuths_deg], axis=1)
                 for name in VIEW_COLUMNS
             }
+            change_of(path)
             return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
 
     def write(self, folder: Path, timezone: str) -> None:
@@ -106,7 +108,11 @@ class HourlyFile:
         # One block for each direction: the columns of a view are next to each other.
         block = np.stack([self.views[name] for name in VIEW_COLUMNS], axis=2)
         block = block.reshape(len(self.t_utc), -1)  # [n, d * metrics]
-        with replacing(folder / NAME, "w", newline="", encoding="utf-8") as file:
+        path = folder / NAME
+        with (
+            sealed(path),
+            replacing(path, "w", newline="", encoding="utf-8") as file,
+        ):
             out = csv.writer(file)
             out.writerow(["t_utc", "t_local", *HOUR_COLUMNS, *names, "format"])
             for k, t in enumerate(self.t_utc):

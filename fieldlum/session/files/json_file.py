@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from fieldlum.errors import InputError, input_errors
 from fieldlum.records import JsonTable, parse_utc
+from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
 from fieldlum.strict_toml import build
 
@@ -22,7 +23,7 @@ T = TypeVar("T")
 
 
 def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
-    """Return the JSON object of a file.
+    """Return the JSON object of a file; warn if it changed after `write_sealed`.
 
     Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
     """
@@ -36,6 +37,7 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
         raise InputError(path, "JSON nested too deeply", expected, remedy) from None
     if not isinstance(table, dict):
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
+    change_of(path)
     return table
 
 
@@ -160,6 +162,12 @@ def write_object(path: Path, table: Mapping[str, object]) -> None:
     """Write a JSON object; arrays become lists, and values of unknown types become text."""
     with replacing(path, "w", encoding="utf-8") as file:
         json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)
+
+
+def write_sealed(path: Path, table: Mapping[str, object]) -> None:
+    """Write a JSON object as `write_object` does, with its sha256 in NAME.sha256."""
+    with sealed(path):
+        write_object(path, table)
 
 
 def _plain(value: Any) -> Any:

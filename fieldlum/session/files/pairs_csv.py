@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
+from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import write_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -71,7 +72,7 @@ class PairRow:
 
 @dataclass(frozen=True, slots=True)
 class PairsFile:
-    """A pairs.csv: rows in the file's order, its version, and warnings about unknown columns."""
+    """A pairs.csv: rows in the file's order, its version, and warnings about its content."""
 
     path: Path
     rows: tuple[PairRow, ...]
@@ -93,13 +94,15 @@ class PairsFile:
         """Read the file; numbers in rows with ok = 0 are not read.
 
         Raises InputError for a missing file, a missing required column, a newer format, or a wrong
-        cell, with its line.
+        cell, with its line. Warns of a file that changed after `write`.
         """
         reader = _reader(path)
         names = reader.fieldnames or ()
         rows = [_row(path, reader.line_num, cells) for cells in reader]
         unknown = [name for name in names if name and name not in OPTIONAL]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
+        if change := change_of(path):
+            warnings.append(f"WARNING: {change}")
         return cls(path, tuple(rows), _format(path, names), tuple(warnings))
 
     @classmethod
@@ -109,7 +112,8 @@ class PairsFile:
 
     def write(self) -> None:
         """Write all rows without their state and refraction; NaN becomes an empty cell."""
-        write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
+        with sealed(self.path):
+            write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
 
 
 def _reader(path: Path) -> csv.DictReader[str]:

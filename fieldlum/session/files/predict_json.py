@@ -14,7 +14,7 @@ from fieldlum.session.files.json_file import (
     from_json,
     read_object,
     to_json,
-    write_object,
+    write_sealed,
 )
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -152,4 +152,4 @@ class PredictFile:
 
     def write(self, folder: Path) -> None:
         """Write predict.json into a folder."""
-        write_object(folder / NAME, {"format": FORMAT, **self.table()})
+        write_sealed(folder / NAME, {"format": FORMAT, **self.table()})

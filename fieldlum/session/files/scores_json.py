@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict, cast
 
-from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
+from fieldlum.session.files.json_file import content_of, from_json, read_object, write_sealed
 
 FORMAT = 1  # of the file; docs/file-formats.md
 _REMEDY = "train the model again (fieldlum train)"
@@ -169,4 +169,4 @@ class ScoresFile:
 
     def write(self, folder: Path) -> None:
         """Write scores.json into a folder."""
-        write_object(folder / "scores.json", {"format": FORMAT, **self.table()})
+        write_sealed(folder / "scores.json", {"format": FORMAT, **self.table()})

@@ -1,0 +1,117 @@
+"""Results with a recorded sha256: a changed number is reported by each reader."""
+
+import shutil
+import warnings
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.errors import ChangedFileWarning
+from fieldlum.session.files.clean_csv import CleanIrradiance
+from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.session.files.scores_json import ScoresFile
+
+NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
+
+
+def pairs(folder: Path) -> Path:
+    PairsFile(folder / "pairs.csv", (PairRow(NOON, "a.exr", 231.0, 120.0),)).write()
+    return folder / "pairs.csv"
+
+
+def clean(folder: Path) -> Path:
+    text = np.array(["measured"], object)
+    t, ghi, dhi, dni = (np.array([x]) for x in (NOON.timestamp(), 300.0, 120.0, 231.0))
+    CleanIrradiance(t, ghi, dhi, dni, text, text).write(folder / "clean.csv")
+    return folder / "clean.csv"
+
+
+def hourly(folder: Path) -> Path:
+    hours = {name: np.array([231.0]) for name in HOUR_COLUMNS}
+    views = {name: np.array([[0.3]]) for name in VIEW_COLUMNS}
+    HourlyFile((NOON,), np.array([180.0]), hours, views).write(folder, "UTC")
+    return folder / "hourly.csv"
+
+
+def predict(folder: Path) -> Path:
+    PredictFile(model="231", azimuths_deg=(180.0,), hours=1).write(folder)
+    return folder / "predict.json"
+
+
+def scores(folder: Path) -> Path:
+    ScoresFile((), "dense", parameters=231).write(folder)
+    return folder / "scores.json"
+
+
+READERS: dict[Callable[[Path], Path], Callable[[Path], object]] = {
+    pairs: PairsFile.read,
+    clean: CleanIrradiance.read,
+    hourly: lambda path: HourlyFile.read(path.parent, np.array([180.0]), 1),
+    predict: lambda path: PredictFile.read(path.parent),
+    scores: lambda path: ScoresFile.read(path.parent),
+}
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("write", READERS, ids=lambda write: write.__name__)
+def test_a_changed_number_is_reported_until_the_file_is_accepted(
+    tmp_path: Path, write: Callable[[Path], Path]
+) -> None:
+    path, read = write(tmp_path), READERS[write]
+    read(path)
+    content = path.read_bytes()
+    changed = content.replace(b"231", b"131")
+    path.write_bytes(changed)
+    with pytest.warns(ChangedFileWarning, match=f"{path.name}: the content changed after"):
+        read(path)
+    accepted = tmp_path / "accepted"
+    accepted.mkdir()
+    read(Path(shutil.copy(path, accepted)))  # as a file that a user or an earlier version wrote
+    path.write_bytes(content)
+    read(path)
+    path.write_bytes(changed)
+    read(write(tmp_path))  # written again
+
+
+@pytest.mark.contract
+def test_the_digest_has_the_form_of_sha256sum(tmp_path: Path) -> None:
+    path = pairs(tmp_path)
+    digest, name = (tmp_path / "pairs.csv.sha256").read_text().split()
+    assert len(digest) == 64 and name == path.name
+
+
+@pytest.mark.contract
+def test_an_interrupted_write_leaves_no_false_digest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = pairs(tmp_path)
+
+    def killed(path: Path) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fieldlum.session.digests.sha256", killed)
+    with pytest.raises(KeyboardInterrupt):
+        PairsFile(path, (PairRow(NOON, "b.exr", 131.0, 120.0),)).write()
+    monkeypatch.undo()
+    assert PairsFile.read(path).rows[0].panorama == "b.exr"
+
+
+@pytest.mark.contract
+def test_pairs_carry_the_warning_into_training_and_commands_print_it(tmp_path: Path) -> None:
+    path = predict(tmp_path)
+    path.write_text(path.read_text().replace("231", "131"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        result = CliRunner().invoke(main, ["info", str(tmp_path)])
+    assert result.stderr.startswith(f"WARNING: {path}: the content changed after fieldlum wrote it")
+    table = pairs(tmp_path)
+    table.write_text(table.read_text().replace("231", "131"))
+    with pytest.warns(ChangedFileWarning):
+        assert "delete pairs.csv.sha256" in PairsFile.read(table).warnings[0]
