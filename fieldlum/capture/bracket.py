@@ -40,7 +40,7 @@ def no_check(path: Path, exposure: Exposure) -> str:
 
 
 def no_look(path: Path) -> str:
-    """Return "", which means that the frame is good; used if no check is given."""
+    """Accept every frame; used if no check is given."""
     return ""
 
 
@@ -89,7 +89,8 @@ class BracketCapture:
             missing = [shot for shot in wanted if shot.index not in have]
             if not missing:
                 state = self._opened(slot, folder, state, wanted, deadline)
-                return self._finish(slot, folder, state)
+                why = self._unusable(folder, state)
+                return self.abort(slot, state, why) if why else self._finish(slot, folder, state)
             try:
                 whole = missing == list(wanted) and self._takes_whole_brackets(wanted)
                 taken = (
@@ -318,11 +319,17 @@ class BracketCapture:
             self.between(None)
         return False
 
+    def _unusable(self, folder: Path, state: SlotState) -> str:
+        """Return why a bracket cannot be merged: most of its frames cannot be read; else ""."""
+        lost = [f for f in state.frames if f.doubt and self.check_opens(folder / f.file)]
+        if not lost or (count := len(state.frames)) - len(lost) >= max(2, count / 2):
+            return ""  # `merge` needs so many
+        return f"{len(lost)} of {count} frames cannot be read: {lost[0].file}: {lost[0].doubt}"
+
     def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
         state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
-        repeated = [frame for frame in state.frames if frame.instead_of and not frame.doubt]
-        again = [f"{frame.file} taken again" for frame in repeated]
+        again = [f"{f.file} taken again" for f in state.frames if f.instead_of and not f.doubt]
         darkest = min(
             state.frames,
             key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2),

@@ -143,7 +143,7 @@ def log(
     """
     steady = SteadyClock(clock)
     with sole_user(session, "log"):
-        recorder = Recorder(session, steady.now)
+        recorder = Recorder(session, steady.now, reserve=".reserve-log")
         keeper = Keeper(
             "pyranometer",
             lambda: open_pyranometer(uri, clock=clock, session=session),

@@ -23,6 +23,7 @@ from fieldlum.session import (
     read_day,
     replacing,
     replacing_path,
+    sole_user,
     update_session,
 )
 from fieldlum.session.tables import LoggerFileTable
@@ -53,16 +54,17 @@ def adopt_rows(
     Rows that an earlier import of this file name read with another clock or other columns are
     removed. utc_offset_s: the logger's clock minus UTC [s], if the file does not state it. columns:
     name of the column for each quantity, if it is unusual. Raises InputError for a file that cannot
-    be read.
+    be read, or if another process logs into the session.
     """
     table = _logger_table(path, utc_offset_s, columns)
     logger_file = _read(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
-    for other in before:
-        if other != table and other["file"] == table["file"]:
-            withdrawn += withdraw(session, _readable(path, other))
-    added = add_samples(session, logger_file.samples)
+    with sole_user(session, "log"):
+        for other in before:
+            if other != table and other["file"] == table["file"]:
+                withdrawn += withdraw(session, _readable(path, other))
+        added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
     return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in logger_file.left_out))

@@ -39,8 +39,8 @@ class Recorder:
 
     Writing an event or a row raises no error for faults of the disk: the recorder stores in memory
     what could not be written (of rows the newest 100 000), and tries again at the next event or
-    row. reserve_bytes: size of a file that is deleted when the disk is full, to gain its space;
-    rows: number written.
+    row. reserve, reserve_bytes: name and size of a file that is deleted when the disk is full, to
+    gain its space; each process has its own. rows: number written.
     """
 
     def __init__(
@@ -51,10 +51,11 @@ class Recorder:
         *,
         flush: bool = True,
         listen: Listen = unheard,
+        reserve: str = ".reserve",
     ) -> None:
         self._session, self._now, self._listen = session, now, listen
         self._reserve_bytes, self.flush = reserve_bytes, flush
-        self._reserve = session.root / ".reserve"
+        self._reserve = session.root / reserve
         self._lock = threading.RLock()
         self._events: deque[tuple[str, datetime, EventFields]] = deque()
         self._rows: deque[IrradianceSample] = deque(maxlen=_KEPT_ROWS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 from shutil import disk_usage
@@ -74,10 +74,12 @@ def run(
     `BracketCapture`. `open_cam`, `open_pyr` and `open_met` replace what the URIs open. Raises
     DeviceError if the camera cannot be set to a planned exposure, or the clock is before the last
     journal entry; the error of opening a device at the start, unless it is an instrument that an
-    earlier capture of the session used; InputError if another capture runs in the session;
+    earlier capture of the session used; InputError if another process captures, imports or, with a
+    pyranometer, logs in the session;
     NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
-    with sole_user(session, "capture"):
+    logs = open_pyr is not None or bool(pyranometer_uri)
+    with sole_user(session, "capture"), sole_user(session, "log") if logs else nullcontext():
         looks = check, check_opens, check_shortest
         steady = SteadyClock(clock, trusted, options.boot)
         runner = _Runner(session, steady, options, watch, looks, listen)

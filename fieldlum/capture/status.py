@@ -9,6 +9,7 @@ from fieldlum.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.journal import damaged_lines
 from fieldlum.session.ledger import Ledger, owed, read_ledger
 
 
@@ -23,7 +24,7 @@ def status(session: Session) -> JsonTable:
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan(session, slots),
-        "capture": _capture(slots, ledger),
+        "capture": _capture(session, slots, ledger),
         "irradiance": _irradiance(session),
         "merge": {"done": len(merged), "owed": len(captured - merged)},
         "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
@@ -67,7 +68,7 @@ def _plan(session: Session, slots: list[Slot]) -> JsonTable:
     return plan
 
 
-def _capture(slots: list[Slot], ledger: Ledger) -> JsonTable:
+def _capture(session: Session, slots: list[Slot], ledger: Ledger) -> JsonTable:
     states = [ledger.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
     to_do = owed(slots, ledger)
@@ -81,6 +82,7 @@ def _capture(slots: list[Slot], ledger: Ledger) -> JsonTable:
         "device_lost": ledger.counts.get("device-lost", 0),
         "clock_steps": ledger.counts.get("clock-step", 0),
         "suspends": ledger.counts.get("suspend", 0),
+        "damaged_lines": damaged_lines(session),
     }
 
 

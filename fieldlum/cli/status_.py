@@ -48,17 +48,20 @@ def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -
 
 def _lines(s: JsonTable) -> list[str]:
     from fieldlum.records import counted
+    from fieldlum.session.journal import damage_text
 
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]
     merge, pair = s["merge"], s["pair"]
     models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"
     of_set = f" ({plan['set']})" if plan["set"] else ""
+    damaged = damage_text(capture["damaged_lines"])
     upcoming = f", next {capture['next']}" if capture["next"] else ""
     return [
         f"{s['session']}: {s['name']}",
         f"plan        {counted(plan['slots'], 'slot')}{of_set}",
         f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
-        f"aborted, {capture['owed']} to do{upcoming}; {counted(capture['frames'], 'frame')}",
+        f"aborted, {capture['owed']} to do{upcoming}; {counted(capture['frames'], 'frame')}"
+        + (f"; {damaged}" if damaged else ""),
         f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'day')}",
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable, {pair['owed']} to do",

@@ -18,7 +18,7 @@ from fieldlum.doctor.computer import (
 )
 from fieldlum.doctor.findings import Finding, owed_slots
 from fieldlum.doctor.instruments import check_camera, check_meter, check_pyranometer
-from fieldlum.doctor.planned import check_calendar, check_plan, check_profile
+from fieldlum.doctor.planned import check_calendar, check_journal, check_plan, check_profile
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.records import JsonTable, Progress, quiet
 from fieldlum.session import Session
@@ -40,6 +40,7 @@ def run(
     """
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
+        ("journal", lambda: check_journal(session)),
         ("profile", lambda: check_profile(session, now_utc.date())),
         ("camera", lambda: check_camera(session, camera_uri, now_utc)),
         ("pyranometer", lambda: check_pyranometer(session, pyranometer_uri)),

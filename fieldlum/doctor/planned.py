@@ -11,6 +11,7 @@ from fieldlum.doctor.findings import CALIBRATION_YEARS, Finding, iso_date, owed_
 from fieldlum.profiles import CameraProfile, coverage_text, load_camera_profile
 from fieldlum.records import Slot
 from fieldlum.session import Session, sha256
+from fieldlum.session.journal import damage_text, damaged_lines
 from fieldlum.session.ledger import read_ledger
 from fieldlum.session.makeups import without_capture
 
@@ -38,6 +39,13 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
         f"{first:%a %Y-%m-%d at %H:%M %Z}"
     )
     return [*findings, Finding("plan", "ok", text)]
+
+
+def check_journal(session: Session) -> list[Finding]:
+    """Return a warning that names the journal's damaged lines; none without such a line."""
+    text = damage_text(damaged_lines(session))
+    remedy = "; what they recorded is lost: restore the journal from a copy if there is one"
+    return [Finding("journal", "warn", text + remedy)] if text else []
 
 
 def _nothing_ahead(session: Session, slots: Sequence[Slot]) -> str:

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
 from datetime import datetime
-from typing import Unpack
+from typing import Unpack, get_type_hints
 
-from fieldlum.records import utc_text
+from fieldlum.records import counted, parse_utc, utc_text
+from fieldlum.room_states import merged_state
+from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
 from fieldlum.session.lines import (
     append_complete,
@@ -20,6 +23,14 @@ from fieldlum.session.lines import (
     exclusive,
 )
 from fieldlum.session.tables import EventFields, JournalEvent
+
+_NAMED = 5  # damaged lines that are named; chosen
+# Types of the keys of an event that are no objects; a number without a point is a float too.
+_PLAIN = {
+    name: (int, float) if kind is float else kind
+    for name, kind in get_type_hints(JournalEvent).items()
+    if kind in (str, int, float, bool)
+}
 
 
 class Journal:
@@ -74,7 +85,46 @@ def read_journal(session: Session) -> list[JournalEvent]:
 
     The list is empty if there is no journal.
     """
+    return [event for _, event in _lines(session) if event is not None]
+
+
+def damaged_lines(session: Session) -> list[int]:
+    """Return the numbers, from 1, of the journal's lines that readers skip.
+
+    They are damaged or have no event of known types. A last line that is being written is omitted.
+    """
+    return [number for number, event in _lines(session) if event is None]
+
+
+def damage_text(lines: list[int]) -> str:
+    """Return a sentence about the lines of `damaged_lines`; "" if there is none."""
+    if not lines:
+        return ""
+    more = f" and {len(lines) - _NAMED} more" if len(lines) > _NAMED else ""
+    named = ", ".join(str(number) for number in lines[:_NAMED])
+    return f"journal.jsonl has {counted(len(lines), 'damaged line')} ({named}{more})"
+
+
+def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:
+    """Yield the number and the event, None if damaged, of each complete line of the journal."""
     if not session.journal.is_file():
-        return []
+        return
     with session.journal.open("rb") as file:
-        return [row for line in file if (row := decode_line(line)) is not None]
+        for number, line in enumerate(file, start=1):
+            if line.endswith(b"\n"):
+                yield number, decode_event(line)
+
+
+def decode_event(line: bytes) -> JournalEvent | None:
+    """Return the event in a journal line; None for a damaged line or a value of a wrong type."""
+    row = decode_line(line)
+    try:
+        parse_utc(row["t_utc"])
+        if "frame" in row:
+            frame_from(row["frame"])
+        if row["event"] == "marked":
+            merged_state("", row.get("state", ""))
+        plain = all(isinstance(row[name], kind) for name, kind in _PLAIN.items() if name in row)
+        return row if plain else None
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError):
+        return None

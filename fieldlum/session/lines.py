@@ -14,9 +14,9 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from fieldlum.errors import InputError
-from fieldlum.session.tables import JournalEvent
 
 # Seconds. A line and its flush take milliseconds. After this time the line is appended without the
 # lock. Two lines could then mix only on a file system that splits writes, and the CRC would show
@@ -34,13 +34,13 @@ def encode_line(row: Mapping[str, object]) -> bytes:
     return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
 
 
-def decode_line(line: bytes) -> JournalEvent | None:
-    """Return the row in a complete and undamaged line; None for any other line."""
+def decode_line(line: bytes) -> Any:
+    """Return the JSON value in a complete and undamaged line; None for any other line."""
     crc, _, text = line.rstrip(b"\n").partition(b" ")
     try:
         sound = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
         return json.loads(text) if sound else None
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
 
 

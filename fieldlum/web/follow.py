@@ -17,7 +17,8 @@ import numpy as np
 
 from fieldlum.arrays import Floats
 from fieldlum.records import parse_utc
-from fieldlum.session import Session, decode_line, decode_sample
+from fieldlum.session import Session, decode_sample
+from fieldlum.session.journal import decode_event
 from fieldlum.session.ledger import Ledger, fold
 from fieldlum.session.tables import JournalEvent
 
@@ -95,7 +96,7 @@ class JournalFollower:
         if again:
             self.state = JournalState()
         for line in lines:
-            if (event := decode_line(line)) is not None:
+            if (event := decode_event(line)) is not None:
                 self.state.add(event)
         return self.state
 

@@ -21,13 +21,14 @@ from fieldlum.errors import DeviceError, InputError
 from fieldlum.session import Session
 from fieldlum.web.access import SECURITY_HEADERS, Access
 from fieldlum.web.answer import Worker, answer_table
+from fieldlum.web.connections import MAX_CONNECTIONS, PatientProtocol
 from fieldlum.web.control import Control, control_routes
 from fieldlum.web.pictures import picture_png, scale_png
 from fieldlum.web.snapshot import Snapshots, is_slot_id
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
-_MAX_CONNECTIONS = 64  # bounds the open files; not measured
+_FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of days with a curve; chosen
 _YEAR_S = 31_536_000  # 365 days
 
 
@@ -55,7 +56,9 @@ class Guard:
             cookie = {"location": "/", "set-cookie": self._access.set_cookie}
             answer = Response(status_code=303, headers=cookie)
         elif ruling.status != 200:
-            answer = PlainTextResponse(f"{ruling.text}\n", ruling.status)
+            # a closed connection leaves its place to a browser that has the cookie
+            close = {"connection": "close"}
+            answer = PlainTextResponse(f"{ruling.text}\n", ruling.status, close)
 
         async def secured(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -132,6 +135,8 @@ def watch_routes(
     def day(request: Request) -> Response:
         try:
             wanted = date.fromisoformat(request.path_params["day"])
+            if not _FIRST_YEAR <= wanted.year <= _LAST_YEAR:
+                raise ValueError
         except ValueError:
             raise HTTPException(404) from None
         return table(lambda: snapshots.day(wanted))
@@ -178,7 +183,8 @@ class Served:
             log_level="warning",
             access_log=False,  # addresses hold the token
             server_header=False,
-            limit_concurrency=_MAX_CONNECTIONS,
+            http=PatientProtocol,
+            limit_concurrency=MAX_CONNECTIONS,
             timeout_graceful_shutdown=2,
             ws="none",
             lifespan="off",
@@ -195,7 +201,7 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind(("0.0.0.0" if lan else "127.0.0.1", port))
-        listener.listen(_MAX_CONNECTIONS)  # the printed address works at once
+        listener.listen(MAX_CONNECTIONS)  # the printed address works at once
     except OSError as error:
         listener.close()
         raise DeviceError(
