@@ -12,17 +12,21 @@ from typing import Any
 import pytest
 from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
+from fieldlum.capture.logger import log
+from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import FastClock
-from fieldlum.errors import DeviceError
+from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Site, SiteFile, Slot
 from fieldlum.session import (
     create_session,
     day_files,
     read_day,
     read_journal,
+    sole_user,
     update_session,
 )
 from fieldlum.session.ledger import fold
@@ -193,3 +197,28 @@ def test_log_alone_writes_rows(rig: Field) -> None:
     rig.run()
     assert {"camera", "pyranometer", "uris"} <= set(rig.session.table()["devices"])
     assert (samples[-1].t_utc - samples[0].t_utc) == timedelta(seconds=45)
+
+
+@pytest.mark.contract
+def test_one_process_at_a_time_writes_irradiance(rig: Field, tmp_path: Path) -> None:
+    rows = tmp_path / "logger.csv"
+    rows.write_text("t_utc,ghi_wm2\n2027-03-20T15:30:00Z,500\n2027-03-20T15:31:00Z,501\n")
+    with sole_user(rig.session, "log"):
+        with pytest.raises(InputError, match="logs irradiance into this session"):
+            rig.run()
+        with pytest.raises(InputError, match="logs irradiance into this session"):
+            adopt_rows(rig.session, rows, None)
+        run(rig.session, "tiny:", clock=rig.clock, options=FAST, open_cam=rig.open_camera)
+    assert rig.outcomes() == ["done"] * 3, "a capture without a pyranometer needs no such lock"
+    assert adopt_rows(rig.session, rows, None).rows == 2
+
+
+@pytest.mark.contract
+def test_a_log_leaves_the_reserve_of_a_capture(rig: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fieldlum.capture.logger.open_pyranometer", lambda *_, **__: device)
+    device = TinyPyranometer(rig.clock)
+    capture = Recorder(rig.session, rig.clock.now, 4096)
+    assert log(rig.session, "tiny:", clock=rig.clock, every_s=5.0, rows=2, say=print) == 2
+    assert (rig.session.root / ".reserve").stat().st_size == 4096
+    assert not (rig.session.root / ".reserve-log").exists()
+    capture.close()

@@ -15,12 +15,14 @@ from fieldlum.capture.verify import doubts
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.errors import DeviceError
+from fieldlum.plan.makeup import captured_ids
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import Exposure, Panorama
 from fieldlum.session import (
     read_journal,
     sha256,
 )
+from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.ledger import fold
 
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
@@ -118,14 +120,30 @@ def test_half_a_frame_is_seen_at_once_and_taken_again(rig: Field) -> None:
 
 @pytest.mark.contract
 def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(rig: Field) -> None:
-    """A camera newer than LibRaw: one second try, in vain, and every file stays, with what is
-    wrong with it.
+    """A camera newer than LibRaw: one second try, in vain, and every file stays. The slot has no
+    bracket that can be merged, so it is aborted, for make-up slots and alerts.
     """
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
     events = rig.run(check_opens=lambda path: "an unknown format")
-    assert rig.outcomes() == ["done"] and events.count("retake") == 1 and rig.cameras[0].count == 4
-    told = next(e for e in read_journal(rig.session) if e["event"] == "done")["why"]
-    assert told.count("an unknown format") == 3 and "taken again" not in told
+    assert events.count("retake") == 1 and rig.cameras[0].count == 4
+    told = next(e for e in read_journal(rig.session) if e["event"] == "aborted")["why"]
+    assert told == "3 of 3 frames cannot be read: 00_1s_again.dng: an unknown format"
+    folder = rig.session.raw / rig.session.slots()[0].id
+    frames = CaptureFile.read(folder / "capture.json").frames
+    assert all((folder / f.file).is_file() and f.doubt for f in frames) and len(frames) == 3
+
+
+@pytest.mark.contract
+def test_brackets_that_cannot_be_read_count_as_misses(rig: Field, tmp_path: Path) -> None:
+    told: list[str] = []
+    hook = replace(FAST, on_misses=f"touch {tmp_path / 'called'}")
+    rig.run(
+        hook,
+        check_opens=lambda path: "" if path.name.startswith("00") else "no raw file",
+        listen=lambda event, t_utc, fields: told.append(event),
+    )
+    assert rig.outcomes() == ["aborted"] * 3 and told.count("hook") == 1
+    assert not captured_ids(rig.session), "--replan adds make-up slots for them"
 
 
 @pytest.mark.slow

@@ -4,10 +4,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
+from fieldlum.cli import main
+from fieldlum.doctor.planned import check_journal
 from fieldlum.errors import InputError
 from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
@@ -23,6 +26,7 @@ from fieldlum.session import (
     encode_line,
     encode_sample,
     exposure_text,
+    marks,
     open_session,
     parse_exposure,
     read_day,
@@ -30,6 +34,8 @@ from fieldlum.session import (
     read_plan,
     sole_user,
 )
+from fieldlum.session.journal import damaged_lines, decode_event
+from fieldlum.session.ledger import fold
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SETUP = SiteFile(SEATTLE)
@@ -241,3 +247,45 @@ def test_only_one_capture_at_a_time(session: Session) -> None:
         sole_user(session, "capture"),
     ):
         pass
+
+
+WRONG_EVENTS = (
+    [1, 2],
+    "done",
+    {},
+    {"event": "done"},
+    {"event": 5, "t_utc": "2027-03-20T15:30:00Z"},
+    {"event": "done", "t_utc": 5},
+    {"event": "done", "t_utc": "9999-12-31T23:59:59-12:00"},
+    {"event": "done", "t_utc": "noon"},
+    {"event": "done", "t_utc": "2027-03-20T15:30:00Z", "slot": ["a"]},
+    {"event": "started", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "attempt": "first"},
+    {"event": "illuminance", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "illuminance_lx": "5"},
+    {"event": "frame", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "frame": {"file": "a.dng"}},
+    {"event": "frame", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "frame": 5},
+    {"event": "marked", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "state": "lamp=blue"},
+)
+
+
+@pytest.mark.contract
+def test_lines_with_a_valid_checksum_and_wrong_types_are_named(session: Session) -> None:
+    good = _journal_lines(session, 2)
+    wrong = [encode_line(row) for row in WRONG_EVENTS]  # type: ignore[arg-type]
+    session.journal.write_bytes(b"".join([good[0], *wrong, good[1], b"1234 half a li"]))
+    assert [event["index"] for event in read_journal(session)] == [0, 1]
+    assert damaged_lines(session) == list(range(2, 2 + len(wrong)))
+    assert marks(session) == {} and fold(read_journal(session)).counts == {"frame": 2}
+    text = "journal.jsonl has 14 damaged lines (2, 3, 4, 5, 6 and 9 more)"
+    result = CliRunner().invoke(main, ["status", str(session.root)])
+    assert result.exit_code == 0 and text in result.stdout
+    (finding,) = check_journal(session)
+    assert finding.verdict == "warn" and finding.text.startswith(text)
+
+
+@pytest.mark.property
+@given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists, max_leaves=3))
+def test_no_value_of_an_event_breaks_the_ledger(value: object) -> None:
+    row: dict[str, object] = {"event": "retake", "t_utc": "2027-03-20T15:30:00Z", "slot": "a"}
+    for name in ("event", "t_utc", "slot", "attempt", "frame", "why", "state", "illuminance_lx"):
+        if (event := decode_event(encode_line({**row, name: value}))) is not None:
+            fold([event])

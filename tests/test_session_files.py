@@ -164,6 +164,8 @@ def test_files_of_a_predicted_year_carry_their_version(tmp_path: Path) -> None:
     again = HourlyFile.read(tmp_path, np.array(about.azimuths_deg), about.hours)
     assert again.t_utc == year.t_utc and (again.views["dgp"] == 0.5).all()
     path = tmp_path / "hourly.csv"
+    for name in ("hourly.csv", "predict.json"):
+        (tmp_path / f"{name}.sha256").unlink()  # version 0.1.0 wrote none
     text = path.read_text()
     path.write_text(text.replace(",format\n", "\n").replace(",1\n", "\n"))
     assert len(HourlyFile.read(tmp_path, np.array([180.0]), n).t_utc) == n

@@ -5,11 +5,13 @@ from __future__ import annotations
 import http.client
 import json
 import os
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
@@ -22,13 +24,14 @@ import pytest
 from browser import CHROMIUM, chromium
 from click.testing import CliRunner
 from places import SEATTLE
+from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
 
 from fieldlum.cli import watch_
 from fieldlum.devices.clock import FastClock
 from fieldlum.images import write_panorama
 from fieldlum.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
-from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
+from fieldlum.session import DayFiles, Journal, Session, create_session, encode_line, read_journal
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.access import Access
 from fieldlum.web.answer import Moment, Worker, answer_table
@@ -212,6 +215,36 @@ def test_no_other_file_can_be_had(address: str, cookie: str, path: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+@pytest.mark.contract
+def test_silent_connections_lock_nobody_out(address: str, cookie: str) -> None:
+    """Twice as many as there are places; every other one begins a request and does not end it."""
+    place = urlsplit(address)
+    silent = [socket.create_connection((place.hostname, place.port)) for _ in range(128)]
+    try:
+        for connection in silent[::2]:
+            with suppress(OSError):  # closed already, in favour of a newer one
+                connection.sendall(b"GET / HTTP/1.1\r\nHost: ")
+        for _ in range(3):
+            assert _ask(address, "/state.json", {"Cookie": cookie})[0] == 200
+        silent[-1].settimeout(20.0)
+        assert silent[-1].recv(1) == b"", "no request within five seconds"
+    finally:
+        for connection in silent:
+            connection.close()
+
+
+@pytest.mark.contract
+def test_a_refused_request_gives_its_place_back(address: str) -> None:
+    assert _ask(address, "/")[1]["connection"] == "close"
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("day", ["9999-12-31", "0001-01-01", "2027-02-30", "today"])
+def test_a_day_outside_calendars_is_not_found(address: str, cookie: str, day: str) -> None:
+    assert _ask(address, f"/day/{day}.json", {"Cookie": cookie})[0] == 404
+
+
 @pytest.mark.contract
 def test_a_port_in_use_is_one_line(address: str, session: Session) -> None:
     port = str(urlsplit(address).port)
@@ -293,6 +326,8 @@ def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
         follower.update()
     journal.close()
     with plain.journal.open("ab") as file:
+        for row in WRONG_EVENTS:
+            file.write(encode_line(row))  # type: ignore[arg-type]
         file.write(b"deadbeef {")
     follower.update()
     Journal(plain).close()  # cuts the torn tail

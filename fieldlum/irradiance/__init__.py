@@ -17,7 +17,7 @@ from fieldlum.irradiance.consistency import closure_fails, doubts
 from fieldlum.irradiance.series import UNUSABLE, Mark, Series, local_period_s, series_of
 from fieldlum.irradiance.verdict import Health, health
 from fieldlum.records import Progress, Site, quiet
-from fieldlum.session import Session, day_files, read_day
+from fieldlum.session import Session, day_files, read_day, remove_scraps
 from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.session.files.json_file import from_json, write_object
 from fieldlum.session.provenance import made_from
@@ -236,6 +236,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     With the same site and day files of the same sizes, the existing results are used, unless
     `force`. Raises NotEnoughDataError without a readable line.
     """
+    remove_scraps(session.irradiance)
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
     site = session.site_file().site

@@ -340,10 +340,8 @@ def run(
             f"{session.raw}: no captured slots; run fieldlum capture or fieldlum import first"
         )
     units = _units(session, slots, options or MergeOptions(), force)
-    if units:
-        check_writable(session.panoramas)
+    check_writable(session.panoramas)
     session.panoramas.mkdir(parents=True, exist_ok=True)
-    remove_scraps(session.panoramas)  # of killed runs
     verdicts: list[Verdict] = []
     run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)), progress)
     remove_scraps(session.panoramas)  # of workers killed in this run

@@ -20,7 +20,7 @@ from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import Progress, Site, SiteFile, parse_utc, quiet, utc_text
 from fieldlum.scheduler import LOCAL, Scheduler
-from fieldlum.session import Session
+from fieldlum.session import Session, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -207,6 +207,8 @@ def run(
         raise NotEnoughDataError(
             f"{session.panoramas}: no panorama to pair; run fieldlum merge {session.root}"
         )
+    for folder in (session.root, session.panoramas, session.sunpatches):
+        remove_scraps(folder)
     setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)
     check_night(session.clean_irradiance, log, setup.site)
     places = sun.position([b.t_utc for b in brackets], setup.site)

@@ -16,7 +16,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.predict import Annual, read_annual, read_pictures
 from fieldlum.records import Progress, quiet, slot_id
 from fieldlum.report.page import Page, Section, Table, render
-from fieldlum.session import Session, replacing
+from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -190,6 +190,7 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
         )
     artefacts = find(session)
     folder = out or session.report
+    remove_scraps(folder)
     page = folder / "index.html"
     progress(0, 1, "page")
     text = render(_page(session, artefacts))

@@ -33,8 +33,9 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 def check_writable(folder: Path) -> None:
     """Raise if no file can be written into a folder, which need not exist.
 
-    For stages that compute for minutes before they write. Nothing remains of the test. Raises
-    OSError, which names the folder that exists, or InputError for a place on no disk.
+    For stages that compute for minutes before they write. Nothing remains of the test, and
+    temporary files of killed runs are removed. Raises OSError, which names the folder that exists,
+    or InputError for a place on no disk.
     """
     places = (folder.absolute(), *folder.absolute().parents)
     existing = next((place for place in places if os.path.lexists(place)), None)
@@ -50,6 +51,7 @@ def check_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(existing)) from None
+    remove_scraps(folder)
 
 
 def write_table(
@@ -94,6 +96,8 @@ def remove_scraps(folder: Path) -> None:
     Files of a process on another computer are removed after a day, because its state is unknown.
     """
     for scrap in folder.glob(".*.tmp*"):
+        if scrap.is_dir():
+            continue
         host, _, rest = scrap.name[1:].partition(".")
         number = rest.partition(".")[0]
         with suppress(FileNotFoundError):  # renamed by its process just now

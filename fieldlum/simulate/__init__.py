@@ -21,7 +21,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.light import Light, light_at
 from fieldlum.records import Progress, SiteFile, Slot, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
-from fieldlum.session import Session, create_session, update_session
+from fieldlum.session import Session, create_session, remove_scraps, update_session
 from fieldlum.session.files.json_file import write_object
 from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.files.truth_csv import TruthIrradiance
@@ -110,6 +110,8 @@ def run(
     InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
+    for folder in (session.root, session.truth, session.truth / "sunpatches"):
+        remove_scraps(folder)
     truth = ground_truth(
         setup,
         height=height,
