@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from places import SEATTLE
-from tiny_field import make_session
+from tiny_field import T0, Field, make_session
 
 from fieldlum.devices.stored import names_more, require_permitted
 from fieldlum.errors import InputError
-from fieldlum.records import CameraSetup, Room, SiteFile
-from fieldlum.session import Session, update_session
+from fieldlum.merge.shots import shots_of_slot
+from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, slot_id
+from fieldlum.session import (
+    Journal,
+    Session,
+    open_session,
+    read_journal,
+    remove_scraps,
+    replacing,
+    replacing_path,
+    update_session,
+)
+from fieldlum.session.files.capture_json import Frame, frame_fields, frame_from
+from fieldlum.session.files.json_file import write_object
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, seal, subject
 
 pytestmark = [
@@ -263,3 +280,262 @@ def test_a_record_that_cannot_be_written_does_not_end_a_command(tmp_path: Path) 
     session = make_session(tmp_path / "s")
     assert device_uris(session, "replay:pictures", "", "") == ("replay:pictures", "", "")
     assert len(seal("text")) == 64 and seal("text") == seal("text")
+
+
+# ----------------------------------------------------------------------------------------------
+# paths and links
+
+SLOT = slot_id(T0)
+FIXED = [
+    ".reserve",
+    ".capture.lock",
+    "session.toml",
+    "plan.csv",
+    "journal.jsonl",
+    "pause.json",
+    "raw",
+    f"raw/{SLOT}",
+    f"raw/{SLOT}/capture.json",
+    f"raw/{SLOT}/00_1s.dng",
+    "irradiance",
+    "irradiance/2027-03-20.csv",
+    "panoramas",
+    f"panoramas/{SLOT}.json",
+    "sunpatches",
+    "suns.csv",
+    "pairs.csv",
+    "models/dense/weights.npz",
+    "annual/dense",
+    "scene/scene.toml",
+    "truth",
+    "watch/answers.json",
+    "outbox.jsonl",
+]
+
+
+def linked(session: Session, name: str, target: Path) -> Path:
+    """Replace a file or folder of the session by a link."""
+    link = session.root / name
+    link.parent.mkdir(parents=True, exist_ok=True)
+    if link.is_file():
+        shutil.copyfile(link, target)
+        link.unlink()
+    link.symlink_to(target)
+    return link
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_a_session_with_a_link_is_refused(tmp_path: Path, name: str) -> None:
+    session = make_session(tmp_path / "s")
+    linked(session, name, tmp_path / "target")
+    with pytest.raises(InputError, match=r"a symbolic link to .*; expected .*fieldlum permit"):
+        open_session(session.root)
+
+
+def test_a_link_that_fieldlum_never_opens_does_not_stop_a_capture(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    (session.root / "my notes").symlink_to(tmp_path)
+    assert open_session(session.root) == session
+
+
+def test_a_pipe_in_a_session_is_refused(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    session.raw.mkdir()
+    os.mkfifo(session.raw / "frame.dng")
+    with pytest.raises(InputError, match="a pipe, socket or device"):
+        open_session(session.root)
+
+
+def test_raw_on_another_disk_works_once_it_is_permitted(rig: Field, tmp_path: Path) -> None:
+    other = tmp_path / "disk"
+    other.mkdir()
+    link = linked(rig.session, "raw", other)
+    assert fieldlum("permit", link).returncode == 0
+    assert open_session(rig.session.root) == rig.session
+    rig.run()
+    assert len(list(other.glob("*/*.dng"))) == 9
+    link.unlink()
+    link.symlink_to(tmp_path / "settings")
+    with pytest.raises(InputError, match="a symbolic link"):
+        open_session(rig.session.root)
+
+
+def test_the_reserve_does_not_overwrite_the_target_of_a_link(rig: Field, tmp_path: Path) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    linked(rig.session, ".reserve", precious)
+    rig.run()
+    assert precious.read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", [".capture.lock", "journal.jsonl"])
+def test_lock_and_journal_do_not_follow_a_link(rig: Field, tmp_path: Path, name: str) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    linked(rig.session, name, precious)
+    with pytest.raises(OSError, match="symbolic link"):
+        rig.run()
+    assert precious.read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", [f"raw/{SLOT}", "raw"])
+def test_a_capture_neither_sweeps_nor_writes_behind_a_link(
+    rig: Field, tmp_path: Path, name: str
+) -> None:
+    home = tmp_path / "home"
+    (home / SLOT).mkdir(parents=True)
+    for path in (home / ".bashrc", home / SLOT / ".profile"):
+        path.write_text("precious")
+    linked(rig.session, name, home)
+    rig.run()
+    assert sorted(p.name for p in home.rglob("*") if p.is_file()) == [".bashrc", ".profile"]
+    aborted = [e for e in read_journal(rig.session) if e["event"] == "aborted"]
+    assert "is a symbolic link" in aborted[0].get("why", "")
+
+
+def test_a_folder_of_irradiance_that_is_a_link_is_refused(rig: Field, tmp_path: Path) -> None:
+    linked(rig.session, "irradiance", tmp_path)
+    with pytest.raises(InputError, match="a symbolic link"):
+        rig.run()
+
+
+def test_a_temporary_name_that_is_a_link_is_replaced(tmp_path: Path) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    with replacing_path(tmp_path / "file.txt") as temporary:
+        pass_over = temporary.name
+        temporary.write_text("first")
+    (tmp_path / pass_over).symlink_to(precious)
+    with replacing(tmp_path / "file.txt", "w") as file:
+        file.write("second")
+    assert precious.read_text() == "precious" and (tmp_path / "file.txt").read_text() == "second"
+
+
+def test_scraps_behind_a_link_stay(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    scrap = tmp_path / "home" / ".host.1.tmp.x"
+    scrap.write_text("precious")
+    os.utime(scrap, (0, 0))
+    (tmp_path / "panoramas").symlink_to(tmp_path / "home")
+    remove_scraps(tmp_path / "panoramas")
+    assert scrap.exists()
+
+
+BAD_NAMES = [
+    "../thesis.txt",
+    "../../../thesis.txt",
+    "/etc/passwd",
+    "sub/frame.dng",
+    "..",
+    ".",
+    "",
+    ".hidden",
+    "a\\b",
+    "C:x",
+    "a\0b",
+    "a\nb",
+    "x" * 300,
+]
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+def test_only_plain_names_are_frames_and_slots(tmp_path: Path, name: str) -> None:
+    session = make_session(tmp_path / "s")
+    fields = frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0))
+    bad = [("file", name)] + [("instead_of", name)] * bool(name)
+    for key, value in bad:
+        with pytest.raises(ValueError, match="file name"):
+            frame_from({**fields, key: value})
+        path = session.capture_file(SLOT)
+        write_object(path, {"format": 1, "slot": SLOT, "frames": [{**fields, key: value}]})
+        with pytest.raises(InputError, match="file name"):
+            shots_of_slot(path.parent)
+    for place in (session.capture_file, session.panorama, session.sidecar, session.sunpatch):
+        with pytest.raises(InputError, match="slot name"):
+            place(name)
+
+
+def test_a_journal_cannot_move_a_file_into_the_session(rig: Field, tmp_path: Path) -> None:
+    thesis = rig.session.root.parent / "thesis.txt"
+    thesis.write_text("precious")
+    folder = rig.session.capture_file(SLOT).parent
+    folder.mkdir(parents=True)
+    fields = frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0 - timedelta(hours=1)))
+    journal = Journal(rig.session)
+    journal.append("started", T0, slot=SLOT, attempt=1)
+    frame = {**fields, "file": "../../../thesis.txt", "instead_of": "../../../thesis.txt"}
+    journal.append("frame", T0, slot=SLOT, frame=frame)  # type: ignore[typeddict-item]
+    journal.close()
+    with suppress(ValueError):  # the line is damaged
+        rig.run()
+    assert thesis.read_text() == "precious"
+
+
+def test_a_frame_that_is_a_link_is_not_merged(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    folder = session.capture_file(SLOT).parent
+    folder.mkdir(parents=True)
+    secret = tmp_path / "secret.dng"
+    secret.write_text("secret")
+    (folder / "00.dng").symlink_to(secret)
+    with pytest.raises(InputError, match="a symbolic link"):
+        shots_of_slot(folder)
+    fields = frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0))
+    write_object(session.capture_file(SLOT), {"format": 1, "slot": SLOT, "frames": [fields]})
+    with pytest.raises(InputError, match="a symbolic link"):
+        shots_of_slot(folder)
+
+
+def pairs(path: Path, panorama: str, sunpatch: str = "") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    PairsFile(path, (PairRow(T0, panorama, 100.0, 50.0, sunpatch=sunpatch),)).write()
+    return path
+
+
+@pytest.mark.parametrize("place", ["pairs.csv", "more/pairs.csv"])
+@pytest.mark.parametrize(
+    "name", ["../x.exr", "/etc/passwd", "panoramas/../../x.exr", "panoramas/l"]
+)
+def test_pairs_of_a_session_name_pictures_of_this_session(
+    tmp_path: Path, place: str, name: str
+) -> None:
+    session = make_session(tmp_path / "s")
+    name = name if place == "pairs.csv" or name.startswith("/") else f"../{name}"
+    session.panoramas.mkdir()
+    (session.panoramas / "l").symlink_to("/etc/passwd")
+    for path in (
+        pairs(session.root / place, name),
+        pairs(session.root / place, f"panoramas/{SLOT}.exr", name),
+    ):
+        with pytest.raises(InputError, match=r"line 2: the file name|a symbolic link"):
+            PairsFile.read(path)
+
+
+def test_pairs_may_name_pictures_anywhere_outside_a_session(tmp_path: Path) -> None:
+    path = pairs(tmp_path / "tape" / "9d.csv", "../panoramas/x.hdr", "/data/y.hdr")
+    assert len(PairsFile.read(path).rows) == 1
+    truth = make_session(tmp_path / "s").truth_pairs
+    assert len(PairsFile.read(pairs(truth, "a.exr", "../sunpatches/a.exr")).rows) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "plan = 5",
+        "[plan]\nrevision = '../../x'",
+        "[plan]\nolder_sha256 = [1]",
+        "[capture]\ngrace_s = 'long'",
+        "[capture]\ngrace_s = nan",
+        "devices = []",
+        "[devices]\nuris = 'x'",
+        "[devices.uris]\ncamera = 5",
+        "[[logger_files]]\nfile = 1",
+        "imported = [1]",
+        "setup = 'x'",
+    ],
+)
+def test_a_wrong_type_in_session_toml_is_one_line(tmp_path: Path, text: str) -> None:
+    session = make_session(tmp_path / "s")
+    session.toml.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"session\.toml: \w.* = .*; expected values of the types"):
+        open_session(session.root)

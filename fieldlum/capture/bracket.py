@@ -25,6 +25,7 @@ from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import Frame, frame_fields
+from fieldlum.session.inside import link_on_the_way
 from fieldlum.session.ledger import SlotState
 from fieldlum.session.tables import DeviceTable
 
@@ -77,6 +78,8 @@ class BracketCapture:
         """
         folder = self.session.capture_file(slot.id).parent
         wanted = shots(slot.exposures, self.setup)
+        if (link := link_on_the_way(self.session.root, folder)) is not None:
+            return self.abort(slot, state, f"{link} is a symbolic link: replace it by a folder")
         _sweep(folder)
         disk_pause_s = 0.0
         if state.outcome == "":
@@ -203,6 +206,8 @@ class BracketCapture:
             return state
         self.recorder.claim(_FOLDER_BYTES)
         aside = folder / f"attempt-{state.attempt}"
+        if aside.is_symlink():
+            aside.unlink()
         aside.mkdir(exist_ok=True)
         for frame in state.frames:
             for name in (frame.file, frame.instead_of):
@@ -365,11 +370,13 @@ class BracketCapture:
         Its frames remain; capture.json records whether they are all that were planned.
         """
         folder = self.session.capture_file(slot.id).parent
-        _sweep(folder)
-        if state.frames:
-            with suppress(OSError):  # the journal has the same content
-                whole = len(state.frames) == len(shots(slot.exposures, self.setup))
-                write_capture(folder, slot, state, self.setup, self._camera_info(), complete=whole)
+        if link_on_the_way(self.session.root, folder) is None:
+            _sweep(folder)
+            if state.frames:
+                with suppress(OSError):  # the journal has the same content
+                    whole = len(state.frames) == len(shots(slot.exposures, self.setup))
+                    info = self._camera_info()
+                    write_capture(folder, slot, state, self.setup, info, complete=whole)
         self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
         return replace(state, outcome="aborted", why=why)
 

@@ -20,6 +20,7 @@ from typing import Unpack
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
+from fieldlum.session.inside import open_inside
 from fieldlum.session.tables import EventFields
 
 RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5 s); chosen
@@ -200,7 +201,8 @@ def _allocate(path: Path, size: int) -> None:
     """Create a file that occupies `size` bytes of the disk."""
     if path.is_file() and path.stat().st_size == size:
         return
-    with path.open("wb") as file:
+    handle = open_inside(path.parent, path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    with os.fdopen(handle, "wb") as file:
         try:
             os.posix_fallocate(file.fileno(), 0, size)
         # Not available on macOS, on Windows, and for FAT on some systems.

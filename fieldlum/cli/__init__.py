@@ -63,6 +63,8 @@ DISK_TROUBLE = {
     errno.EISDIR: "name a file, not a folder",
     errno.EEXIST: "name a folder",
     errno.ENAMETOOLONG: "choose shorter names",
+    errno.ELOOP: "replace the link by its content",
+    errno.ENXIO: "remove this pipe, socket or device",
 }
 
 

@@ -23,9 +23,14 @@ def command(paths: tuple[Path, ...]) -> None:
       fieldlum permit office.rad
     """
     from fieldlum.scene.room_commands import commands, what_runs
+    from fieldlum.session.inside import link_subject
     from fieldlum.session.permits import permit
 
     for path in paths:
+        if path.is_symlink():
+            permit(link_subject(path))
+            click.echo(f"{path}: the link to {path.resolve()} is permitted on this computer")
+            continue
         wanted = what_runs(path)
         if wanted is None:
             click.echo(f"{path}: needs no permission: it runs nothing")

@@ -19,6 +19,7 @@ from fieldlum.raw import is_jpeg, possible_frames, read_exif
 from fieldlum.records import Exposure
 from fieldlum.session import sha256
 from fieldlum.session.files.capture_json import CaptureFile
+from fieldlum.session.inside import refuse_link
 
 U_REPEAT = 2e-4  # relative u of a shutter time from frame to frame; not measured
 # Relative u for an ISO other than the profile's, because gains of amplifiers are not exact. Not
@@ -59,7 +60,12 @@ def shots_of_slot(folder: Path) -> list[Shot]:
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
-        return shots_of_files(frame_files(folder))
+        files = frame_files(folder)
+        for path in files:
+            refuse_link(folder, path)
+        return shots_of_files(files)
+    for frame in capture.frames:
+        refuse_link(folder, folder / frame.file)
     return [
         Shot(folder / frame.file, frame.exposure, frame.heading_deg, frame.t_utc, frame.sha256)
         for frame in capture.frames

@@ -13,6 +13,7 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
+from fieldlum.session.inside import open_inside, refuse_link
 from fieldlum.session.lines import append_complete, cut_torn_tail
 from fieldlum.session.writing import sync_folder
 
@@ -62,9 +63,10 @@ class DayFiles:
     """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
-        self._folder, self._flush = session.irradiance, flush
+        self._root, self._folder, self._flush = session.root, session.irradiance, flush
         self._day, self._handle = "", -1
         self.cut_bytes = 0
+        refuse_link(self._root, self._folder)
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def append(self, sample: IrradianceSample) -> None:
@@ -86,7 +88,7 @@ class DayFiles:
         # damaged.
         except InputError:
             spoilt = True
-        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        handle = open_inside(self._root, path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         try:
             if spoilt or os.fstat(handle).st_size == 0:
                 append_complete(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)

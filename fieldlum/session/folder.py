@@ -13,9 +13,10 @@ from typing import Literal, cast
 
 from fieldlum.errors import InputError, input_errors
 from fieldlum.records import SiteFile, Slot
+from fieldlum.session.inside import is_plain, open_inside, refuse_links
 from fieldlum.session.lines import NO_LOCKS, lock_now
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
-from fieldlum.session.tables import PlanTable, SessionTable
+from fieldlum.session.tables import PlanTable, SessionTable, misfit
 from fieldlum.session.writing import replacing, sha256
 from fieldlum.site_toml import site_from_table, site_table
 from fieldlum.version import __version__
@@ -28,7 +29,7 @@ class _Place:
     """A file or folder of every session, at the same place in it."""
 
     def __init__(self, *parts: str) -> None:
-        self._parts = parts
+        self._parts, self.top = parts, parts[0]
 
     def __get__(self, session: Session, owner: type[Session]) -> Path:
         return session.root.joinpath(*self._parts)
@@ -38,10 +39,20 @@ class _SlotPlace:
     """A file of each slot of a session; `{}` in its place is the slot's id."""
 
     def __init__(self, *parts: str) -> None:
-        self._parts = parts
+        self._parts, self.top = parts, parts[0]
 
     def __get__(self, session: Session, owner: type[Session]) -> Callable[[str], Path]:
-        return lambda slot: session.root.joinpath(*(part.format(slot) for part in self._parts))
+        def place(slot: str) -> Path:
+            if not is_plain(slot):  # from the journal or another file that anybody may have written
+                raise InputError(
+                    session.root,
+                    f"the slot name {slot!r}",
+                    "a name such as 20270320T153000Z",
+                    "restore the file that names the slot from a copy",
+                )
+            return session.root.joinpath(*(part.format(slot) for part in self._parts))
+
+        return place
 
 
 @dataclass(frozen=True)
@@ -132,10 +143,28 @@ class Session:
         return timedelta(seconds=float(seconds))
 
 
+# Further entries of a session's folder that fieldlum opens; hidden ones count too.
+_MORE_NAMES = ("scene", "watch", "outbox.jsonl", "journal.jsonl.torn", "alignment.csv")
+
+
+def _checked_names() -> set[str]:
+    """Return the entries of a session's folder in which a link is refused."""
+    places = (place for place in vars(Session).values() if isinstance(place, _Place | _SlotPlace))
+    return {place.top for place in places} | set(_MORE_NAMES)
+
+
+def session_around(path: Path) -> Path | None:
+    """Return the folder of the session that contains a file; None for a file outside sessions."""
+    folder = path.parent.resolve()
+    folders = (folder, *folder.parents)
+    return next((place for place in folders if (place / "session.toml").is_file()), None)
+
+
 def open_session(root: Path) -> Session:
     """Return the session of a folder.
 
-    Raises InputError if `root` has no session.toml, or if that is no TOML.
+    Raises InputError if `root` has no session.toml, if that is no TOML or has a value of a wrong
+    type, or if a link in the folder leads out of it.
     """
     session = Session(root)
     if not session.toml.is_file():
@@ -146,8 +175,11 @@ def open_session(root: Path) -> Session:
             "correct the path, or plan a session with: fieldlum plan SITE.toml",
         )
     remedy = "correct that place, or restore session.toml from a copy"
+    refuse_links(root, _checked_names())
     with input_errors(session.toml, "TOML", remedy, ValueError):
-        session.table()
+        wrong = misfit(SessionTable, session.table())
+    if wrong:
+        raise InputError(session.toml, wrong, "values of the types that fieldlum writes", remedy)
     return session
 
 
@@ -215,7 +247,8 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
     has no locks.
     """
     path = session.root / f".{purpose}.lock"
-    with path.open("a") as file:
+    handle = open_inside(session.root, path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    with os.fdopen(handle, "a") as file:
         try:
             lock_now(file.fileno())
         except OSError as error:

@@ -15,6 +15,7 @@ from fieldlum.records import counted, parse_utc, utc_text
 from fieldlum.room_states import merged_state
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
+from fieldlum.session.inside import open_inside
 from fieldlum.session.lines import (
     append_complete,
     cut_torn_tail,
@@ -48,7 +49,7 @@ class Journal:
         """
         self._path, self._flush = session.journal, flush
         self._lock = threading.Lock()
-        self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        self._handle = open_inside(session.root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         with exclusive(self._handle):  # another process may be writing a line
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fieldlum.errors import InputError
+from fieldlum.session.inside import open_file
 
 # Seconds. A line and its flush take milliseconds. After this time the line is appended without the
 # lock. Two lines could then mix only on a file system that splits writes, and the CRC would show
@@ -128,7 +129,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     """
     if not path.is_file():
         return 0
-    with path.open("rb+") as file:
+    with os.fdopen(open_file(path, os.O_RDWR), "rb+") as file:
         size = file.seek(0, os.SEEK_END)
         start = max(0, size - _TAIL_BYTES)
         file.seek(start)
@@ -148,7 +149,8 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
             )
         cut = len(tail) - keep
         if cut:
-            with path.with_name(f"{path.name}.torn").open("ab") as torn:
+            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+            with os.fdopen(open_file(path.with_name(f"{path.name}.torn"), flags), "ab") as torn:
                 torn.write(tail[keep:])
             file.truncate(start + keep)
             os.fsync(file.fileno())

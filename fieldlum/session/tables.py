@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from datetime import date
-from typing import Any, Required, TypedDict
+from types import UnionType
+from typing import Any, Required, TypedDict, get_args, get_origin, get_type_hints, is_typeddict
 
 DeviceTable = dict[str, str | int | float | bool]
 "What a device reports about itself."
@@ -138,3 +140,39 @@ class JournalEvent(EventFields, total=False):
 
     event: Required[str]
     t_utc: Required[str]
+
+
+def misfit(hint: Any, value: object, name: str = "") -> str:
+    """Return which value of a table does not have the type that its `TypedDict` states, or "".
+
+    hint: the type; name: of the value, for the text. Absent and unknown keys are no misfit, and an
+    integer is a number too.
+    """
+    if isinstance(hint, UnionType):
+        fits = any(not misfit(kind, value) for kind in get_args(hint))
+    elif get_origin(hint) is list and isinstance(value, list):
+        return next((text for v in value if (text := misfit(get_args(hint)[0], v, name))), "")
+    elif (is_typeddict(hint) or get_origin(hint) is dict) and isinstance(value, dict):
+        return _misfit_below(hint, value, name)
+    else:
+        fits = _fits(hint, value)
+    return "" if fits else f"{name or 'the value'} = {str(value)[:60]!r}"
+
+
+def _misfit_below(hint: Any, table: dict[Any, Any], name: str) -> str:
+    hints = get_type_hints(hint) if is_typeddict(hint) else dict.fromkeys(table, get_args(hint)[-1])
+    for key, value in table.items():
+        if key in hints and (text := misfit(hints[key], value, f"{name}.{key}".strip("."))):
+            return text
+    return ""
+
+
+def _fits(hint: Any, value: object) -> bool:
+    if hint is Any:
+        return True
+    if isinstance(value, bool):  # Python counts it as an integer
+        return hint is bool
+    if hint is float:
+        return isinstance(value, int | float) and math.isfinite(value)
+    is_class = isinstance(hint, type) and not is_typeddict(hint)
+    return is_class and isinstance(value, hint)

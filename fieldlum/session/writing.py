@@ -75,6 +75,7 @@ def replacing_path(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_host()}.{os.getpid()}.tmp.{path.name}")
+    temporary.unlink(missing_ok=True)  # a link of this name would lead the writer elsewhere
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -93,8 +94,11 @@ def _host() -> str:
 def remove_scraps(folder: Path) -> None:
     """Remove temporary files of `replacing` whose process ended before it could rename them.
 
-    Files of a process on another computer are removed after a day, because its state is unknown.
+    Files of a process on another computer are removed after a day, because its state is unknown. A
+    link is never followed.
     """
+    if folder.is_symlink():
+        return
     for scrap in folder.glob(".*.tmp*"):
         if scrap.is_dir():
             continue
@@ -104,7 +108,7 @@ def remove_scraps(folder: Path) -> None:
             if host == _host() and number.isdigit():
                 over = not _process_runs(int(number))
             else:
-                over = time.time() - scrap.stat().st_mtime > OLD_SCRAP_S
+                over = time.time() - scrap.lstat().st_mtime > OLD_SCRAP_S
             if over:
                 scrap.unlink()
 

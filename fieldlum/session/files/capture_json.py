@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from fieldlum.records import Exposure, utc_text
 from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
+from fieldlum.session.inside import plain
 from fieldlum.session.tables import FrameTable
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -60,9 +61,13 @@ def frame_fields(frame: Frame) -> FrameTable:
 def frame_from(fields: Mapping[str, Any]) -> Frame:
     """Return the frame of a table that `frame_fields` wrote.
 
-    Raises KeyError, TypeError or ValueError for other content.
+    Raises KeyError, TypeError or ValueError for other content, such as a file in another folder.
     """
-    return from_json(Frame, fields)
+    frame = from_json(Frame, fields)
+    plain(frame.file)
+    if frame.instead_of:
+        plain(frame.instead_of)
+    return frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +101,12 @@ class CaptureFile:
         table = read_object(path, _EXPECTED, _REMEDY)
         with content_of(table, FORMAT, path, _EXPECTED, _REMEDY):
             rows = [{"index": number, **row} for number, row in enumerate(table.get("frames", ()))]
+            frames = tuple(frame_from(row) for row in rows)
             if "t_open_utc" not in table:
-                opened, closed = interval_of(tuple(frame_from(row) for row in rows))
+                opened, closed = interval_of(frames)
                 table |= {"t_open_utc": utc_text(opened), "t_close_utc": utc_text(closed)}
-            return from_json(cls, {"slot": path.parent.name, **table, "frames": rows})
+            capture = from_json(cls, {"slot": path.parent.name, **table, "frames": ()})
+            return replace(capture, frames=frames)
 
     @classmethod
     def find(cls, path: Path) -> CaptureFile | None:

@@ -13,6 +13,8 @@ from pathlib import Path
 from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.digests import change_of, sealed
+from fieldlum.session.folder import session_around
+from fieldlum.session.inside import inside, refuse_link
 from fieldlum.session.writing import write_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -99,6 +101,7 @@ class PairsFile:
         reader = _reader(path)
         names = reader.fieldnames or ()
         rows = [_row(path, reader.line_num, cells) for cells in reader]
+        _refuse_foreign_pictures(path, rows)
         unknown = [name for name in names if name and name not in OPTIONAL]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
         if change := change_of(path):
@@ -114,6 +117,23 @@ class PairsFile:
         """Write all rows without their state and refraction; NaN becomes an empty cell."""
         with sealed(self.path):
             write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
+
+
+def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
+    """Raise InputError for a picture outside the session that contains the csv.
+
+    A csv that is in no session may name pictures anywhere: its user named it on the command line.
+    """
+    root = session_around(path)
+    if root is None:
+        return
+    folder = path.parent.resolve()
+    refuse_link(root, folder / path.name)
+    for row in rows:
+        for name in (row.panorama, row.sunpatch):
+            if name:
+                where = f"{path}: line {row.line}"
+                inside(root, name, where, folder.relative_to(root).as_posix())
 
 
 def _reader(path: Path) -> csv.DictReader[str]:

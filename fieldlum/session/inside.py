@@ -1,0 +1,149 @@
+"""Resolve the file names that a session states, and open its own files, without leaving its folder.
+
+A session is data that anybody may have written: `../x`, `/etc/x` and symbolic links in it would
+reach files of this computer.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shlex
+import stat
+from collections.abc import Container, Iterator
+from pathlib import Path, PurePosixPath
+
+from fieldlum.errors import InputError
+from fieldlum.session.permits import Subject, is_permitted, subject
+
+_MAX_NAME = 255  # bytes of a name in all usual file systems; NAME_MAX in Linux
+# Separators (the colon separates drives and streams on Windows) and control characters.
+_FORBIDDEN = frozenset("/\\:\x7f") | frozenset(map(chr, range(32)))
+# Absent on Windows, where a link needs a right that users do not have.
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+_NO_WAITING = getattr(os, "O_NONBLOCK", 0)  # for a named pipe; without effect on files
+
+
+def is_plain(name: object) -> bool:
+    """Return whether a value is the name of a file or folder, without a path and not hidden."""
+    return (
+        isinstance(name, str)
+        and 0 < len(name) <= _MAX_NAME
+        and name[0] != "."
+        and not _FORBIDDEN & set(name)
+    )
+
+
+def plain(name: str) -> str:
+    """Return a plain name unchanged. Raises ValueError for anything else (see `is_plain`)."""
+    if not is_plain(name):
+        raise ValueError(f"the file name {name!r}, which is not a plain name")
+    return name
+
+
+def inside(root: Path, name: str, source: Path | str, folder: str = "") -> Path:
+    """Return the path of a name that a session states, such as panoramas/SLOT.exr.
+
+    root: of the session; source: of the name, for errors; folder: below the root, to which the
+    name is relative, and which it may leave by `..`. Raises InputError for a name that is not a
+    plain path below the root, and for a link on its way.
+    """
+    parts = list(PurePosixPath(name).parts) if isinstance(name, str) else []
+    base = list(PurePosixPath(folder).parts)
+    while base and parts[:1] == [".."]:
+        base.pop()
+        parts.pop(0)
+    path = root.joinpath(*base, *parts)
+    if not parts or not all(map(is_plain, parts)):
+        raise InputError(
+            source,
+            f"the file name {name!r}",
+            "the plain name of a file in this session",
+            "correct the name, or restore the file from a copy",
+        )
+    refuse_link(root, path)
+    return path
+
+
+def link_on_the_way(root: Path, path: Path) -> Path | None:
+    """Return the first link below `root` on the way to `path`, `path` included; None without one.
+
+    A link that the user of this computer permitted does not count.
+    """
+    place = root
+    for part in path.relative_to(root).parts:
+        place = place / part
+        if place.is_symlink() and not is_permitted(link_subject(place)):
+            return place
+    return None
+
+
+def link_subject(link: Path) -> Subject:
+    """Return a link as the subject of a permission, which ends when its target changes."""
+    place = link.parent.resolve() / link.name
+    return subject("link", str(place), str(place), str(place.readlink()), str(place.resolve()))
+
+
+def refuse_link(root: Path, path: Path) -> None:
+    """Raise InputError for a link below `root` on the way to `path` that is not permitted."""
+    if (link := link_on_the_way(root, path)) is not None:
+        raise _link_error(link)
+
+
+def _link_error(link: Path) -> InputError:
+    return InputError(
+        link,
+        f"a symbolic link to {link.readlink()}",
+        "files and folders of the session itself",
+        "replace it by its content, or, if the link is yours: fieldlum permit "
+        f"{shlex.quote(str(link))}",
+    )
+
+
+def refuse_links(root: Path, names: Container[str]) -> None:
+    """Raise InputError for a link, pipe or device in a session where fieldlum reads or writes.
+
+    names: of the entries of the session's folder to check, with all below them; hidden ones are
+    checked as well. Links that the user of this computer permitted are followed and checked too.
+    """
+    for entry in _entries(root):
+        if entry.name in names or entry.name.startswith("."):
+            _refuse_in(entry)
+
+
+def _refuse_in(entry: os.DirEntry[str]) -> None:
+    path = Path(entry.path)
+    if entry.is_symlink():
+        if not is_permitted(link_subject(path)):
+            raise _link_error(path)
+    elif entry.is_file():
+        return
+    elif not entry.is_dir():
+        raise InputError(path, "a pipe, socket or device", "a file or a folder", "remove it")
+    if entry.is_dir():
+        for inner in _entries(path):
+            _refuse_in(inner)
+
+
+def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
+    with os.scandir(folder) as entries:
+        yield from entries
+
+
+def open_file(path: Path, flags: int) -> int:
+    """Open a regular file by the flags of os.open, without following a link; return its handle.
+
+    Raises OSError for a link and for anything else that is no file.
+    """
+    handle = os.open(path, flags | _NO_LINKS | _NO_WAITING, 0o644)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.ENXIO, "not a regular file", str(path))
+    return handle
+
+
+def open_inside(root: Path, path: Path, flags: int) -> int:
+    """Open a file of a session as `open_file` does, if no folder on its way is a link either."""
+    if (link := link_on_the_way(root, path.parent)) is not None:
+        raise OSError(errno.ELOOP, "a symbolic link in place of a folder", str(link))
+    return open_file(path, flags)
