@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -16,9 +17,11 @@ import pytest
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
+from fieldlum.capture.remote import _latest_contact_sheet
 from fieldlum.devices.stored import names_more, require_permitted
 from fieldlum.errors import InputError
 from fieldlum.merge.shots import shots_of_slot
+from fieldlum.notify import Message, Outbox
 from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, slot_id
 from fieldlum.session import (
     Journal,
@@ -539,3 +542,68 @@ def test_a_wrong_type_in_session_toml_is_one_line(tmp_path: Path, text: str) -> 
     session.toml.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=r"session\.toml: \w.* = .*; expected values of the types"):
         open_session(session.root)
+
+
+# ----------------------------------------------------------------------------------------------
+# messages
+
+
+def delivered(file: Path) -> tuple[list[Message], list[str]]:
+    """Return what a capture sends of a stored outbox, and what it reports."""
+    sent: list[Message] = []
+    reports: list[str] = []
+    outbox = Outbox(lambda m: not sent.append(m), file, lambda event, why: reports.append(event))
+    assert outbox.close() == 0
+    return sent, reports
+
+
+def waiting(file: Path, *messages: Message) -> None:
+    """Store messages that could not be sent."""
+    outbox = Outbox(lambda message: False, file, first_pause_s=60.0)
+    for message in messages:
+        outbox.put(message)
+    outbox.close()
+    assert len(file.read_text(encoding="utf-8").splitlines()) == len(messages)
+
+
+def test_an_outbox_that_another_person_wrote_is_not_sent(tmp_path: Path) -> None:
+    file, key = tmp_path / "outbox.jsonl", tmp_path / "id_rsa"
+    key.write_text("secret")
+    line = {"title": "id_rsa", "body": "x", "picture": str(key)}
+    texts = [json.dumps({**line, **more}) for more in ({}, {"seal": ""}, {"seal": "0" * 64})]
+    file.write_text("\n".join([*texts, "[]", "7", "{", "null", "[" * 5000]), encoding="utf-8")
+    assert delivered(file) == ([], ["notify-refused"])
+    assert not file.exists() and "id_rsa" in file.with_name("outbox.jsonl.refused").read_text()
+
+
+def test_own_messages_are_sent_after_a_restart_with_contact_sheets_only(tmp_path: Path) -> None:
+    root = tmp_path / "s"
+    sheet, link = (root / "panoramas" / f"contact-{name}.png" for name in ("1", "2"))
+    sheet.parent.mkdir(parents=True)
+    sheet.touch()
+    link.symlink_to("/etc/passwd")
+    pictures = (sheet, link, root / "session.toml", Path("/etc/passwd"), None)
+    messages = [Message(str(number), "body", path) for number, path in enumerate(pictures)]
+    waiting(root / "outbox.jsonl", *messages)
+    shutil.copytree(root, tmp_path / "copy", symlinks=True)
+    sent, reports = delivered(root / "outbox.jsonl")
+    assert [message.title for message in sent] == ["0", "1", "2", "3", "4"] and not reports
+    assert [message.picture for message in sent] == [sheet, None, None, None, None]
+    assert delivered(tmp_path / "copy" / "outbox.jsonl") == ([], ["notify-refused"])
+
+
+def test_messages_of_another_computer_are_not_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting(tmp_path / "outbox.jsonl", Message("a", "b"))
+    monkeypatch.setattr("fieldlum.session.permits.computer", lambda: "another")
+    assert delivered(tmp_path / "outbox.jsonl") == ([], ["notify-refused"])
+
+
+def test_the_contact_sheet_of_a_summary_is_no_link(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    session.panoramas.mkdir()
+    (session.panoramas / "contact-1.png").symlink_to("/etc/passwd")
+    assert _latest_contact_sheet(session) is None
+    (session.panoramas / "contact-0.png").touch()
+    assert _latest_contact_sheet(session) == session.panoramas / "contact-0.png"

@@ -13,6 +13,7 @@ from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.live import Live
 from fieldlum.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.session import Session
+from fieldlum.session.inside import link_on_the_way
 from fieldlum.session.ledger import SETTLED
 from fieldlum.session.tables import EventFields
 
@@ -76,8 +77,11 @@ def informed(
 
     def report(event: str, why: str) -> None:
         with suppress(OSError):
-            lost = f"note: messages cannot be sent ({why}); they are stored and sent later"
-            say(lost if event == "notify-lost" else "note: messages are sent again")
+            texts = {
+                "notify-lost": f"messages cannot be sent ({why}); they are stored and sent later",
+                "notify-refused": f"messages of another computer or session are not sent: {why}",
+            }
+            say(f"note: {texts.get(event, 'messages are sent again')}")
 
     outbox = Outbox(post, session.root / OUTBOX, report) if post is not None else None
     heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
@@ -96,6 +100,7 @@ def informed(
 def _latest_contact_sheet(session: Session) -> Path | None:
     """Return the contact sheet that merge wrote last; None if there is none."""
     with suppress(OSError):  # a sheet may just be replaced, or the disk may be away
-        sheets = session.panoramas.glob("contact-*.png")
+        found = session.panoramas.glob("contact-*.png")
+        sheets = (path for path in found if link_on_the_way(session.root, path) is None)
         return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
     return None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hmac
 import json
+import re
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -10,7 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from fieldlum.errors import InputError
 from fieldlum.session import replacing
+from fieldlum.session.inside import inside
+from fieldlum.session.permits import seal
 
 # a month without network at ten messages a day; older messages are dropped; chosen
 MOST_WAITING = 500
@@ -29,6 +34,9 @@ class Message:
     picture: Path | None = None
 
 
+_KEYS = ("title", "body", "picture", "seal")  # of a stored message
+_CONTACT_SHEET = re.compile(r"panoramas/contact-[^/]+\.png")  # as merge names them
+
 Post = Callable[[Message], bool]
 Report = Callable[[str, str], None]
 
@@ -44,7 +52,9 @@ class Outbox:
     restart. `put` returns at once, whatever the network or the disk does. A message that cannot be
     sent is tried again after 30 s, 1 min ... 15 min, and after a restart; of more than 500 waiting
     ones the oldest are dropped. `report(event, why)` is called with ``notify-lost`` when sending
-    begins to fail, and with ``notify-back`` when it works again; `why` never contains an address.
+    begins to fail, with ``notify-back`` when it works again, and with ``notify-refused`` for stored
+    messages that this user did not write on this computer for this session: they are moved to
+    NAME.refused and not sent. `why` never contains an address.
     """
 
     def __init__(
@@ -59,7 +69,13 @@ class Outbox:
         self._file = file
         self._report = report
         self._first_pause_s = first_pause_s
-        self._waiting: deque[Message] = deque(_read(file), maxlen=MOST_WAITING)
+        messages, refused = _read(file)
+        if refused:
+            aside = file.with_name(f"{file.name}.refused")
+            with suppress(OSError):
+                file.replace(aside)
+            report("notify-refused", f"{refused} in {aside}")
+        self._waiting: deque[Message] = deque(messages, maxlen=MOST_WAITING)
         self._changed = threading.Condition()
         self._closing = False
         self._failing = False
@@ -127,18 +143,51 @@ class Outbox:
                 return
             with replacing(self._file, "w", encoding="utf-8") as file:
                 for message in waiting:
-                    picture = str(message.picture) if message.picture else ""
-                    line = {"title": message.title, "body": message.body, "picture": picture}
-                    file.write(json.dumps(line, ensure_ascii=False) + "\n")
+                    file.write(json.dumps(_line(self._file, message), ensure_ascii=False) + "\n")
 
 
-def _read(file: Path) -> list[Message]:
-    """Return the messages that an earlier process could not send; skip damaged lines."""
+def _line(file: Path, message: Message) -> dict[str, str]:
+    """Return a message as the file stores it, with a seal of this user, computer and session."""
+    picture = ""
+    if message.picture is not None and message.picture.is_relative_to(file.parent):
+        picture = message.picture.relative_to(file.parent).as_posix()
+    return {
+        "title": message.title,
+        "body": message.body,
+        "picture": picture,
+        "seal": _seal(file, message.title, message.body, picture),
+    }
+
+
+def _seal(file: Path, *texts: str) -> str:
+    return seal(json.dumps([str(file.resolve()), *texts]))
+
+
+def _read(file: Path) -> tuple[list[Message], int]:
+    """Return the messages that an earlier process could not send, and the number of refused ones.
+
+    Lines without the seal of this user, computer and session are refused. A picture is attached
+    only if it is a contact sheet of this session.
+    """
     messages: list[Message] = []
+    refused = 0
     with suppress(OSError, UnicodeDecodeError):
         for line in file.read_text(encoding="utf-8").splitlines():
-            with suppress(ValueError, KeyError, TypeError):
+            try:
                 stored = json.loads(line)
-                picture = Path(stored["picture"]) if stored.get("picture") else None
-                messages.append(Message(str(stored["title"]), str(stored["body"]), picture))
-    return messages
+                title, body, picture, code = (stored[key] for key in _KEYS)
+                if not hmac.compare_digest(code, _seal(file, title, body, picture)):
+                    raise ValueError("another seal")
+                messages.append(Message(title, body, _contact_sheet(file, picture)))
+            except (ValueError, KeyError, TypeError, RecursionError):
+                refused += 1
+    return messages, refused
+
+
+def _contact_sheet(file: Path, name: str) -> Path | None:
+    """Return the path of a contact sheet of the session; None for any other name."""
+    if _CONTACT_SHEET.fullmatch(name) is None:
+        return None
+    with suppress(InputError):
+        return inside(file.parent, name, file)
+    return None
