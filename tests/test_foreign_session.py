@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -36,6 +35,7 @@ from fieldlum.session import (
 from fieldlum.session.files.capture_json import Frame, frame_fields, frame_from
 from fieldlum.session.files.json_file import write_object
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.journal import damaged_lines
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, seal, subject
 
 pytestmark = [
@@ -465,12 +465,13 @@ def test_a_journal_cannot_move_a_file_into_the_session(rig: Field, tmp_path: Pat
     folder.mkdir(parents=True)
     fields = frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0 - timedelta(hours=1)))
     journal = Journal(rig.session)
-    journal.append("started", T0, slot=SLOT, attempt=1)
+    early = T0 - timedelta(hours=1)
+    journal.append("started", early, slot=SLOT, attempt=1)
     frame = {**fields, "file": "../../../thesis.txt", "instead_of": "../../../thesis.txt"}
-    journal.append("frame", T0, slot=SLOT, frame=frame)  # type: ignore[typeddict-item]
+    journal.append("frame", early, slot=SLOT, frame=frame)  # type: ignore[typeddict-item]
     journal.close()
-    with suppress(ValueError):  # the line is damaged
-        rig.run()
+    rig.run()
+    assert damaged_lines(rig.session) == [2]
     assert thesis.read_text() == "precious"
 
 
