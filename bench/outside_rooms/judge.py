@@ -1,0 +1,109 @@
+"""Judge fieldlum on rooms that other programs rendered: a line of JSON and one of text a room.
+
+    python bench/outside_rooms/judge.py FIELDLUM OUT ROOM.toml [ROOM.toml ...]
+
+FIELDLUM is the command, for example .venv/bin/fieldlum. Each room: nine days, tested on hours of
+the year, with: no patch (none), no [room] at all (free), the tape-measure room (box), the scene
+fitted from it (scene), the renderer's own patches (exact). Besides errors of maps and of DGP, it
+counts the hours with the sun's disc in view: shown, missed, and phantom.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from make_case import write_case
+
+Json = dict[str, Any]
+
+KEYS = (
+    "log10_mse_weighted",
+    "expected_log10_mse",
+    "trusted_share",
+    "dgp_mae",
+    "dgp_mse",
+    "dgp_mse_own_disc",
+    "dgp_class_wrong",
+    "dgp_class_wrong_own_disc",
+    "disc_shown",
+    "disc_missed",
+    "disc_phantom",
+    "disc_absent",
+    "patch",
+)
+
+
+def run(command: list[str]) -> tuple[Json | None, str, float]:
+    """Return a command's JSON or None, its last line of complaint, and its seconds."""
+    start = time.monotonic()
+    done = subprocess.run(command, capture_output=True, text=True)
+    seconds = time.monotonic() - start
+    if done.returncode:
+        return None, (done.stderr.strip().splitlines() or ["no message"])[-1], seconds
+    return json.loads(done.stdout), "", seconds
+
+
+def figures(answer: Json) -> Json:
+    """Return the figures of the transport model; None where this version has none."""
+    model = next(m for m in answer["models"] if m["name"].startswith("transport"))
+    return {key: model.get(key) for key in KEYS}
+
+
+def judge(fieldlum: str, file: Path, case: Path) -> Json:
+    """Return the figures of one room."""
+    room = tomllib.loads(file.read_text())
+    write_case(room, file.parent / room["npz"], case)
+    tape, exact, free, scene = (case / part for part in ("tape", "exact", "free", "scene"))
+    site = ["--site", str(tape / "site.toml"), "--out", str(scene), "--json"]
+    fit, why, fit_s = run([fieldlum, "scene", "fit", str(tape / "9d.csv"), *site])
+    chosen = fit["chosen"] if fit else f"refused: {why}"
+    row: Json = {"room": file.stem, "fit_s": round(fit_s), "chosen": chosen}
+    for name, folder, model, patches in (
+        ("none", tape, "transport:none", "none"),
+        ("free", free, "transport:none", "none"),
+        ("box", tape, "transport", "none"),
+        ("scene", tape, "transport", str(scene) if fit else "none"),
+        ("exact", exact, "transport", "none"),
+    ):
+        command = [fieldlum, "bench", str(folder / "9d.csv"), "--test", str(folder / "test.csv")]
+        command += ["--site", str(folder / "site.toml"), "--out", str(case / f"o_{name}")]
+        command += ["--scene", patches, "--models", model, "--render", "0", "--json"]
+        answer, why, seconds = run(command)
+        row[name] = {**figures(answer), "s": round(seconds)} if answer else why
+    return row
+
+
+def line(row: Json) -> str:
+    """Return the row as one line to read."""
+    parts = []
+    for name, value in row.items():
+        if not isinstance(value, dict):
+            continue
+        text = f"{name} {value['log10_mse_weighted']:.2e} (DGP MSE {_short(value['dgp_mse'])}"
+        text += f", own disc {_short(value['dgp_mse_own_disc'])}"
+        if value["disc_shown"] is not None:
+            text += f"; discs {value['disc_shown']} shown, {value['disc_missed']} missed"
+            text += f", {value['disc_phantom']} of {value['disc_absent']} phantom"
+        parts.append(text + ")")
+    return f"# {row['room']}: fit {row['fit_s']} s, {row['chosen'][:60]}; " + ", ".join(parts)
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1e}"
+
+
+def main() -> None:
+    for file in map(Path, sys.argv[3:]):
+        row = judge(sys.argv[1], file, Path(sys.argv[2]) / file.stem)
+        print(json.dumps(row), flush=True)
+        print(line(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()
