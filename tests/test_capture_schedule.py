@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import timedelta
 
 import pytest
 from tiny_field import FAST, T0, Field, TinyCamera
 
-from fieldlum.capture.preflight import refuse_what_is_not_offered
+from fieldlum.capture.preflight import refuse_a_clock_behind, refuse_what_is_not_offered
 from fieldlum.capture.runner import Live, run
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.devices.clock import ClockFault, FastClock
@@ -182,6 +183,14 @@ def test_a_clock_before_the_journal_is_refused(rig: Field) -> None:
     rig.clock = FastClock(T0 - timedelta(days=400))
     with pytest.raises(DeviceError, match="set the clock"):
         rig.run()
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(("behind_s", "refused"), [(-60.0, False), (1.9, False), (2.1, True)])
+def test_two_seconds_before_the_journal_are_tolerated(behind_s: float, refused: bool) -> None:
+    now = T0 - timedelta(seconds=behind_s)
+    with pytest.raises(DeviceError, match="set the clock") if refused else nullcontext():
+        refuse_a_clock_behind(now, T0)
 
 
 @pytest.mark.contract

@@ -46,6 +46,23 @@ def expose(light: np.ndarray, per_cdm2: float, seed: list[int]) -> RawSignal:
     return RawSignal(counts, *constants, GAIN, (READ_E / GAIN) ** 2 + 1 / 12)
 
 
+@pytest.mark.analytic
+def test_the_variance_of_a_pixel_that_moved_is_its_chi2_about_the_mean() -> None:
+    """Two frames with the variance 100 DN^2 show 100 and 120 cd/m2; the prediction is no mean."""
+    exposures, counts = (100.0, 50.0), (10_000, 6_000)
+    black, full = np.zeros((), np.float32), np.asarray(60_000.0, np.float32)
+    frames = [
+        RawSignal(
+            np.full((1, 2, 2), y, np.uint16), black, full, np.asarray(e, np.float32), 1e12, 100.0
+        )
+        for e, y in zip(exposures, counts, strict=True)
+    ]
+    merged = merge_signals([lambda f=f: f for f in frames], (1, 2, 2), passes=1)
+    assert merged.value_cdm2 == pytest.approx(104.0, rel=1e-5)  # weights 100 and 25
+    chi2 = 100 * (100 - 104) ** 2 + 25 * (120 - 104) ** 2
+    assert merged.variance == pytest.approx(chi2 / 125, rel=1e-4)
+
+
 def room() -> np.ndarray:
     """3 to 5000 cd/m2 from left to right, [240, 240]."""
     return np.broadcast_to(np.geomspace(3.0, 5000.0, 240), (240, 240))
