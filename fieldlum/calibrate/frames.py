@@ -108,7 +108,7 @@ def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
 
 
 def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
-    frame, r = read_jpeg(path), profile.response
+    frame, r = read_jpeg(path, camera_pixels=profile.camera.pixels), profile.response
     check_frame(path, frame.codes.shape, frame.model, profile)
     tables = response_tables(profile)  # [256, 3]
     z = np.stack([tables[frame.codes[..., c], c] for c in range(3)], axis=-1)

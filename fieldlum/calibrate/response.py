@@ -192,7 +192,7 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
     codes, exposures, shape = [], [], (0, 0)
     y, x = np.zeros(0, int), np.zeros(0, int)
     for path in paths:
-        frame = read_jpeg(path)
+        frame = read_jpeg(path, camera_pixels=profile.camera.pixels)
         if not codes:
             check_frame(path, frame.codes.shape, frame.model, profile)
             shape = frame.codes.shape[:2]

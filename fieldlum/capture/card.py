@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -11,7 +12,7 @@ from pathlib import Path
 from fieldlum.capture.match_card import CardFrame
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
-from fieldlum.raw import RAW_SUFFIXES, is_jpeg, read_exif, same_model
+from fieldlum.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
 from fieldlum.raw.exif import tags_of
 from fieldlum.records import Exposure, Progress, SiteFile, counted, quiet
 from fieldlum.session import sha256
@@ -37,7 +38,8 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
     """Return the raw and JPEG files in a folder and its subfolders, and notes on other pictures.
 
     There is one note for each kind of picture that cannot be merged, such as .heic; other files are
-    ignored. Raises InputError if the folder is missing, or has no raw or JPEG file.
+    ignored, and so are folders that begin with `.` or `@`, in which systems store thumbnails and
+    deleted files. Raises InputError if the folder is missing, or has no raw or JPEG file.
     """
     if folder.is_file():
         raise InputError(
@@ -50,7 +52,11 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         raise InputError(
             folder, "no such folder", "a card's folder, such as DCIM", "check the path of the card"
         )
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
+    files = sorted(
+        p
+        for p in folder.rglob("*")
+        if p.is_file() and not any(name[0] in ".@" for name in p.relative_to(folder).parts)
+    )
     frames = [p for p in files if p.suffix.lower() in RAW_SUFFIXES or is_jpeg(p)]
     other = Counter(p.suffix.lower() for p in files if p.suffix.lower() in _OTHER_PICTURES)
     notes = [
@@ -114,14 +120,57 @@ def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[s
                 copies.append(frame.path)
                 continue
         kept.append(frame)
-    return kept, [
-        f"{copies[0]}: a copy of another frame"
-        + (f", as are {counted(len(copies) - 1, 'more file')}" if len(copies) > 1 else "")
-    ] if copies else []
+    return kept, _note(copies, "a copy of another frame")
 
 
 def _likeness(frame: CardFrame) -> tuple[datetime, Exposure, int]:
     return frame.t_camera, frame.exposure, frame.path.stat().st_size
+
+
+def without_edited(
+    frames: Sequence[CardFrame], size_px: tuple[int, int]
+) -> tuple[list[CardFrame], list[str]]:
+    """Return the frames as the camera wrote them, and notes on edited copies and other sizes.
+
+    An edited copy has the time and exposure of another frame, but another form of name than most
+    frames of the card (IMG_0003_edit.JPG), or the same name in another folder. size_px : width and
+    height of the camera's frames by its profile; if no JPEG has it, the commonest size counts.
+    """
+    sizes = {f.path: jpeg_size(f.path) for f in frames if is_jpeg(f.path)}
+    common = Counter(sizes.values())
+    size = size_px if size_px in common else max(common, key=lambda s: common[s], default=size_px)
+    other_size = {path for path, its in sizes.items() if its not in (size, (0, 0))}
+    full = [frame for frame in frames if frame.path not in other_size]
+    forms = Counter(_form(frame.path) for frame in full)
+    alike: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
+    for frame in full:
+        key = frame.t_camera.replace(microsecond=0), frame.exposure
+        alike.setdefault(key, []).append(frame)
+    edited: set[Path] = set()
+    for same in (group for group in alike.values() if len(group) > 1):
+        best = max(forms[_form(frame.path)] for frame in same)
+        usual = [frame for frame in same if forms[_form(frame.path)] == best]
+        # Two files of one name in two folders: the camera's own folder is below DCIM (DCF 2.0).
+        usual.sort(key=lambda f: ("DCIM" not in f.path.parts, len(f.path.parts), f.path))
+        first = {frame.path.stem: frame for frame in reversed(usual)}
+        edited |= {f.path for f in same if first.get(f.path.stem) is not f}
+    notes = [
+        *_note(sorted(other_size), f"not the size of the camera's frames, {size[0]} x {size[1]}"),
+        *_note(sorted(edited), "an edited copy of another frame"),
+    ]
+    return [frame for frame in full if frame.path not in edited], notes
+
+
+def _form(path: Path) -> str:
+    """Return a file's name without suffix and with # for each digit, such as IMG_####."""
+    return re.sub(r"\d", "#", path.stem)
+
+
+def _note(paths: Sequence[Path], what: str) -> list[str]:
+    if not paths:
+        return []
+    more = f", as are {counted(len(paths) - 1, 'more file')}" if len(paths) > 1 else ""
+    return [f"{paths[0]}: {what}{more}"]
 
 
 def _body_serial(path: Path) -> str:

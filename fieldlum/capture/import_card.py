@@ -8,7 +8,13 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
+from fieldlum.capture.card import (
+    card_files,
+    of_the_session,
+    read_card,
+    without_copies,
+    without_edited,
+)
 from fieldlum.capture.card_clock import (
     as_shown,
     clock_offset,
@@ -118,12 +124,14 @@ def _adopt_card(
     frames, unread = read_card(files, progress, lens_f_number=profile.camera.fixed_f_number)
     frames, other_cameras = of_the_session(frames, setup)
     frames, copies = without_copies(frames)
+    body = profile.camera
+    frames, edited = without_edited(frames, (body.width_px, body.height_px))
     if utc_offset_s is not None:
         frames = as_shown(frames)
     groups = group_frames(
         frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings))
     )
-    left_out = [*other_cameras, *copies, *unread, *others]
+    left_out = [*other_cameras, *copies, *edited, *unread, *others]
     if not groups:
         raise NotEnoughDataError(
             f"{folder}: no usable frame; {left_out[0]}; check that this is the right card"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fieldlum.cli.options import FILE_PATH, PATH, json_lines_option
+from fieldlum.cli.options import FILE_PATH, PATH, json_lines_option, part_option
 from fieldlum.cli.terminal import emit_json, say, write_csv
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ CSV_COLUMNS = (
     help='View of the pictures as Radiance options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180";'
     " replaces the VIEW of the file.",
 )
+@part_option
 @click.option(
     "--calibrate-ev",
     "measured_ev_lx",
@@ -88,6 +89,7 @@ def command(
     images: tuple[Path, ...],
     azimuths: tuple[float, ...],
     view_options: str,
+    part: str,
     measured_ev_lx: float | None,
     csv_path: Path | None,
     as_json: bool,
@@ -117,6 +119,7 @@ def command(
                 azimuths,
                 reference=reference,
                 view_options=view_options,
+                part=part,
                 measured_ev_lx=measured_ev_lx,
             )
         except InputError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import PATH, json_lines_option
+from fieldlum.cli.options import PATH, json_lines_option, part_option
 from fieldlum.cli.terminal import emit_json, say
 from fieldlum.errors import InputError
 
@@ -17,8 +17,9 @@ _LINE = 200  # characters of a value without --json; chosen
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=PATH)
+@part_option
 @json_lines_option
-def command(files: tuple[Path, ...], as_json: bool) -> None:
+def command(files: tuple[Path, ...], part: str, as_json: bool) -> None:
     """Describe frames, pictures, plans, profiles or models.
 
     \b
@@ -28,7 +29,7 @@ def command(files: tuple[Path, ...], as_json: bool) -> None:
     bad = 0
     for path in files:
         try:
-            facts = {"file": str(path), **describe(path)}
+            facts = {"file": str(path), **describe(path, part)}
         except InputError as error:
             if len(files) == 1:
                 raise
@@ -58,10 +59,11 @@ def _short(value: object) -> str:
     return text if len(text) <= _LINE else f"{text[:_LINE]} ..."
 
 
-def describe(path: Path) -> Facts:
+def describe(path: Path, part: str = "") -> Facts:
     """Return what `fieldlum info` prints about a file or folder, without its path.
 
-    Raises InputError if it is missing, invalid or of an unknown kind.
+    part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
+    if the file is missing, invalid or of an unknown kind.
     """
     if path.is_dir():
         return _folder(path)
@@ -69,7 +71,7 @@ def describe(path: Path) -> Facts:
         raise InputError(path, "no such file or folder", remedy="check the path")
     suffix = path.suffix.lower()
     readers: dict[str, Callable[[Path], Facts]] = {
-        ".exr": _panorama,
+        ".exr": lambda file: _exr(file, part),
         ".hdr": _radiance,
         ".toml": _toml,
         ".csv": _csv,
@@ -79,29 +81,35 @@ def describe(path: Path) -> Facts:
     return readers.get(suffix, _raw)(path)
 
 
-def _panorama(path: Path) -> Facts:
+def _exr(path: Path, part: str) -> Facts:
+    """Return facts about a panorama, or about a picture with the view that `glare` uses."""
     import numpy as np
 
+    from fieldlum.images import read_exr
     from fieldlum.records import utc_text
     from fieldlum.session.panorama_sun import read_panorama_with_sun
 
-    panorama = read_panorama_with_sun(path)
-    values = panorama.luminance_cdm2[np.isfinite(panorama.luminance_cdm2)]
+    picture, view = read_exr(path, part)
+    is_panorama = view == "equirect"
+    if is_panorama:
+        picture = read_panorama_with_sun(path, part=part)
+    values = picture.luminance_cdm2[np.isfinite(picture.luminance_cdm2)]
     if not values.size:
         raise InputError(
-            path, "no finite luminance", "a panorama with luminances", "merge or convert it again"
+            path, "no finite luminance", "a picture with luminances", "merge or convert it again"
         )
-    flagged = 0.0 if panorama.flags is None else 100.0 * float((panorama.flags > 0).mean())
+    flagged = 0.0 if picture.flags is None else 100.0 * float((picture.flags > 0).mean())
+    heading = {"heading_deg": picture.heading_deg} if is_panorama else {"view": view or "missing"}
     return {
-        "kind": "panorama",
-        "size": f"{panorama.luminance_cdm2.shape[1]} x {panorama.luminance_cdm2.shape[0]}",
-        "heading_deg": panorama.heading_deg,
-        "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else "",
+        "kind": "panorama" if is_panorama else "EXR picture",
+        "size": f"{picture.luminance_cdm2.shape[1]} x {picture.luminance_cdm2.shape[0]}",
+        **heading,
+        "t_utc": utc_text(picture.t_utc) if picture.t_utc else "",
         "median_cdm2": round(float(np.median(values)), 3),
         "largest_cdm2": round(float(values.max()), 1),
         "flagged_percent": round(flagged, 2),
-        "sun": str(panorama.sun) if panorama.sun else "none",
-        **panorama.attributes,
+        "sun": str(picture.sun) if picture.sun else "none",
+        **picture.attributes,
     }
 
 

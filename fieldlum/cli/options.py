@@ -232,3 +232,11 @@ def panorama_height(size: str) -> int:
             f"--size {size}: a panorama must be twice as wide as high, for example {DEFAULT_SIZE}"
         )
     return height
+
+
+part_option = click.option(
+    "--part",
+    default="",
+    metavar="NAME",
+    help="Read this part, layer or stereo view of an .exr that has several.",
+)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import FILE_PATH, PATH
+from fieldlum.cli.options import FILE_PATH, PATH, part_option
 from fieldlum.cli.terminal import say, write_csv
 
 
@@ -35,6 +35,7 @@ from fieldlum.cli.terminal import say, write_csv
     metavar="FILE",
     help="Write the statistics of the regions.",
 )
+@part_option
 @click.option("--isolines", is_flag=True, help="Draw lines at 1, 10, 100 ... cd/m2 into the PNG.")
 @click.pass_context
 def command(
@@ -43,6 +44,7 @@ def command(
     out: Path | None,
     region_texts: tuple[str, ...],
     csv_path: Path | None,
+    part: str,
     isolines: bool,
 ) -> None:
     """Show pictures in false colour, with statistics of regions.
@@ -68,7 +70,7 @@ def command(
     pictures: list[MeasuredPicture] = []
     for path in files:
         try:
-            pictures.append(read_measured_picture(path))
+            pictures.append(read_measured_picture(path, part))
         except InputError as error:
             say(f"fieldlum view: {error}")
     rows = [region_statistics(region, picture) for picture in pictures for region in regions]

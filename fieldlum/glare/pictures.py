@@ -48,11 +48,12 @@ class Picture:
     notes: tuple[str, ...] = ()
 
 
-def read_picture(path: Path, view_options: str = "") -> Picture:
+def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     """Return a .hdr or .exr picture with its view, which `view_options` replace if they are not "".
 
-    view_options : Radiance's options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180". Raises InputError
-    for a missing or damaged file, and a missing or contradictory view.
+    view_options : Radiance's options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180". part : name of the
+    part, layer or stereo view of an .exr; "" for the only one. Raises InputError for a missing or
+    damaged file, and a missing or contradictory view.
     """
     if not path.is_file():
         raise InputError(
@@ -63,7 +64,11 @@ def read_picture(path: Path, view_options: str = "") -> Picture:
         )
     with path.open("rb") as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
-    return _read_exr(path, view_options) if is_exr else _read_hdr(path, view_options)
+    if part and not is_exr:
+        raise InputError(
+            path, "a Radiance picture, which has no parts", "an .exr for --part", "omit --part"
+        )
+    return _read_exr(path, view_options, part) if is_exr else _read_hdr(path, view_options)
 
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
@@ -107,10 +112,10 @@ def _check_views(header: RadianceHeader, path: Path) -> None:
         )
 
 
-def _read_exr(path: Path, view_options: str) -> Picture:
-    picture, stated = read_exr(path)
+def _read_exr(path: Path, view_options: str, part: str) -> Picture:
+    picture, stated = read_exr(path, part)
     if stated == "equirect" and not view_options:
-        panorama = read_panorama_with_sun(path)
+        panorama = read_panorama_with_sun(path, part=part)
         return Picture(panorama, None, notes=_notes(panorama))
     notes = _notes(picture)
     text = view_options or ("" if stated == "equirect" else stated.removeprefix("VIEW=").strip())

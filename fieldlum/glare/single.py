@@ -41,17 +41,19 @@ def picture_glare(
     *,
     reference: bool = False,
     view_options: str = "",
+    part: str = "",
     measured_ev_lx: float | None = None,
 ) -> GlareAnswer:
     """Return the object that `glare --json` prints for a .hdr or .exr picture.
 
     azimuths_deg : view directions, clockwise from north; if empty, ten around a panorama, or a
     fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
-    replace the view in the file; "" to use the file's. measured_ev_lx : scale the picture so that
-    its first view has this vertical illuminance; None for no scaling. Raises InputError for an
-    unusable picture, or if a picture to scale has no light in its first view.
+    replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
+    view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
+    has this vertical illuminance; None for no scaling. Raises InputError for an unusable picture,
+    or if a picture to scale has no light in its first view.
     """
-    picture = read_picture(path, view_options)
+    picture = read_picture(path, view_options, part)
     judge = _panorama_answer if picture.view is None else single_picture_glare
     if measured_ev_lx is None:
         return judge(picture, path, azimuths_deg, reference, 1.0)

@@ -6,7 +6,7 @@ import errno
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 
 from fieldlum.arrays import Array, Floats32
 from fieldlum.errors import InputError
+from fieldlum.images.exr_parts import ExrPart, ExrPicture, chosen_picture
 from fieldlum.images.primaries import BT709_CHROMATICITIES, luminance_weights
 from fieldlum.images.radiance_header import MAX_PIXELS
 from fieldlum.profiles import CameraProfile
@@ -117,20 +118,26 @@ def _sun_parse(text: str) -> SunSource:
 # reading
 
 
-def read_exr(path: Path) -> tuple[Panorama, str]:
+def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     """Return a luminance picture and its view: ``equirect``, Radiance's view options, or "".
 
-    The luminance is channel Y, or R, G and B weighted by the attribute chromaticities (BT.709
-    without it) times whiteLuminance (1 cd/m2 without it; for files of other programs
-    `Panorama.attributes["note"]` states this). Pixels outside of the data window are flagged as
+    part : name of the part, layer or stereo view to read; "" for the only one. The luminance is
+    channel Y, or R, G and B weighted by the attribute chromaticities (BT.709 without it) times
+    whiteLuminance (1 cd/m2 without it). For files of other programs `Panorama.attributes["note"]`
+    states a missing unit, and other layers. Pixels outside of the data window are flagged as
     outside the lens.
 
-    Raises InputError for a file that is no EXR, is broken, too large, or has neither Y nor R, G, B.
+    Raises InputError for a file that is no EXR, is broken, too large, has neither Y nor R, G, B, or
+    has several pictures and `part` does not name one of them.
     """
-    header = _header(path)
-    _check_size(header, path)
-    channels, header = _channels(path)
+    parts = _parts(path)
+    picture, layer_note = chosen_picture(parts, part, path)
+    _check_size(parts, path)
+    header = parts[picture.part].header
+    channels = _channels(path, picture)
     luminance, note = _luminance(channels, header, path)
+    if layer_note:
+        note = {"note": "; ".join([*note.values(), layer_note])}
     try:
         own = {
             str(key).removeprefix("fieldlum:"): str(value)
@@ -140,7 +147,7 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
         heading = float(header.get("heading_deg", 180.0))
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
-        view = str(header.get("view", ""))
+        view = _view_of(header)
     except (ValueError, TypeError, AttributeError) as error:
         # OpenEXR returns a damaged attribute as bytes of unknown type.
         raise InputError(
@@ -155,8 +162,17 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
     return _on_display_window(panorama, header), view
 
 
-def _header(path: Path) -> Mapping[str, Any]:
-    """Return the attributes of the first part. Raises InputError for a file that is no EXR."""
+def _view_of(header: Mapping[str, Any]) -> str:
+    """Return the attribute view if it is a view of fieldlum or Radiance.
+
+    OpenEXR itself names the view of a stereo picture there, such as "left".
+    """
+    text = str(header.get("view", ""))
+    return text if text.startswith(("equirect", "-v", "VIEW=", "rvu ")) else ""
+
+
+def _parts(path: Path) -> list[ExrPart]:
+    """Return attributes and channels of each part. Raises InputError for a file that is no EXR."""
     import OpenEXR
 
     # Check the first bytes before OpenEXR reads the file, because OpenEXR prints to stderr.
@@ -167,7 +183,10 @@ def _header(path: Path) -> Mapping[str, Any]:
             )
     try:
         with OpenEXR.File(str(path), header_only=True) as exr:
-            return dict(exr.header())
+            return [
+                ExrPart(dict(part.header), tuple(c.name for c in part.header["channels"]))
+                for part in exr.parts
+            ]
     except Exception as error:
         raise _broken(path, error) from None
 
@@ -190,68 +209,42 @@ def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int] |
         return None
 
 
-def _check_size(header: Mapping[str, Any], path: Path) -> None:
-    """Raise InputError for more pixels than `MAX_PIXELS`, before anything is decoded."""
-    try:
-        kind = str(header.get("type", "")).lower()
-    except UnicodeDecodeError as error:  # a damaged attribute, as bytes of an unknown type
-        raise _broken(path, error) from None
-    if "deep" in kind:
-        raise InputError(
-            path,
-            "an EXR with deep data",
-            "a flat picture",
-            "flatten it with the program that wrote it",
-        )
-    channels = max(1, len(header.get("channels") or ()))
-    for name in ("dataWindow", "displayWindow"):
-        window = _window(header, name)
-        if window is None:
-            continue
-        width, height = window[2:]
-        pixels = width * height
-        if min(width, height) < 1 or pixels > MAX_PIXELS or pixels * channels > _MAX_VALUES:
-            raise InputError(
-                path,
-                f"{width} x {height} pixels of {channels} channels",
-                f"1 to {MAX_PIXELS:,} pixels, and at most {_MAX_VALUES:,} values in all channels",
-                "reduce the picture, or copy the file again",
-            )
+def _check_size(parts: Sequence[ExrPart], path: Path) -> None:
+    """Raise InputError for more pixels than `MAX_PIXELS`, before anything is decoded.
+
+    All parts count, because OpenEXR decodes all of them.
+    """
+    for part in parts:
+        channels = max(1, len(part.channels)) * len(parts)
+        for name in ("dataWindow", "displayWindow"):
+            window = _window(part.header, name)
+            if window is None:
+                continue
+            width, height = window[2:]
+            pixels = width * height
+            if min(width, height) < 1 or pixels > MAX_PIXELS or pixels * channels > _MAX_VALUES:
+                raise InputError(
+                    path,
+                    f"{width} x {height} pixels of {channels} channels",
+                    f"1 to {MAX_PIXELS:,} pixels, and at most {_MAX_VALUES:,} values in all "
+                    "channels",
+                    "reduce the picture, or copy the file again",
+                )
 
 
-def _channels(path: Path) -> tuple[dict[str, Floats32], Mapping[str, Any]]:
-    """Return channels [H, W] by their plain name, and the attributes, of the first part."""
+def _channels(path: Path, picture: ExrPicture) -> dict[str, Floats32]:
+    """Return channels [H, W] of a picture by their plain name."""
     import OpenEXR
 
     try:
         with OpenEXR.File(str(path), separate_channels=True) as exr:
-            header = dict(exr.header())
-            wanted = _chosen_layer(list(exr.channels()))
-            pixels = {
-                plain_name: np.asarray(exr.channels()[name].pixels).astype(np.float32, copy=False)
-                for name, plain_name in wanted.items()
+            channels = exr.parts[picture.part].channels
+            return {
+                plain_name: np.asarray(channels[name].pixels).astype(np.float32, copy=False)
+                for name, plain_name in picture.channels.items()
             }
     except Exception as error:
         raise _broken(path, error) from None
-    return pixels, header
-
-
-def _chosen_layer(names: list[str]) -> dict[str, str]:
-    """Return the names of the channels to read, each with its plain name.
-
-    Plain channels are preferred; otherwise the only layer with Y or R, G, B is used.
-    """
-
-    def complete(prefix: str) -> bool:
-        return f"{prefix}Y" in names or all(f"{prefix}{c}" in names for c in "RGB")
-
-    if complete(""):
-        return {name: name for name in names if name in ("Y", "R", "G", "B", "u", "flags")}
-    prefixes = {f"{name.rpartition('.')[0]}." for name in names}
-    layers = [prefix for prefix in prefixes if complete(prefix)]
-    if len(layers) != 1:
-        return {name: name for name in names}
-    return {f"{layers[0]}{c}": c for c in "YRGB" if f"{layers[0]}{c}" in names}
 
 
 def _luminance(
@@ -265,14 +258,6 @@ def _luminance(
     if "Y" in channels:
         luminance = channels["Y"]
         return (luminance if scale == 1.0 else luminance * np.float32(scale)), note
-    if not set("RGB") <= set(channels):
-        shown = ", ".join(sorted(channels))[:120]
-        raise InputError(
-            path,
-            f"channels {shown}",
-            "a channel Y in cd/m2, or R, G and B, of one layer",
-            "write only that layer",
-        )
     try:
         stated = header.get("chromaticities")
         weights = luminance_weights(BT709_CHROMATICITIES if stated is None else tuple(stated))

@@ -10,17 +10,20 @@ from fieldlum.images.radiance import read_radiance_hdr
 from fieldlum.records import Panorama
 
 
-def read_panorama(path: Path) -> Panorama:
+def read_panorama(path: Path, part: str = "") -> Panorama:
     """Read a panorama: an .exr or a Radiance .hdr that is twice as wide as high.
 
-    A file without a heading gets 180 (south). The file's view is not checked. Raises InputError for
+    part : of an .exr, as for `read_exr`. A file without a heading gets 180 (south). The file's view
+    is not checked. Raises InputError for
     a missing or broken file, and for other shapes.
     """
     if not path.is_file():
         raise InputError(
             path, "no such file", "a panorama .exr or .hdr", "check the path of the panorama"
         )
-    panorama = read_exr(path)[0] if path.suffix.lower() == ".exr" else _read_hdr_panorama(path)
+    panorama = (
+        read_exr(path, part)[0] if path.suffix.lower() == ".exr" else _read_hdr_panorama(path)
+    )
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
         raise InputError(

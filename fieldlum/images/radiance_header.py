@@ -188,7 +188,10 @@ def _resolution(line: bytes, path: Path) -> Resolution:
 
 
 def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> Floats:
-    """Return the values of all lines that begin with `key`, [lines, count]; all must be above 0."""
+    """Return the values of all lines that begin with `key`, [lines, count]; all must be above 0.
+
+    Zeros, which FreeImage writes as EXPOSURE, count as no line.
+    """
     rows = []
     for line in lines:
         if not line.startswith(key):
@@ -197,6 +200,8 @@ def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> Floats:
             row = [float(word) for word in line[len(key) :].split()[:count]]
         except ValueError:
             row = []
+        if len(row) == count and not any(row):
+            continue
         if len(row) != count or not all(np.isfinite(v) and v > 0 for v in row):
             raise InputError(
                 path,

@@ -181,7 +181,7 @@ def load_jpeg(
     bracket, and whether it is the least exposed. Raises InputError for a file that is no JPEG of
     this camera, and for a filter that the profile does not have.
     """
-    frame = read_jpeg(shot.path)
+    frame = read_jpeg(shot.path, camera_pixels=profile.camera.pixels)
     check_frame(shot.path, frame.codes.shape, frame.model, profile)
     per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
     part = frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]

@@ -184,7 +184,8 @@ def _merge_readable(
     try:
         return merged(shots), []
     except InputError:
-        lost = [s.path.name for s in shots if unreadable(s.path)]
+        pixels = job.profile.camera.pixels
+        lost = [s.path.name for s in shots if unreadable(s.path, camera_pixels=pixels)]
         if not lost or len(shots) - len(lost) < max(2, len(shots) / 2):
             raise
         return merged([s for s in shots if s.path.name not in lost]), lost

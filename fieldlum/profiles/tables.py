@@ -26,6 +26,11 @@ class CameraBody:
     note: str = ""
     fixed_f_number: float = 0.0
 
+    @property
+    def pixels(self) -> int:
+        """Number of pixels of a frame."""
+        return self.width_px * self.height_px
+
 
 @dataclass(frozen=True, slots=True)
 class Sensor:

@@ -7,5 +7,5 @@ frame by its own maximum.
 from fieldlum.raw.dng import channel_positions, write_dng
 from fieldlum.raw.exif import FrameInfo, roll_deg_of, same_model
 from fieldlum.raw.integrity import RAW_SUFFIXES, is_jpeg, possible_frames, unreadable
-from fieldlum.raw.jpeg import read_jpeg, write_jpeg
+from fieldlum.raw.jpeg import jpeg_size, read_jpeg, write_jpeg
 from fieldlum.raw.mosaic import Mosaic, read_exif, read_mosaic

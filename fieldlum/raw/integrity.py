@@ -41,15 +41,15 @@ def possible_frames(folder: Path) -> list[Path]:
     return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
 
 
-def unreadable(path: Path) -> str:
+def unreadable(path: Path, *, camera_pixels: int = 0) -> str:
     """Return why the pixels of a JPEG or raw frame cannot be read; "" if they can.
 
     Decodes the frame, which takes some seconds for a large raw file. A missing f-number is no
-    reason for a raw frame.
+    reason for a raw frame. camera_pixels : as for `read_jpeg`.
     """
     try:
         if is_jpeg(path):
-            read_jpeg(path)
+            read_jpeg(path, camera_pixels=camera_pixels)
         else:  # a lens without electronics is no fault of the file
             read_mosaic(path, lens_f_number=1.0)
     except InputError as error:

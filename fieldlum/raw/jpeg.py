@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,6 +15,10 @@ from fieldlum.errors import InputError
 from fieldlum.raw.exif import info_of, rational, tags_of, time_tags
 from fieldlum.records import Exposure
 from fieldlum.session import replacing
+
+# Largest frame without a profile that states more: 0.5 GB of codes. Chosen: phones have 108
+# million pixels.
+MAX_PIXELS = 160_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,32 +37,59 @@ class JpegFrame:
     model: str = ""
 
 
-def read_jpeg(path: Path) -> JpegFrame:
+def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     """Return the codes and the EXIF of a JPEG frame.
 
-    Raises InputError for a file that cannot be read, is no complete JPEG, or whose EXIF lacks
-    exposure time, f-number or ISO.
+    camera_pixels : pixels of the camera by its profile, 0 without one; a frame may have as many,
+    and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is no complete
+    JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
-    import warnings
-
-    from PIL import Image
-
     info = info_of(path, tags_of(path))
+    codes = _codes(path, max(MAX_PIXELS, camera_pixels))
+    return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
+
+
+def jpeg_size(path: Path) -> tuple[int, int]:
+    """Return width and height [px] of a JPEG by its header, (0, 0) if it cannot be read."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with warnings.catch_warnings(), suppress(Exception):
+        warnings.simplefilter("ignore")
+        with JpegImageFile(path) as image:
+            return image.size
+    return 0, 0
+
+
+def _codes(path: Path, most_pixels: int) -> NDArray[np.uint8]:
+    """Return the codes [h, w, 3] of a JPEG's first picture.
+
+    Pillow's class for JPEG is used directly: `Image.open` also reads the index of further pictures
+    (MPF), which may be broken, and has a limit on pixels below those of current cameras.
+    """
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with path.open("rb") as file:
+        is_jpeg = file.read(3) == b"\xff\xd8\xff"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            with Image.open(path, formats=("JPEG",)) as image:
-                codes = np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+            # A warning is about data that are not used; damaged pixels are an error.
+            warnings.simplefilter("ignore")
+            with JpegImageFile(path) as image:
+                width, height = image.size
+                if width * height <= most_pixels:
+                    return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
-        finding = (
-            "the file is no JPEG"
-            if type(error).__name__ == "UnidentifiedImageError"
-            else str(error).splitlines()[0]
-        )
+        damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
+        finding = damage if is_jpeg else "the file is no JPEG"
         raise InputError(
             path, finding, "a complete JPEG", "copy the file from the card again"
         ) from None
-    return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
+    raise InputError(
+        path,
+        f"{width} x {height} pixels",
+        f"at most {most_pixels:,} pixels",
+        "state width_px and height_px of the camera in its profile, or copy the file again",
+    )
 
 
 def write_jpeg(

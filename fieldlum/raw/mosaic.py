@@ -31,6 +31,7 @@ _STDERR = threading.Lock()
 # First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content:
 # LibRaw fills missing data of these files without a message.
 _TIFF_VARIANTS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
+_ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
 _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
@@ -265,6 +266,23 @@ def _other_than_bayer(raw: Any) -> str:
     return f"the raw file has {name} of {shape[0]} x {shape[1]} colour filters"
 
 
+def _visible_shift(path: Path, raw: Any) -> tuple[int, int]:
+    """Return by how many rows and columns LibRaw's visible mosaic starts inside a DNG's ActiveArea.
+
+    LibRaw rounds an uneven start up to an even one. The colours follow, but the black levels, whose
+    2 x 2 cell begins at the ActiveArea (DNG 1.7, BlackLevel), do not. (0, 0) for other files.
+    """
+    import tifffile
+
+    with suppress(Exception), tifffile.TiffFile(path) as tiff:
+        tops: list[Any] = list(tiff.pages)
+        for page in tops + [sub for top in tops for sub in (getattr(top, "pages", None) or ())]:
+            area = page.tags.valueof(_ACTIVE_AREA)
+            if area is not None and page.photometric == _COLOUR_FILTER_ARRAY:
+                return raw.sizes.top_margin - int(area[0]), raw.sizes.left_margin - int(area[1])
+    return 0, 0
+
+
 def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> Floats | None:
     """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
     xyz_matrix = np.asarray(raw.rgb_xyz_matrix, float)[:3]
@@ -294,7 +312,11 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
                 f"at least 2 x 2 and at most {_LARGEST_PIXELS / 1e6:.0f} million pixels",
             )
         black = raw.black_level_per_channel
-        black_dn = tuple(float(black[index[at]]) for at in channel_positions(cfa))
+        down, right = _visible_shift(path, raw)
+        black_dn = tuple(
+            float(black[index[(row + down) % 2, (column + right) % 2]])
+            for row, column in channel_positions(cfa)
+        )
         info = info_of(path, tags, libraw_exposure(raw), lens_f_number=lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:

@@ -14,15 +14,18 @@ MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")
 _SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
 
 
-def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) -> Panorama:
+def read_panorama_with_sun(
+    path: Path, suns: dict[str, SunRow] | None = None, part: str = ""
+) -> Panorama:
     """Read a panorama and add the sun that `pair` computed for it.
 
     suns: the table suns.csv by panorama, for a caller that reads many pictures; None: read it from
-    the folder above the picture's. A sun that the picture measured is not replaced; without a sun
-    in the picture none is added. `attributes["note"]` reports a sun that remains a lower bound,
-    because every frame is clipped there. Raises InputError for an unusable picture or table.
+    the folder above the picture's. part: of an .exr, as for `read_exr`. A sun that the picture
+    measured is not replaced; without a sun in the picture none is added. `attributes["note"]`
+    reports a sun that remains a lower bound, because every frame is clipped there. Raises
+    InputError for an unusable picture or table.
     """
-    panorama = read_panorama(path)
+    panorama = read_panorama(path, part)
     sun = panorama.sun
     if sun is None or sun.origin in MEASURED_ORIGINS:
         return panorama

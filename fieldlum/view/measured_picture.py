@@ -59,14 +59,18 @@ class MeasuredPicture:
         return np.where(rays.density > 0, cosine, -1.0)
 
 
-def read_measured_picture(path: Path) -> MeasuredPicture:
-    """Read a picture and judge its glare. Raises InputError for an unusable file."""
-    picture = read_picture(path)
+def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
+    """Read a picture and judge its glare. Raises InputError for an unusable file.
+
+    part : name of the part, layer or stereo view of an .exr; "" for the only one.
+    """
+    picture = read_picture(path, part=part)
     panorama = picture.panorama
     luminance = np.array(panorama.luminance_cdm2, np.float32)
     if panorama.flags is not None:
         luminance[(panorama.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
-    answer = picture_glare(path, (panorama.heading_deg,) if picture.view is None else ())
+    azimuths_deg = (panorama.heading_deg,) if picture.view is None else ()
+    answer = picture_glare(path, azimuths_deg, part=part)
     row = answer["views"][0]
     return MeasuredPicture(
         name=path.name,
