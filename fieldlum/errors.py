@@ -56,6 +56,14 @@ class ChangedFileWarning(UserWarning):
     """A file of a session differs from what fieldlum wrote: edited by hand, or damaged."""
 
 
+def install_text(extra: str) -> str:
+    """Return how to install an extra of pyproject.toml.
+
+    fieldlum is not published: another person could own its name in a package index.
+    """
+    return f"install it in the folder of fieldlum's source with: pip install '.[{extra}]'"
+
+
 def reason_of(error: BaseException) -> str:
     """Return what an exception reports, in words for a reader who does not know Python."""
     if isinstance(error, KeyError):

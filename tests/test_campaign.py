@@ -198,7 +198,7 @@ def test_parquet_without_pyarrow_is_one_line(
     path = campaign_file(tmp_path, '[[room]]\nsession = "missing"\n')
     table = str(tmp_path / "hours.parquet")
     result = CliRunner().invoke(main, ["campaign", "report", str(path), "--table", table])
-    assert result.exit_code == 3 and 'pip install "fieldlum[parquet]"' in result.output
+    assert result.exit_code == 3 and "pip install '.[parquet]'" in result.output
     # An error of the table must not hide which rooms were skipped, and why.
     assert "skipped: missing: " in result.stderr and "no session.toml" in result.stderr
 

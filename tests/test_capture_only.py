@@ -70,7 +70,7 @@ def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
     site = ROOT / "capture_plans" / "seattle-office.toml"
     shown = _run(tmp_path, "simulate", str(site), "--out", "s", "--set", "4-day")
     assert shown.returncode == 3
-    assert "pip install 'fieldlum[compute]'" in shown.stderr
+    assert "pip install '.[compute]'" in shown.stderr
     assert not (tmp_path / "s").exists()
     assert "Traceback" not in shown.stderr
 

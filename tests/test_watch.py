@@ -261,7 +261,7 @@ def test_without_the_library_the_remedy_is_named(session: Session) -> None:
     command = [sys.executable, "-c", code, "watch", str(session.root)]
     shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert shown.returncode == 3
-    assert "pip install 'fieldlum[web]'" in shown.stderr
+    assert "pip install '.[web]'" in shown.stderr
 
 
 @pytest.mark.property

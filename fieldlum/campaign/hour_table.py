@@ -11,7 +11,7 @@ import numpy as np
 
 from fieldlum.arrays import Array
 from fieldlum.campaign.campaign_file import CampaignFile
-from fieldlum.errors import FieldlumError, InputError
+from fieldlum.errors import FieldlumError, InputError, install_text
 from fieldlum.predict import Annual, read_annual
 from fieldlum.records import utc_text
 from fieldlum.session import open_session, replacing, replacing_path
@@ -81,7 +81,7 @@ def write_parquet(campaign: CampaignFile, path: Path) -> int:
         raise InputError(
             path,
             "pyarrow is not installed",
-            remedy='install it with: pip install "fieldlum[parquet]", or name a .csv file',
+            remedy=f"{install_text('parquet')}, or name a .csv file",
         ) from None
     count, writer = 0, None
     with replacing_path(path) as temporary:

@@ -17,7 +17,7 @@ import click
 
 from fieldlum.cli.options import LazyGroup
 from fieldlum.cli.terminal import say
-from fieldlum.errors import ChangedFileWarning, FieldlumError, InputError
+from fieldlum.errors import ChangedFileWarning, FieldlumError, InputError, install_text
 from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.
@@ -106,7 +106,7 @@ class _CommandGroup(LazyGroup):
                 raise
             message = (
                 f"the package {error.name} is not installed: this fieldlum was installed for "
-                "captures only; install it with: pip install 'fieldlum[compute]'"
+                f"captures only; {install_text('compute')}"
             )
             _complain(ctx, message)
             sys.exit(InputError.exit_code)

@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from fieldlum.cli.estimates import duration_text
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, install_text
 from fieldlum.records import Progress
 
 LINE_EVERY_S = 60.0  # seconds between lines of progress in a log; chosen
@@ -91,7 +91,7 @@ def web_library() -> Iterator[None]:
         raise InputError(
             "fieldlum[web]",
             "the web server is not installed",
-            remedy="install it with: pip install 'fieldlum[web]'",
+            remedy=install_text("web"),
         ) from None
 
 

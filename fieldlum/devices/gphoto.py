@@ -14,7 +14,7 @@ from fieldlum.devices.clock import Clock
 from fieldlum.devices.driver_process import Child, Serve
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
-from fieldlum.errors import DeviceError
+from fieldlum.errors import DeviceError, install_text
 from fieldlum.records import Exposure
 from fieldlum.session import Session
 
@@ -149,8 +149,7 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     options = uri.read(delete=integer_option(0, 1))
     if find_spec("gphoto2") is None:
         raise DeviceError(
-            f"{uri.text}: the package gphoto2 is missing; pip install 'fieldlum[gphoto]' "
-            f"(Linux, macOS)"
+            f"{uri.text}: the package gphoto2 is missing; {install_text('gphoto')} (Linux, macOS)"
         )
     from fieldlum.devices.gphoto_child import serve
 

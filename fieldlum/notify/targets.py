@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, install_text
 from fieldlum.notify.outbox import Message, Post
 
 VARIABLE = "FIELDLUM_NOTIFY"
@@ -92,7 +92,7 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
             source,
             "messages cannot be sent",
             "the package apprise",
-            "install it with: pip install 'fieldlum[notify]'",
+            install_text("notify"),
         ) from None
     if not all(understood):
         number = understood.index(False) + 1

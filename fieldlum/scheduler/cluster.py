@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError, install_text
 from fieldlum.records import counted
 from fieldlum.scheduler.address import Scheduler
 from fieldlum.scheduler.crew import POLL_S, Ended
@@ -257,7 +257,7 @@ def _connect(scheduler: Scheduler) -> Any:
         raise InputError(
             "--scheduler",
             "dask is not installed",
-            remedy='install it with: pip install "fieldlum[cluster]"',
+            remedy=install_text("cluster"),
         ) from None
     security: Any = None
     if scheduler.tls is not None:

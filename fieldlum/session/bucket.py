@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, install_text
 from fieldlum.records import JsonTable
 
 _ROOT = "zarr.json"  # of the store; without it nothing opens the store (Zarr v3)
@@ -114,8 +114,7 @@ def _file_system(url: str) -> tuple[Any, str]:
         raise InputError(
             url,
             f"the library for this kind of URL is not installed ({error})",
-            remedy="for s3:// install it with: pip install 'fieldlum[cloud]', else install that "
-            "library",
+            remedy=f"for s3:// {install_text('cloud')}; else install that library",
         ) from None
     except ValueError as error:
         raise InputError(
