@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scheduler_units as units
 from dask_cluster import SOURCE, Cluster, cluster
+from test_frame_changes import one_bit, recorded
 from test_merge_stage import START, profile, take
 
 from fieldlum import merge, models, predict, simulate
@@ -68,13 +69,15 @@ def text_of(path: Path) -> str:
 
 
 def test_workers_write_the_files_of_one_process(running: Cluster, scheduler: Scheduler) -> None:
-    """Three brackets, one of them with a frame that nobody can read."""
+    """Four brackets: one with a frame that nobody can read, one with a frame that changed."""
     path = running.shared.parent / "small.toml"
     save_profile(path, profile())
     session = session_of(running.shared / "room", path)
     slots = [take(session, number) for number in range(3)]
     (session.raw / slots[2] / "1.dng").write_bytes(b"no raw")
+    one_bit(recorded(session, 3) / "1.dng")
     alone = merge.run(session, merge.MergeOptions(height=16))
+    assert alone[3].state == "failed" and "1.dng changed" in alone[3].text
     expected = files(session)
     assert len(expected) >= 8
     assert (
@@ -82,7 +85,8 @@ def test_workers_write_the_files_of_one_process(running: Cluster, scheduler: Sch
     )
     assert files(session) == expected
     kept = merge.run(session, merge.MergeOptions(height=16), scheduler=scheduler)
-    assert [v.state for v in kept] == ["kept", "kept", "merged"], "a lost frame may come back"
+    states = [v.state for v in kept]
+    assert states == ["kept", "kept", "merged", "failed"], "a lost frame may come back"
 
 
 def test_a_year_a_room_and_its_patches_are_those_of_one_process(

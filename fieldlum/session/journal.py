@@ -25,6 +25,7 @@ from fieldlum.session.lines import (
 )
 from fieldlum.session.tables import EventFields, JournalEvent
 
+_FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of an event; chosen
 _NAMED = 5  # damaged lines that are named; chosen
 # Types of the keys of an event that are no objects; a number without a point is a float too.
 _PLAIN = {
@@ -120,7 +121,8 @@ def decode_event(line: bytes) -> JournalEvent | None:
     """Return the event in a journal line; None for a damaged line or a value of a wrong type."""
     row = decode_line(line)
     try:
-        parse_utc(row["t_utc"])
+        if not _FIRST_YEAR <= parse_utc(row["t_utc"]).year <= _LAST_YEAR:
+            return None
         if "frame" in row:
             frame_from(row["frame"])
         if row["event"] == "marked":
