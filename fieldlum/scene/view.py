@@ -114,45 +114,59 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
     """
     scene = build(room)
     pixel, world = pixel_rays(height, heading_deg, sub)
-    level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
-    rays = scene.to_room(world @ level.T)
-    eye = np.broadcast_to(np.array(scene.camera_m), rays.shape)
-    hits = first_hits(scene, eye, rays)
-    panes = pane_crossings(scene, eye, rays, hits.distance_m)
-    share = np.full(len(rays), 1.0 / sub**2)
-    surfaces = [_surfaces(pixel, eye, rays, hits, share * panes.through)]
-    open_sky = (hits.box < 0) & (panes.opening >= 0)
-    sky, plain = np.zeros(2 * height**2), np.zeros(2 * height**2)
-    for target, where in ((sky, rays[:, 2] > 0), (plain, rays[:, 2] <= 0)):
-        rows = open_sky & where
-        target += np.bincount(pixel[rows], (share * panes.through)[rows], len(target))
-    surfaces.append(_mirrored(scene, pixel, eye, rays, panes, share))
-    position, axis, sign, box, pixels, weight = (
-        np.concatenate(parts) for parts in zip(*surfaces, strict=True)
-    )
-    shape, straight = (height, 2 * height), len(surfaces[0][0])
+    rays = camera_rays(scene, room, world, heading_deg)
+    surfaces, straight, sky, plain = trace_pixels(scene, pixel, rays, sub, 2 * height**2)
+    shape = (height, 2 * height)
     return SceneView(
         scene,
         height,
         heading_deg,
-        position,
-        axis,
-        sign,
-        box,
-        pixels,
-        weight,
+        *surfaces,
         straight,
         sky.reshape(shape).astype(np.float32),
         plain.reshape(shape).astype(np.float32),
     )
 
 
-_Samples = tuple[Array, ...]  # position, axis, sign, box, pixel, weight
+def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) -> Floats:
+    """Return directions [n, 3] in the panorama of the stated pose in room axes, by the true pose.
+
+    heading_deg: azimuth of the panorama's centre column.
+    """
+    level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
+    return scene.to_room(world @ level.T)
+
+
+def trace_pixels(
+    scene: BoxScene, pixel: NDArray[np.int32], rays: Floats, sub: int, count: int
+) -> tuple[Samples, int, Floats, Floats]:
+    """Trace sub x sub rays from the camera in each of `count` pixels.
+
+    pixel: of each ray [n], 0 to count - 1; rays: in room axes [n, 3]. Return the surface samples of
+    a `SceneView`, the index of the first mirrored one, and the shares of the pixels that see sky
+    and plain, times the glass [count] each.
+    """
+    eye = np.broadcast_to(np.array(scene.camera_m), rays.shape)
+    hits = first_hits(scene, eye, rays)
+    panes = pane_crossings(scene, eye, rays, hits.distance_m)
+    share = np.full(len(rays), 1.0 / sub**2)
+    surfaces = [_surfaces(pixel, eye, rays, hits, share * panes.through)]
+    open_sky = (hits.box < 0) & (panes.opening >= 0)
+    sky, plain = np.zeros(count), np.zeros(count)
+    for target, where in ((sky, rays[:, 2] > 0), (plain, rays[:, 2] <= 0)):
+        rows = open_sky & where
+        target += np.bincount(pixel[rows], (share * panes.through)[rows], count)
+    surfaces.append(_mirrored(scene, pixel, eye, rays, panes, share))
+    samples = tuple(np.concatenate(parts) for parts in zip(*surfaces, strict=True))
+    return samples, len(surfaces[0][0]), sky, plain
+
+
+Samples = tuple[Array, ...]  # position, axis, sign, box, pixel, weight
 
 
 def _surfaces(
     pixel: NDArray[np.int32], origin: Floats, rays: Floats, hits: Hits, weight: Floats
-) -> _Samples:
+) -> Samples:
     rows = np.flatnonzero(hits.box >= 0)
     position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
     return position, hits.axis[rows], hits.sign[rows], hits.box[rows], pixel[rows], weight[rows]
@@ -165,7 +179,7 @@ def _mirrored(
     rays: Floats,
     panes: Panes,
     share: Floats,
-) -> _Samples:
+) -> Samples:
     """Return the room's reflection in the panes: one bounce off the pane that a ray crosses."""
     rows = np.flatnonzero(panes.opening >= 0)
     axis = np.array([o.axis for o in scene.openings], np.intp)[panes.opening[rows]]

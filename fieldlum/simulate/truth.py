@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Indices
 from fieldlum.errors import InputError
@@ -22,7 +21,8 @@ from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.view import SceneView, look, patch_rays
 from fieldlum.session import replacing_path
 from fieldlum.session.provenance import digest
-from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
+from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather
+from fieldlum.simulate.pixel_points import PixelPoints, pixel_points
 from fieldlum.strict_toml import plain
 
 VERSION = 3  # of the coefficients; increase it to recompute all stored ones
@@ -57,7 +57,8 @@ class Rendering:
 
     luminance_cdm2 : [n, H, W]; patch_cdm2 : [n, H, W] of direct sun, with the fewer rays of
     `scene.sun_patches`; disc_lx : [n] on a plane normal to the sun at the camera; visible_fraction
-    : [n] of the disc; light : as requested.
+    : [n] of the disc; light : as requested; points_lx : [m, n] irradiance of the pixels' points
+    without direct sun.
     """
 
     luminance_cdm2: Floats32
@@ -65,6 +66,7 @@ class Rendering:
     disc_lx: Floats
     visible_fraction: Floats
     light: Light
+    points_lx: Floats32
 
     def __len__(self) -> int:
         return len(self.luminance_cdm2)
@@ -83,8 +85,8 @@ class Rendering:
 class GroundTruth:
     """A room that can be rendered in any light; `ground_truth` creates it.
 
-    from_points : CSR [m, columns] gathered irradiance of the pixels' points; to_pixels : CSR [H
-    W, m] their part in each pixel (reflectance / pi, glass, smoothing); from_pieces : CSR [p,
+    from_points : CSR [m, columns] gathered irradiance of the pixels' points; points : where they
+    are, and their part in each pixel (reflectance / pi, glass, smoothing); from_pieces : CSR [p,
     columns] of the surface pieces. key : identifies room, size and quality; "" if not stored.
     """
 
@@ -92,7 +94,7 @@ class GroundTruth:
     view: SceneView
     pieces: Pieces
     from_points: Any
-    to_pixels: Any
+    points: PixelPoints
     from_pieces: Any
     key: str = ""
 
@@ -100,6 +102,11 @@ class GroundTruth:
     def height(self) -> int:
         """Rows of the panorama."""
         return self.view.height
+
+    @property
+    def to_pixels(self) -> Any:
+        """The matrix from the points' irradiance to the pixels' luminance, CSR [H W, m]."""
+        return self.points.to_pixels
 
     @property
     def sun_rays(self) -> int:
@@ -140,17 +147,17 @@ class GroundTruth:
             for patch, points in zip((shown, given), self._view_points, strict=True):
                 patch[k] = points.direct(toward[k]) * direct_lx[k]
             sunlit[k] = self._piece_points.direct(toward[k]) * direct_lx[k]
-        columns = self._columns(light, sunlit)
-        out = np.ascontiguousarray(self.pixels_cdm2(columns).T, np.float32)
+        points_lx = np.asarray(self.from_points @ self._columns(light, sunlit), np.float32)
+        out = np.ascontiguousarray((self.to_pixels @ points_lx).T, np.float32)
         out += shown
         seen_sky = self._seen_sky
         out[:, seen_sky] += light.sky_at(self._sky_rays[seen_sky]) * self.view.sky.ravel()[seen_sky]
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
         visible, through = disc_visibility(self.view.scene, toward)
         shape = (n, self.height, 2 * self.height)
-        return Rendering(
-            out.reshape(shape), given.reshape(shape), direct_lx * visible * through, visible, light
-        )
+        disc_lx = direct_lx * visible * through
+        patches = given.reshape(shape)
+        return Rendering(out.reshape(shape), patches, disc_lx, visible, light, points_lx)
 
     def _columns(self, light: Light, sunlit: Floats32) -> Floats32:
         """Return the luminance of sky, plain, and pieces after all bounces, [columns, n]."""
@@ -259,7 +266,7 @@ def ground_truth(
     heading = setup.camera.heading_deg % 360.0
     view = look(room, height, heading)
     pieces = cut(view.scene, how.piece_m)
-    rows, to_pixels, normals = _pixel_points(view, how.smooth_px)
+    points = pixel_points(view, how.smooth_px)
     key = digest(
         {
             "room": plain(room),
@@ -272,9 +279,9 @@ def ground_truth(
     folder = cache / f"coefficients-{key}" if cache is not None else None
     if folder is not None and (folder / "complete").is_file():
         matrices = [_load(folder, name, FIRST_PIECE + len(pieces)) for name in ("points", "pieces")]
-        return GroundTruth(setup, view, pieces, matrices[0], to_pixels, matrices[1], key)
+        return GroundTruth(setup, view, pieces, matrices[0], points, matrices[1], key)
     scene = view.scene
-    total = len(pieces) + len(rows)
+    total = len(pieces) + len(points.rows)
 
     def both(finished: int, _all: int, text: str, base: int = 0) -> None:
         progress(base + finished, total, text)
@@ -284,8 +291,8 @@ def ground_truth(
     from_points = gather(
         scene,
         pieces,
-        view.position[rows],
-        normals,
+        view.position[points.rows],
+        points.normals,
         how.pixel_rays,
         workers=workers,
         text="light on the pixels",
@@ -296,7 +303,7 @@ def ground_truth(
         _save(folder, "pieces", of_pieces)
         with replacing_path(folder / "complete") as path:
             path.write_text(json.dumps({"key": key, "quality": quality}), encoding="utf-8")
-    return GroundTruth(setup, view, pieces, from_points, to_pixels, of_pieces, key)
+    return GroundTruth(setup, view, pieces, from_points, points, of_pieces, key)
 
 
 def _gather_pieces(
@@ -320,66 +327,6 @@ def _gather_pieces(
         (np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free))
     )
     return (spread @ gathered).tocsr()
-
-
-def _pixel_points(view: SceneView, smooth_px: int) -> tuple[Indices, Any, Floats]:
-    """Choose the points to gather light at: one for each face in each pixel, and for its mirror.
-
-    Returns rows [m] of the view's samples, the matrix [H W, m] from their irradiance to luminance,
-    and their normals [m, 3].
-    """
-    from scipy.sparse import csr_matrix
-
-    face = view.box.astype(np.int64) * 6 + view.axis * 2 + (view.sign > 0)
-    mirrored = np.zeros(len(face), np.int64)
-    mirrored[view.first_mirrored :] = 1
-    weight = view.weight * view.scene.reflectance[view.box] / np.pi
-    rows, total = representatives((view.pixel, face, mirrored), view.position, weight)
-    m = len(rows)
-    direct = csr_matrix(
-        (total.astype(np.float32), (view.pixel[rows], np.arange(m))), (2 * view.height**2, m)
-    )
-    normals = np.zeros((m, 3))
-    normals[np.arange(m), view.axis[rows]] = view.sign[rows]
-    share = _neighbours(
-        view.pixel[rows], face[rows] * 2 + mirrored[rows], view.position[rows], view, smooth_px
-    )
-    return rows, (direct @ share).tocsr(), normals
-
-
-def _neighbours(
-    pixel: NDArray[np.int32],
-    face: NDArray[np.int64],
-    position: Floats,
-    view: SceneView,
-    radius: int,
-) -> Any:
-    """Return the averaging matrix [m, m] over points of one face in pixels within `radius`.
-
-    Points further away in space have less weight.
-    """
-    from scipy.sparse import coo_matrix, diags
-
-    width = 2 * view.height
-    code = face * (2 * view.height**2) + pixel
-    order = np.argsort(code)
-    sorted_codes = code[order]
-    row, column = np.divmod(pixel.astype(np.int64), width)
-    reach = np.linalg.norm(position - np.array(view.scene.camera_m), axis=1) * np.pi / view.height
-    parts = []
-    for di in range(-radius, radius + 1):
-        for dj in range(-radius, radius + 1):
-            if di * di + dj * dj > radius * radius + 1:
-                continue
-            other = face * (2 * view.height**2) + (row + di) * width + (column + dj) % width
-            at = np.minimum(np.searchsorted(sorted_codes, other), len(sorted_codes) - 1)
-            good = (sorted_codes[at] == other) & (row + di >= 0) & (row + di < view.height)
-            i, j = np.flatnonzero(good), order[at[good]]
-            away = np.linalg.norm(position[i] - position[j], axis=1) / (reach[i] * max(radius, 1))
-            parts.append((i, j, np.exp(-(away**2))))
-    i, j, value = (np.concatenate(p) for p in zip(*parts, strict=True))
-    share = coo_matrix((value, (i, j)), (len(pixel), len(pixel))).tocsr()
-    return (diags(1 / np.asarray(share.sum(axis=1)).ravel()) @ share).astype(np.float32)
 
 
 def _save(folder: Path, name: str, matrix: Any) -> None:
