@@ -197,6 +197,11 @@ def response_tables(profile: CameraProfile) -> Floats:
     return np.stack(tables, axis=1)
 
 
+def sensor_pitch_deg(profile: CameraProfile) -> float:
+    """Return the angle across a sensor pixel, averaged over the field of the finest lens [deg]."""
+    return min(lens.full_angle_deg / (2.0 * lens.radius_px) for lens in profile.lens)
+
+
 def lens_geometry(
     lens: Lens, turn_deg: float = 0.0, corner_px: tuple[float, float] = (0.0, 0.0)
 ) -> LensGeometry:

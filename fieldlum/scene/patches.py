@@ -149,17 +149,32 @@ def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
     Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
     """
     visible, through = np.zeros(len(toward)), np.zeros(len(toward))
-    eye = np.array(scene.camera_m)
     for k, sun in enumerate(toward):
-        for o in scene.openings:
-            if sun[o.axis] * o.outward <= 1e-6 or sun[2] <= 0 or not _may_see(o, eye, sun):
-                continue
-            rays = disc_rays(sun)
-            free = _free(scene, o, eye, rays)
-            if free.any():
-                visible[k] += free.mean()
-                through[k] = float(glass_optics(o.transmittance, sun[o.axis])[0])
+        for opening, free in _seen_through(scene, sun):
+            visible[k] += free.mean()
+            through[k] = float(glass_optics(opening.transmittance, sun[opening.axis])[0])
     return visible, through
+
+
+def visible_disc(scene: BoxScene, sun: Floats) -> Mask:
+    """Return which rays of `disc_rays` from the camera to the sun meet no box, [r].
+
+    sun: direction in room axes [3].
+    """
+    seen_rays = np.zeros(len(disc_rays(sun)), bool)
+    for _, free in _seen_through(scene, sun):
+        seen_rays |= free
+    return seen_rays
+
+
+def _seen_through(scene: BoxScene, sun: Floats) -> Iterator[tuple[Opening, Mask]]:
+    """Yield each opening that shows a part of the disc, with the rays that it lets through."""
+    eye = np.array(scene.camera_m)
+    for o in scene.openings:
+        if sun[o.axis] * o.outward > 1e-6 and sun[2] > 0 and _may_see(o, eye, sun):
+            free = _free(scene, o, eye, disc_rays(sun))
+            if free.any():
+                yield o, free
 
 
 def _may_see(o: Opening, eye: Floats, sun: Floats) -> bool:

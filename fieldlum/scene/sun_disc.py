@@ -9,6 +9,9 @@ import numpy as np
 from fieldlum.arrays import Floats, Floats32
 
 SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc seconds (IAU)
+# Attribute of a rendered panorama with a partly hidden disc: for each of `disc_rays` 1 if the
+# camera sees it, else 0.
+DISC_RAYS = "disc_rays"
 
 
 @dataclass(frozen=True, slots=True)

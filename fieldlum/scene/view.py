@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.projection import direction, rotation
 from fieldlum.records import Room
 from fieldlum.scene.geometry import BoxScene, build
@@ -121,11 +122,27 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
         scene,
         height,
         heading_deg,
-        *surfaces,
+        surfaces.position,
+        surfaces.axis,
+        surfaces.sign,
+        surfaces.box,
+        surfaces.pixel,
+        surfaces.weight,
         straight,
         sky.reshape(shape).astype(np.float32),
         plain.reshape(shape).astype(np.float32),
     )
+
+
+class Samples(NamedTuple):
+    """Surface samples as in `SceneView`, [m] each."""
+
+    position: Floats
+    axis: NDArray[np.int8]
+    sign: NDArray[np.int8]
+    box: NDArray[np.int32]
+    pixel: NDArray[np.int32]
+    weight: Floats
 
 
 def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) -> Floats:
@@ -157,11 +174,8 @@ def trace_pixels(
         rows = open_sky & where
         target += np.bincount(pixel[rows], (share * panes.through)[rows], count)
     surfaces.append(_mirrored(scene, pixel, eye, rays, panes, share))
-    samples = tuple(np.concatenate(parts) for parts in zip(*surfaces, strict=True))
+    samples = Samples._make(np.concatenate(parts) for parts in zip(*surfaces, strict=True))
     return samples, len(surfaces[0][0]), sky, plain
-
-
-Samples = tuple[Array, ...]  # position, axis, sign, box, pixel, weight
 
 
 def _surfaces(
@@ -169,7 +183,8 @@ def _surfaces(
 ) -> Samples:
     rows = np.flatnonzero(hits.box >= 0)
     position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
-    return position, hits.axis[rows], hits.sign[rows], hits.box[rows], pixel[rows], weight[rows]
+    faces = hits.axis[rows], hits.sign[rows], hits.box[rows]
+    return Samples(position, *faces, pixel[rows], weight[rows])
 
 
 def _mirrored(

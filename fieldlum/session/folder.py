@@ -93,6 +93,7 @@ class Session:
     sunpatch = _SlotPlace("sunpatches", "{}.exr")
     sunpatch_sidecar = _SlotPlace("sunpatches", "{}.json")
     truth_panorama = _SlotPlace("truth", "{}.exr")
+    truth_sky_picture = _SlotPlace("truth", "{}.sky.npz")
     truth_sunpatch = _SlotPlace("truth", "sunpatches", "{}.exr")
 
     def captured_folders(self) -> list[Path]:

@@ -19,6 +19,8 @@ import numpy as np
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.light import Light, light_at
+from fieldlum.linear_light import sensor_pitch_deg
+from fieldlum.profiles import load_camera_profile
 from fieldlum.records import Progress, SiteFile, Slot, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session import Session, create_session, remove_scraps, update_session
@@ -123,7 +125,8 @@ def run(
     light, lit = _light_of(setup, slots, weather)
     wrong = troubles or Troubles()
     shining = true_light(light, wrong, setup.site) if wrong.names else light
-    _forget_other(session, slots, truth, weather, wrong.key)
+    pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
+    _forget_other(session, slots, truth, weather, wrong.key, pitch_deg)
     owed = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     units = truth_units(
         session,
@@ -134,6 +137,7 @@ def run(
         shining,
         height=height,
         quality=quality,
+        pitch_deg=pitch_deg,
         troubles=wrong,
     )
     run_each(units, scheduler, UnitOutcome.result, progress)
@@ -173,25 +177,30 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 
 
 def _forget_other(
-    session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather, troubles: str
+    session: Session,
+    slots: Sequence[Slot],
+    truth: GroundTruth,
+    weather: Weather,
+    troubles: str,
+    pitch_deg: float,
 ) -> None:
     """Delete the slots' rendered pictures of another room, size, quality, weather or troubles.
 
     Otherwise an interrupted run could leave a mixture. troubles: key of the simulated troubles, ""
-    for none.
+    for none; pitch_deg: of the pictures around windows.
     """
     path = session.truth / "made.json"
     light = hashlib.sha256(
         np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
     ).hexdigest()
     now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
-    now |= {"sun_rays": str(truth.sun_rays)}
+    now |= {"sun_rays": str(truth.sun_rays), "window_pitch_deg": f"{pitch_deg:.4f}"}
     now |= {"troubles": troubles} if troubles else {}
     if made_from(path, now) is not None:
         return
     for slot in slots:
-        for picture in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)):
-            picture.unlink(missing_ok=True)
+        for place in (session.truth_panorama, session.truth_sunpatch, session.truth_sky_picture):
+            place(slot.id).unlink(missing_ok=True)
     write_object(path, now)
 
 

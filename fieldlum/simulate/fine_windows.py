@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.projection import altitude_azimuth_deg, direction
+from fieldlum.projection import altitude_azimuth_deg, direction, rotation
 from fieldlum.scene.geometry import BoxScene, Opening
 from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.view import Samples, camera_rays, trace_pixels
@@ -40,7 +40,7 @@ class FineWindows:
     grid: of all of them; pixel [p]: flat index into the grid; rays [p, 3]: the pixels' true
     directions in world axes; sky, plain [p]: share of the pixel that sees them, times the glass;
     sun: surface points for direct sun; to_pixels: CSR [p, m], from the irradiance of the truth's
-    points to the pixels' luminance.
+    points to the pixels' luminance; smooth: CSR [m, m], applied to that irradiance first.
     """
 
     grid: SkyGrid
@@ -50,11 +50,15 @@ class FineWindows:
     plain: Floats32
     sun: SunPoints
     to_pixels: Any
+    smooth: Any
 
-    def picture(self, made: Rendering, k: int) -> SkyPicture:
-        """Return moment `k` (from 0) of a rendering, without the sun's disc."""
+    def picture(self, made: Rendering, k: int, factor: Floats32 | None = None) -> SkyPicture:
+        """Return moment `k` (from 0) of a rendering, without the sun's disc.
+
+        factor: on the luminance of each of the truth's pixels [H, W]; None for 1.
+        """
         light = made.light[[k]]
-        value = np.asarray(self.to_pixels @ made.points_lx[:, k], np.float32)
+        value = np.asarray(self.to_pixels @ (self.smooth @ made.points_lx[:, k]), np.float32)
         direct_lx = float(light.direct_lx[0])
         if direct_lx > 0:
             toward = self.sun.scene.to_room(light.shown_sun_direction)[0]
@@ -62,10 +66,21 @@ class FineWindows:
         seen_sky = np.flatnonzero(self.sky)
         value[seen_sky] += light.sky_at(self.rays[seen_sky])[0] * self.sky[seen_sky]
         value += np.float32(light.sky.ground_cdm2[0]) * self.plain
+        if factor is not None:
+            value *= factor.ravel()[self._coarse_pixels(len(factor))]
         out = np.full(self.grid.height * self.grid.width, np.nan, np.float32)
         out[self.pixel] = value
         shape = (self.grid.height, self.grid.width)
         return SkyPicture(out.reshape(shape), np.zeros(shape, bool), self.grid, light.t_utc[0])
+
+    def _coarse_pixels(self, height: int) -> Indices:
+        """Return the flat index of the panorama pixel that holds each fine pixel, [p]."""
+        grid, coarse = self.grid, 180.0 / height
+        row, column = np.divmod(self.pixel, grid.width)
+        down = 90.0 - grid.first_altitude_deg + (row + 0.5) * grid.step_deg
+        across = grid.first_azimuth_deg + 180.0 + (column + 0.5) * grid.step_deg
+        columns = np.floor(across / coarse).astype(np.intp) % (2 * height)
+        return np.floor(down / coarse).astype(np.intp) * 2 * height + columns
 
 
 def fine_windows(truth: GroundTruth, pitch_deg: float) -> FineWindows | None:
@@ -93,25 +108,24 @@ def fine_windows(truth: GroundTruth, pitch_deg: float) -> FineWindows | None:
         middle = toward.reshape(count, _SUB**2, 3).mean(axis=1) @ view.scene.turn
         rays[some] = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         joined, code = _one_for_each_face(samples, straight)
-        blocks.append((*joined[:4], joined[4] + some.start, joined[5]))
+        blocks.append(joined._replace(pixel=joined.pixel + np.int32(some.start)))
         codes.append(code)
-    position, axis, sign, box, target, weight = (
-        np.concatenate(p) for p in zip(*blocks, strict=True)
-    )
-    luminance = weight * view.scene.reflectance[box] / np.pi
-    points = sun_points(view.scene, position, axis, sign, luminance, target, len(pixel))
-    near_light = _light_of_neighbours(truth, position, np.concatenate(codes))
+    made = Samples._make(np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    luminance = made.weight * view.scene.reflectance[made.box] / np.pi
+    faces = made.axis, made.sign
+    points = sun_points(view.scene, made.position, *faces, luminance, made.pixel, len(pixel))
+    near_light = _light_of_neighbours(truth, made.position, np.concatenate(codes))
     from scipy.sparse import csr_matrix
 
-    direct = csr_matrix((luminance, (target, np.arange(len(target)))), (len(pixel), len(target)))
-    to_pixels = (direct @ near_light @ truth.points.smooth).tocsr().astype(np.float32)
-    return FineWindows(grid, pixel, rays, sky, plain, points, to_pixels)
+    direct = csr_matrix(
+        (luminance, (made.pixel, np.arange(len(luminance)))), (len(pixel), len(luminance))
+    )
+    to_pixels = (direct @ near_light).tocsr().astype(np.float32)
+    return FineWindows(grid, pixel, rays, sky, plain, points, to_pixels, truth.points.smooth)
 
 
 def _near_windows(scene: BoxScene, tilt_deg: float, roll_deg: float, truth: GroundTruth) -> Mask:
     """Return the truth's pixels that may show a window, or border on one that does, [H, W]."""
-    from fieldlum.projection import rotation
-
     height, heading = truth.height, truth.view.heading_deg
     level = rotation(0.0, tilt_deg, roll_deg, heading)
     near = np.zeros((height, 2 * height), bool)
@@ -158,13 +172,13 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     start = (first + height) % (2 * height) - height
     shape = (parts * len(cut), parts * span)
     grid = SkyGrid(
-        90.0 - rows[0] * coarse, start * coarse - 180.0, coarse / parts, heading_deg, *shape
+        float(90.0 - rows[0] * coarse), start * coarse - 180.0, coarse / parts, heading_deg, *shape
     )
     return grid, cut.repeat(parts, axis=0).repeat(parts, axis=1)
 
 
 def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, NDArray[np.int32], Floats]]:
-    """Yield blocks of pixels: a slice, each ray's pixel in it [n], and the rays [n, 3] in world axes.
+    """Yield blocks of pixels: a slice, each ray's pixel in it [n], and world rays [n, 3].
 
     The rays of a pixel follow each other.
     """
@@ -185,10 +199,10 @@ def _one_for_each_face(samples: Samples, straight: int) -> tuple[Samples, NDArra
 
     Return the samples, and the code of each one's face.
     """
-    position, axis, sign, box, pixel, weight = samples
-    code = sample_codes(box, axis, sign, straight)
-    rows, total = representatives((pixel, code), position, weight)
-    return (*(v[rows] for v in (position, axis, sign, box, pixel)), total), code[rows]
+    code = sample_codes(samples.box, samples.axis, samples.sign, straight)
+    rows, total = representatives((samples.pixel, code), samples.position, samples.weight)
+    joined = Samples._make(values[rows] for values in samples)
+    return joined._replace(weight=total), code[rows]
 
 
 def _light_of_neighbours(truth: GroundTruth, position: Floats, code: NDArray[np.int64]) -> Any:
@@ -198,7 +212,7 @@ def _light_of_neighbours(truth: GroundTruth, position: Floats, code: NDArray[np.
     nearest point that faces the same way.
     """
     from scipy.sparse import csr_matrix
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     points, view = truth.points, truth.view
     at, m = view.position[points.rows], len(points.rows)
@@ -209,11 +223,10 @@ def _light_of_neighbours(truth: GroundTruth, position: Floats, code: NDArray[np.
         theirs = np.flatnonzero(of_point == side)
         if not len(theirs):
             theirs = np.arange(m)
-        tree = cKDTree(np.column_stack((at[theirs], points.code[theirs] * _OTHER_FACE_M)))
+        tree = KDTree(np.column_stack((at[theirs], points.code[theirs] * _OTHER_FACE_M)))
         near = min(_NEIGHBOURS, len(theirs))
-        away, which = tree.query(
-            np.column_stack((position[mine], code[mine] * _OTHER_FACE_M)), k=np.arange(1, near + 1)
-        )
+        places = np.column_stack((position[mine], code[mine] * _OTHER_FACE_M))
+        away, which = (np.reshape(v, (-1, near)) for v in tree.query(places, k=near))
         index[mine[:, None], np.arange(near)] = theirs[which]
         weight[mine[:, None], np.arange(near)] = 1.0 / (away + 1e-3)
     weight /= weight.sum(axis=1, keepdims=True)

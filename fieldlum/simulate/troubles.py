@@ -280,6 +280,19 @@ def troubled_pictures(
     return maps
 
 
+def knocked_camera(
+    t_utc: datetime, all_slots: Sequence[datetime], timezone: str, troubles: Troubles
+) -> bool:
+    """Return whether the camera is turned by a knock at a slot of the plan `all_slots`."""
+    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
+    day = days.index(sun.standard_date(t_utc, timezone))
+    return troubles.knock is not None and _on_knocked_day(day)
+
+
+def _on_knocked_day(day: int) -> bool:
+    return _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]
+
+
 def _changed_room(
     image: Array, window: Mask, day: int, days: int, hour: float, troubles: Troubles
 ) -> Array:
@@ -319,7 +332,7 @@ def _changed_picture(
         if rng.random() < troubles.people.size:
             body = _block(height, width, rng.uniform(0.0, 360.0), -20.0, *_PERSON_DEG)
             out = np.where(body, np.float32(0.3 * np.median(out)), out)
-    if troubles.knock is not None and _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]:
+    if troubles.knock is not None and _on_knocked_day(day):
         shift = troubles.knock.size / 360.0 * width
         columns = int(np.floor(shift))
         near, far = np.roll(out, -columns, axis=1), np.roll(out, -columns - 1, axis=1)

@@ -16,8 +16,9 @@ from fieldlum.errors import InputError
 from fieldlum.light import Light, light_at
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Panorama, Progress, Room, SiteFile, SunSource, quiet
-from fieldlum.scene.patches import disc_visibility
+from fieldlum.scene.patches import disc_visibility, visible_disc
 from fieldlum.scene.points import SunPoints, sun_points
+from fieldlum.scene.sun_disc import DISC_RAYS
 from fieldlum.scene.view import SceneView, look, patch_rays
 from fieldlum.session import replacing_path
 from fieldlum.session.provenance import digest
@@ -219,6 +220,10 @@ class GroundTruth:
     def as_panorama(self, made: Rendering, k: int) -> Panorama:
         """Return moment `k` (from 0) of a rendering as a panorama, with its visible sun apart."""
         about = {"made_by": "fieldlum simulate", "room": self.setup.site.name}
+        if 0.0 < made.visible_fraction[k] < 1.0:
+            toward = self.view.scene.to_room(made.light.shown_sun_direction[k])
+            rays = visible_disc(self.view.scene, toward)
+            about[DISC_RAYS] = "".join("1" if ray else "0" for ray in rays)
         return Panorama(
             made.luminance_cdm2[k],
             self.view.heading_deg,

@@ -14,7 +14,7 @@ from fieldlum.devices import CameraInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics, sensor
-from fieldlum.devices.simulated.world import World
+from fieldlum.devices.simulated.world import World, detail_of
 from fieldlum.errors import DeviceError
 from fieldlum.linear_light import lens_geometry, true_shutter_s, vignetting_of
 from fieldlum.photometry import vignetting_at
@@ -22,6 +22,7 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.projection import relative_radius
 from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure, Panorama
+from fieldlum.sky_view import SkyGrid
 
 
 class SimulatedCamera:
@@ -125,7 +126,9 @@ class SimulatedCamera:
         """
         if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
             height, width = panorama.luminance_cdm2.shape
-            views = self._views(heading_deg - panorama.heading_deg, (height, width))
+            detail = detail_of(panorama)
+            grid = None if detail is None else detail.grid
+            views = self._views(heading_deg - panorama.heading_deg, (height, width), grid)
             scene = optics.on_sensor(panorama, views, self._shape)
             image = sensor.camera_channels(scene, self._profile)
             if self._raw is not None:
@@ -133,9 +136,11 @@ class SimulatedCamera:
             self._last = (panorama, heading_deg, image)
         return self._last[2]
 
-    def _views_of(self, turn_deg: float, panorama: tuple[int, int]) -> list[optics.LensSampling]:
+    def _views_of(
+        self, turn_deg: float, panorama: tuple[int, int], grid: SkyGrid | None
+    ) -> list[optics.LensSampling]:
         lenses = (lens_geometry(lens, turn_deg) for lens in self._profile.lens)
-        return [optics.look(lens, self._shape, panorama) for lens in lenses]
+        return [optics.look(lens, self._shape, panorama, grid) for lens in lenses]
 
     def _shading_of(self, f_number: float) -> Floats32:
         """Return the vignetting on the sensor, [h, w] or [h, w, 1]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 
 from fieldlum import projection
 from fieldlum.arrays import Floats, Floats32, Indices
+from fieldlum.devices.simulated.world import detail_of
 from fieldlum.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.records import Panorama, SunSource
+from fieldlum.scene.sun_disc import DISC_RAYS, disc_rays
+from fieldlum.sky_view import SkyGrid, SkyPicture
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -20,8 +23,8 @@ SUN_RADIUS_DEG = 0.2665  # mean angular radius of the sun at 1 au (Auwers 1891: 
 _SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
 _SUN_SUBSAMPLES = 8  # per pixel and axis of the disc; chosen, not measured
 _SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur; chosen
-# Standard deviation of the lens's blur. It is applied to the sun only, because everything else is
-# smoother. Chosen as that of a good lens; not measured.
+# Standard deviation of the lens's blur. Without a finer part of the panorama it is applied to the
+# sun only, because everything else is smoother. Chosen as that of a good lens; not measured.
 _PSF_PX = 0.5
 
 
@@ -29,8 +32,8 @@ _PSF_PX = 0.5
 class LensSampling:
     """How one lens maps a panorama onto the sensor.
 
-    pixels [n] : flat indices of the lens's sensor pixels; weights [n, H * W] : share of each
-    panorama pixel in each sensor pixel, rows sum to 1.
+    pixels [n] : flat indices of the lens's sensor pixels; weights [n, H * W + h * w] : share of
+    each pixel of the panorama, then of its finer part, in each sensor pixel, rows sum to 1.
     """
 
     geometry: LensGeometry
@@ -38,11 +41,17 @@ class LensSampling:
     weights: csr_array
 
 
-def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensSampling:
+def look(
+    lens: LensGeometry,
+    sensor: tuple[int, int],
+    panorama: tuple[int, int],
+    grid: SkyGrid | None = None,
+) -> LensSampling:
     """Compute how a lens samples the panorama; sensor and panorama are (height, width).
 
-    lens : turned by the camera's heading minus that of the panorama. The panorama is constant over
-    each of its pixels. A sensor pixel averages 3 x 3 directions.
+    lens : turned by the camera's heading minus that of the panorama; grid : of the panorama's finer
+    part, whose pixels follow those of the panorama. Both are constant over each of their pixels. A
+    sensor pixel averages 3 x 3 directions.
     """
     from scipy.sparse import csr_array
 
@@ -57,12 +66,29 @@ def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int])
     for dy, dx in np.ndindex(_SUBSAMPLES, _SUBSAMPLES):
         x, y = columns + (dx + 0.5) / _SUBSAMPLES, rows + (dy + 0.5) / _SUBSAMPLES
         targets.append(np.arange(len(rows), dtype=np.int32))
-        sources.append(_panorama_pixels(lens_rays(lens, x, y), panorama))
+        sources.append(_source_pixels(lens_rays(lens, x, y), panorama, grid))
     target, source = np.concatenate(targets), np.concatenate(sources)
     share = np.full(len(target), 1.0 / _SUBSAMPLES**2, np.float32)
-    weights = csr_array((share, (target, source)), shape=(len(rows), panorama[0] * panorama[1]))
+    count = panorama[0] * panorama[1] + (grid.height * grid.width if grid else 0)
+    weights = csr_array((share, (target, source)), shape=(len(rows), count))
     weights.sum_duplicates()
     return LensSampling(lens, rows * sensor[1] + columns, weights)
+
+
+def _source_pixels(
+    rays: Floats, panorama: tuple[int, int], grid: SkyGrid | None
+) -> NDArray[np.int32]:
+    """Return the index of the pixel of each ray, in the finer part if that has it, [n].
+
+    Rays are in the panorama's own frame (heading 0), [n, 3].
+    """
+    index = _panorama_pixels(rays, panorama)
+    if grid is None:
+        return index
+    row, column = (np.floor(v) for v in replace(grid, heading_deg=0.0).pixels(rays))
+    fine = (row >= 0) & (row < grid.height) & (column < grid.width)
+    place = panorama[0] * panorama[1] + row * grid.width + column
+    return np.where(fine, place, index).astype(np.int32)
 
 
 def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int32]:
@@ -91,31 +117,51 @@ def channels(panorama: Panorama) -> Floats32:
     return (RADIANCE_LM_PER_W * np.asarray(panorama.rgb, np.float32)).reshape(-1, 3)
 
 
+def _fine_channels(detail: SkyPicture, flat: Floats32, panorama: Panorama) -> Floats32:
+    """Return the channels of the panorama's finer part, as `channels` does, [h * w, 1 or 3].
+
+    flat : channels of the panorama, whose colour its finer part has too.
+    """
+    luminance, shape = panorama.luminance_cdm2.ravel(), panorama.luminance_cdm2.shape
+    rays = replace(detail.grid, heading_deg=0.0).rays().reshape(-1, 3)
+    coarse = _panorama_pixels(rays, (shape[0], shape[1]))
+    fine = detail.luminance_cdm2.ravel()
+    share = fine / np.maximum(luminance[coarse], 1e-9)
+    return flat[coarse] * np.where(np.isfinite(share), share, 1.0)[:, None].astype(np.float32)
+
+
 def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]) -> Floats32:
     """Return the mean R, G, B of each sensor pixel [cd/m2], [h, w, 3], or grey [h, w, 1].
 
     The sun's disc is included; pixels outside the lenses are 0. views : from `look`, one for each
-    lens; sensor : (height, width).
+    lens; sensor : (height, width). The lens's blur applies to a panorama with a finer part.
     """
+    from scipy.ndimage import gaussian_filter
+
     flat = channels(panorama)
+    detail = detail_of(panorama)
+    if detail is not None:
+        flat = np.concatenate((flat, _fine_channels(detail, flat, panorama)))
     out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)
     for view in views:
         out[view.pixels] = view.weights @ flat
     image = out.reshape(*sensor, -1)
+    if detail is not None:
+        image = np.asarray(gaussian_filter(image, (_PSF_PX, _PSF_PX, 0)), np.float32)
     if panorama.sun is not None:
         for view in views:
-            _add_sun(image, panorama.sun, panorama.heading_deg, view.geometry)
+            _add_sun(image, panorama, panorama.sun, view.geometry)
     return image
 
 
-def _add_sun(image: Floats32, sun: SunSource, heading_deg: float, lens: LensGeometry) -> None:
-    """Add the sun's disc to the image, with the correct energy.
+def _add_sun(image: Floats32, panorama: Panorama, sun: SunSource, lens: LensGeometry) -> None:
+    """Add the visible part of the sun's disc to the image, with the correct energy.
 
     The sum of luminance times solid angle over its pixels equals its normal illuminance.
     """
     from scipy.ndimage import gaussian_filter
 
-    at = projection.direction(sun.altitude_deg, sun.azimuth_deg - heading_deg)
+    at = projection.direction(sun.altitude_deg, sun.azimuth_deg - panorama.heading_deg)
     x, y, angle = lens_pixels(lens, at)
     if angle >= lens.half_angle_rad:
         return
@@ -124,6 +170,11 @@ def _add_sun(image: Floats32, sun: SunSource, heading_deg: float, lens: LensGeom
     step = (np.arange(2 * reach * fine) + 0.5) / fine
     rays = lens_rays(lens, (columns[0] + step)[None, :], (rows[0] + step)[:, None])
     covered = (rays @ at > np.cos(np.radians(SUN_RADIUS_DEG))).astype(float)
+    if DISC_RAYS in panorama.attributes:
+        marks = np.frombuffer(panorama.attributes[DISC_RAYS].encode(), np.uint8) == ord("1")
+        disc = np.flatnonzero(covered)
+        nearest = (rays.reshape(-1, 3)[disc] @ disc_rays(at).T).argmax(axis=1)
+        covered.ravel()[disc] = marks[nearest]
     share = (
         gaussian_filter(covered, _PSF_PX * fine)
         .reshape(2 * reach, fine, 2 * reach, fine)

@@ -1,12 +1,14 @@
 """Provide the scenes of simulated devices from a session's truth/ folder.
 
-`fieldlum simulate` writes truth/: ``<slot>.exr``, a panorama with its sun, and ``irradiance.csv``
-with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted by time. Irradiance between its rows is
-interpolated; before and after them it is 0.
+`fieldlum simulate` writes truth/: ``<slot>.exr``, a panorama with its sun, ``<slot>.sky.npz``, the
+same around the windows as finely as the sensor, and ``irradiance.csv`` with the columns t_utc,
+ghi_wm2, dhi_wm2, dni_wm2, sorted by time. Irradiance between its rows is interpolated; before and
+after them it is 0.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +19,7 @@ import numpy as np
 from fieldlum.errors import DeviceError
 from fieldlum.records import Panorama
 from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.sky_view import SUFFIX, SkyPicture, read_sky_picture
 
 # A panorama of the truth is used for times up to this far away, because slots are an hour apart.
 # Chosen.
@@ -29,6 +32,18 @@ class SimulatedLight(NamedTuple):
     ghi_wm2: float
     dhi_wm2: float
     dni_wm2: float
+
+
+@dataclass(frozen=True, slots=True)
+class DetailedPanorama(Panorama):
+    """A panorama with a finer picture of a part of it; where that is NaN, the panorama counts."""
+
+    detail: SkyPicture | None = None
+
+
+def detail_of(panorama: Panorama) -> SkyPicture | None:
+    """Return the finer part of a panorama, None without one."""
+    return panorama.detail if isinstance(panorama, DetailedPanorama) else None
 
 
 class World(Protocol):
@@ -87,4 +102,8 @@ class TruthWorld:
 def _read_panorama(path: Path) -> Panorama:
     from fieldlum.images import read_panorama
 
-    return read_panorama(path)
+    panorama, fine = read_panorama(path), path.with_suffix(SUFFIX)
+    if not fine.is_file():
+        return panorama
+    values = {f.name: getattr(panorama, f.name) for f in fields(Panorama)}
+    return DetailedPanorama(**values, detail=read_sky_picture(fine))
