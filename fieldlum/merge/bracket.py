@@ -18,11 +18,13 @@ from fieldlum.merge.quality import report_of, verdict
 from fieldlum.merge.rim import dark_rims
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
+from fieldlum.merge.sky_cut import sky_cut
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.records import Flag, JsonTable, Panorama, Progress, quiet
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun
+from fieldlum.sky_view import SkyPicture
 from fieldlum.sun_disc import SunDisc
 
 
@@ -31,7 +33,8 @@ class MergeResult:
     """A merged bracket: its map, a one-line verdict, and the figures that the verdict rests on.
 
     view: Radiance's view options of a fisheye picture, empty for a panorama. sun: the measured
-    centre of the sun's disc; None if the disc was not searched for or is not visible.
+    centre of the sun's disc; None if the disc was not searched for or is not visible. sky: the
+    luminance around what can be sky; None if it was not requested or there is none.
     """
 
     panorama: Panorama
@@ -39,6 +42,7 @@ class MergeResult:
     verdict: str
     view: str = ""
     sun: MeasuredSun | None = None
+    sky: SkyPicture | None = None
 
     @property
     def quality(self) -> JsonTable:
@@ -78,14 +82,16 @@ def merge_shots(
     *,
     heading_deg: float = 180.0,
     sun_deg: tuple[float, float] | None = None,
+    latitude_deg: float | None = None,
     progress: Progress = quiet,
 ) -> MergeResult:
     """Merge a bracket of one or several headings.
 
     shots: in any order. heading_deg: azimuth of the resulting picture's centre, clockwise from true
     north. sun_deg: the sun's apparent altitude and azimuth; if the disc is visible there, it is
-    removed from a panorama (not from a fisheye picture). None: the disc is not searched for. Raises
-    InputError if the frames cannot be merged.
+    removed from a panorama (not from a fisheye picture). None: the disc is not searched for.
+    latitude_deg: of the camera, for the luminance around what can be sky; None: it is not cut.
+    Raises InputError if the frames cannot be merged.
     """
     options = options or MergeOptions()
     target = options.target(profile)
@@ -95,17 +101,18 @@ def merge_shots(
     views = [
         view_through(image, lens, profile, target) for image in images for lens in profile.lens
     ]
-    panorama = finish(
-        blend(views), profile, target, heading_deg=heading_deg, t_utc=middle_of(shots)
-    )
+    seen = blend(views)
+    panorama = finish(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
     assert panorama.flags is not None  # `finish` always sets the flags
     report = report_of(findings, panorama.flags, target, profile, dark_rims(views))
-    sun = None
+    sun = sky = None
+    if latitude_deg is not None and isinstance(target, Equirect):
+        sky = sky_cut(images, views, seen, profile, target, heading_deg, latitude_deg)
     if sun_deg is not None and isinstance(target, Equirect):
         panorama, disc = take_out_disc(panorama, *sun_deg)
         sun = None if disc is None else _measured_sun(images, findings, profile, panorama, disc)
     view = "" if isinstance(target, Equirect) else target.view(heading_deg)
-    return MergeResult(panorama, report, verdict(report), view, sun)
+    return MergeResult(panorama, report, verdict(report), view, sun, sky)
 
 
 def _measured_sun(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -43,7 +43,8 @@ class ProjectedImage:
     sees. edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting,
     u_ratio: relative standard uncertainties of the luminance due to vignetting and to the
     exposures. flags: `Flag` bits. u_stray: standard uncertainty of the stray light that was
-    subtracted [cd/m2]. lens: None for several blended lenses.
+    subtracted [cd/m2]. lens: None for several blended lenses. stray: light of a lens that was
+    subtracted [cd/m2]; None without a kernel.
     """
 
     luminance: Floats
@@ -56,6 +57,7 @@ class ProjectedImage:
     rgb: Floats
     u_stray: Floats
     lens: Lens | None = None
+    stray: Floats | None = None
 
 
 def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray[np.uint8]]:
@@ -97,16 +99,23 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
 
 
 def view_through(
-    sensor: SensorImage, lens: Lens, profile: CameraProfile, target: Target
+    sensor: SensorImage,
+    lens: Lens,
+    profile: CameraProfile,
+    target: Target,
+    stray: Floats | None = None,
+    resample: Callable[..., Resampler] = resampler,
 ) -> ProjectedImage:
     """Return what one lens sees of the target grid, corrected for vignetting and stray light.
 
-    sensor: merged frames of one heading; lens: one of the profile's. Pixels that the lens does not
-    see have coverage 0.
+    sensor: merged frames of one heading; lens: one of the profile's. stray: stray light of each
+    target pixel [n]; None to compute it from what the target shows, which must be the lens's
+    complete field. resample: `resampler`, or a function like it. Pixels that the lens does not see
+    have coverage 0.
     """
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
-    r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
+    r = resample(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
     rgb, var, flags = _project(sensor, r)
     coefficients, u_edge = vignetting_of(lens, sensor.f_number)
     angle = r.angle_rad.astype(np.float64)
@@ -121,7 +130,8 @@ def view_through(
     coverage = r.coverage.astype(np.float64)
     light, u_stray = rgb @ weights, np.zeros(len(rgb))
     if profile.stray.angle_deg:
-        stray = _stray_of_lens(light, coverage > 0, profile, target)
+        if stray is None:
+            stray = _stray_of_lens(light, coverage > 0, profile, target)
         remaining = np.maximum(light - stray, 0.0)
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
         light, u_stray = remaining, profile.stray.u_rel * stray
@@ -136,6 +146,7 @@ def view_through(
         rgb,
         u_stray,
         lens,
+        stray if profile.stray.angle_deg else None,
     )
 
 

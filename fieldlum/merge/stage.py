@@ -24,6 +24,7 @@ from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
 from fieldlum.session.provenance import digest, made_from
+from fieldlum.sky_view import write_sky_picture
 from fieldlum.version import __version__
 
 # The verdict reports the relative uncertainty of the sun's illuminance from this value on. Chosen.
@@ -178,7 +179,12 @@ def _merge_readable(
 
     def merged(some: list[Shot]) -> MergeResult:
         return merge_shots(
-            some, job.profile, job.options, heading_deg=job.heading_deg, sun_deg=sun_deg
+            some,
+            job.profile,
+            job.options,
+            heading_deg=job.heading_deg,
+            sun_deg=sun_deg,
+            latitude_deg=job.site.latitude_deg,
         )
 
     try:
@@ -214,10 +220,15 @@ def _with_session_facts(
 
 
 def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTable) -> None:
-    """Write the picture, then its sidecar: a picture without a sidecar is merged again later."""
+    """Write the pictures, then the sidecar: a picture without a sidecar is merged again later."""
     picture = session.panorama(job.slot)
     with replacing_path(picture) as path:
         write_panorama(path, result.panorama)
+    sky = session.sky_picture(job.slot)
+    if result.sky is None:
+        sky.unlink(missing_ok=True)  # of an earlier merge
+    else:
+        write_sky_picture(sky, replace(result.sky, t_utc=result.panorama.t_utc))
     p = job.profile
     Sidecar(
         job.slot,

@@ -35,6 +35,7 @@ from fieldlum.projection.panorama import (
     row_altitudes_deg,
     row_solid_angles,
     signed_angle_deg,
+    smallest_arc,
     wrapped,
 )
 from fieldlum.projection.pose import rotation, turned

@@ -6,47 +6,61 @@ import numpy as np
 
 from fieldlum.arrays import Floats
 from fieldlum.projection.lens import LensGeometry, lens_rays
-from fieldlum.projection.panorama import direction, equirect_solid_angles
+from fieldlum.projection.panorama import direction, row_solid_angles
 from fieldlum.projection.pose import turned
 
 
 @dataclass(frozen=True, slots=True)
 class Equirect:
-    """A panorama grid of `height` rows, zenith first, and 2 `height` columns.
+    """A panorama grid of `height` rows, zenith first, and 2 `height` columns, or a part of it.
 
-    Its vectors are x right, y ahead (the heading, at the middle column), z up.
+    Its vectors are x right, y ahead (the heading, at the middle column), z up. part: first row,
+    first column, rows and columns of the part; None for all of it.
     """
 
     height: int
+    part: tuple[int, int, int, int] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """Number of rows and of columns."""
-        return self.height, 2 * self.height
+        return (self.height, 2 * self.height) if self.part is None else self.part[2:]
+
+    @property
+    def first_row(self) -> int:
+        """Row of the complete panorama with which the grid begins."""
+        return 0 if self.part is None else self.part[0]
 
     @property
     def pixel_rad(self) -> float:
         """Angle across one pixel at the horizon, in rad."""
         return float(np.pi / self.height)
 
+    def zenith_angle_rad(self, rows: Floats) -> Floats:
+        """Return the angle from the zenith at continuous rows of the grid, [rows]."""
+        return (rows + self.first_row) / self.height * np.pi
+
     def rays(self, rows: Floats, columns: Floats) -> Floats:
         """Return unit vectors at each continuous row and column, [rows, columns, 3].
 
-        rows : 0 at the zenith to `height`; columns : 0 to 2 `height`. x right, y ahead, z up.
+        rows, columns : 0 to the grid's height and width. x right, y ahead, z up.
         """
-        altitude = 90.0 - rows / self.height * 180.0
-        azimuth = (columns / (2 * self.height) - 0.5) * 360.0
+        first_column = 0 if self.part is None else self.part[1]
+        altitude = 90.0 - (rows + self.first_row) / self.height * 180.0
+        azimuth = ((columns + first_column) / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
 
     def weight(self, rows: Floats, columns: Floats) -> Floats:
         """Return the sine of the zenith angle at continuous rows and columns, [rows, columns]."""
         return np.broadcast_to(
-            np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
+            np.sin(self.zenith_angle_rad(rows))[:, None], (rows.size, columns.size)
         )
 
     def solid_angles(self) -> Floats:
-        """Return the solid angle of each pixel, in sr, [H, W]."""
-        return equirect_solid_angles(*self.shape)
+        """Return the solid angle of each pixel, in sr, [rows, columns]."""
+        rows, columns = self.shape
+        angles = row_solid_angles(self.height, 2 * self.height)
+        return np.repeat(angles[self.first_row : self.first_row + rows, None], columns, axis=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ right is clockwise.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.arrays import Array, Floats
+from fieldlum.arrays import Array, Floats, Mask
 
 
 def row_solid_angles(height: int, width: int) -> Floats:
@@ -46,6 +46,18 @@ def wrapped(maps: Array) -> Array:
 def signed_angle_deg(angle_deg: ArrayLike) -> Floats:
     """Return angles plus or minus full turns, in [-180, 180) deg, in the same shape."""
     return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
+
+
+def smallest_arc(used: Mask) -> tuple[int, int]:
+    """Return first column and width of the shortest run of columns with all that are marked.
+
+    used: mask of a panorama's columns [W], of which one is marked at least; the run may pass the
+    last column.
+    """
+    columns = np.flatnonzero(used)
+    gaps = np.diff(columns, append=columns[0] + len(used))
+    widest = int(np.argmax(gaps))
+    return int(columns[(widest + 1) % len(columns)]), len(used) - int(gaps[widest]) + 1
 
 
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:

@@ -153,7 +153,7 @@ def _samples(
     )
     at_rows = nodes.first + nodes.row + _middles(down)[:, None]
     if isinstance(target, Equirect):
-        weight = np.sin(at_rows / target.height * np.pi)[:, None]
+        weight = np.sin(target.zenith_angle_rad(at_rows))[:, None]
     else:
         half = target.size / 2
         at_columns = nodes.column + _middles(across)[:, None]
@@ -207,12 +207,9 @@ def _counts(target: Target, first: int, last: int, sub: int) -> tuple[int, int]:
     fine = _nodes_per_pixel(target)
     across = sub
     if isinstance(target, Equirect):
-        edges = np.clip(
-            (first / target.height, last / target.height, 0.5),
-            first / target.height,
-            last / target.height,
-        )
-        across = max(_LEAST, int(np.ceil(sub * np.sin(np.pi * edges).max())))
+        top, bottom = target.zenith_angle_rad(np.array([first, last]))
+        edges = np.clip((top, bottom, np.pi / 2.0), top, bottom)
+        across = max(_LEAST, int(np.ceil(sub * np.sin(edges).max())))
     return -(-sub // fine) * fine, -(-across // fine) * fine
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.projection import altitude_azimuth_deg, direction, rotation
+from fieldlum.projection import altitude_azimuth_deg, direction, rotation, smallest_arc
 from fieldlum.scene.geometry import BoxScene, Opening
 from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.view import Samples, camera_rays, trace_pixels
@@ -162,11 +162,8 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     near: mask [H, 2 H] of a panorama; parts: of a pixel in each direction.
     """
     height = len(near)
-    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
-    gaps = np.diff(columns, append=columns[0] + 2 * height)
-    widest = int(np.argmax(gaps))
-    first = int(columns[(widest + 1) % len(columns)])
-    span = 2 * height - int(gaps[widest]) + 1
+    rows = np.flatnonzero(near.any(axis=1))
+    first, span = smallest_arc(near.any(axis=0))
     cut = near[rows[0] : rows[-1] + 1][:, (first + np.arange(span)) % (2 * height)]
     coarse = 180.0 / height
     start = (first + height) % (2 * height) - height

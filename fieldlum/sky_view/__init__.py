@@ -1,6 +1,7 @@
 """Estimate where the camera sees the sky, and how much of the sun's beam arrives from there."""
 
 from fieldlum.sky_view.picture import (
+    LOWEST_ALTITUDE_DEG,
     SUFFIX,
     SkyGrid,
     SkyPicture,

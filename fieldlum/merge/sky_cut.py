@@ -1,0 +1,195 @@
+"""Cut the luminance around what can be sky from the sensor, at its own resolution.
+
+Only directions in which the sun can be within a year are kept. Of these, tiles of 2 degrees that
+are as bright as a sky are resampled from the same merged sensor as the panorama; darker tiles have
+the panorama's mean, which needs no space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fieldlum.arrays import Floats, Indices, Mask
+from fieldlum.linear_light import sensor_pitch_deg
+from fieldlum.merge.project import ProjectedImage, blend, view_through
+from fieldlum.merge.sensor import SensorImage
+from fieldlum.profiles import CameraProfile
+from fieldlum.projection import (
+    Equirect,
+    LensGeometry,
+    Resampler,
+    equirect_rays,
+    resampler,
+    smallest_arc,
+)
+from fieldlum.projection.grids import Target
+from fieldlum.records import Flag
+from fieldlum.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
+
+_TILE_DEG = 2  # divides 180; chosen
+# Pixels along a block of tiles: decides speed only. A block's matrices have 1 MB at most. Chosen.
+_BLOCK_PX = 60
+# Finest pixel. The sun's disc has 22 such pixels; finer ones would need four times the space.
+# Chosen.
+_FINEST_DEG = 0.1
+# The sun's declination is within 23.44 degrees. Added to it: half the diagonal of a tile, and two
+# degrees for the level of the camera, refraction and the disc.
+_MOST_DECLINATION_DEG = 23.44 + _TILE_DEG / np.sqrt(2.0) + 2.0
+_HEADING_ERRORS_DEG = (-5.0, 0.0, 5.0)  # of a compass near steel (sky_view)
+# A tile is resampled if a part of it is brighter than this share of the picture's median luminance:
+# what a window shows is brighter than the room. Chosen.
+_LEAST_SHARE = 1.0
+_SAMPLES = 3  # of a tile in each direction, at which a panorama is compared; chosen
+# Bytes of stored matrices in a process: blocks beyond are computed again for each capture. A raw
+# camera needs 1 MB a block of 36 square degrees. Chosen.
+_MOST_BYTES = 256_000_000
+
+_stored: dict[tuple[Target, LensGeometry, tuple[int, int], str], Resampler] = {}
+
+
+def sky_cut(
+    images: Sequence[SensorImage],
+    views: Sequence[ProjectedImage],
+    seen: ProjectedImage,
+    profile: CameraProfile,
+    target: Equirect,
+    heading_deg: float,
+    latitude_deg: float,
+) -> SkyPicture | None:
+    """Return the luminance around what can be sky with the sun's disc; None if no lens sees it.
+
+    images: merged sensor of each heading; views: of each lens of each, on the panorama `target`, in
+    the order of images, then lenses; seen: their blend. heading_deg: azimuth of the panorama's
+    centre, clockwise from true north; latitude_deg: of the camera. Pixels are at least as large as
+    the sensor's, within 2 %, and at least 0.1 degrees.
+    """
+    can_be_sun = sun_tiles(heading_deg, latitude_deg) & (_means(seen.coverage, target) > 0.0)
+    if not can_be_sun.any():
+        return None
+    side = max(1, int(_TILE_DEG / max(_FINEST_DEG, sensor_pitch_deg(profile)) + 0.1))
+    used = np.flatnonzero(can_be_sun.any(axis=1))
+    first, (left, width) = int(used[0]), smallest_arc(np.asarray(can_be_sun.any(axis=0)))
+    place = np.s_[first : int(used[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
+    covered = np.where(seen.flags & Flag.OUTSIDE_LENS > 0, np.nan, seen.luminance)
+    usual = np.where(can_be_sun, _means(covered, target), np.nan)[place]
+    out = usual.repeat(side, axis=0).repeat(side, axis=1).astype(np.float32)
+    clipped = np.zeros(out.shape, bool)
+    bright = (can_be_sun & _bright(seen, target))[place]
+    for tiles, part in _parts(bright, first, left, side):
+        light, marked = _block(images, views, profile, part, target)
+        for i, j in np.argwhere(bright[tiles]):
+            down, across = (tiles[0].start + i) * side, (tiles[1].start + j) * side
+            into = np.s_[down : down + side, across : across + side]
+            of = np.s_[i * side : (i + 1) * side, j * side : (j + 1) * side]
+            out[into], clipped[into] = light[of], marked[of]
+    step_deg = _TILE_DEG / side
+    corner_deg = 90.0 - first * _TILE_DEG, left * _TILE_DEG - 180.0
+    return SkyPicture(out, clipped, SkyGrid(*corner_deg, step_deg, heading_deg, *out.shape))
+
+
+def _parts(
+    bright: Mask, first: int, left: int, side: int
+) -> Iterator[tuple[tuple[slice, slice], Equirect]]:
+    """Yield blocks with a bright tile: their tiles, and the part of the sphere that they are.
+
+    bright: mask of tiles, of which the first is at row `first` and column `left` of a panorama of
+    tiles; side: pixels of a tile.
+    """
+    rows, columns = bright.shape
+    step = max(1, _BLOCK_PX // side)
+    for i in range(0, rows, step):
+        for j in range(0, columns, step):
+            tiles = slice(i, min(i + step, rows)), slice(j, min(j + step, columns))
+            if bright[tiles].any():
+                high, wide = bright[tiles].shape
+                corner = (first + i) * side, (left + j) * side
+                yield tiles, Equirect(180 // _TILE_DEG * side, (*corner, high * side, wide * side))
+
+
+def _block(
+    images: Sequence[SensorImage],
+    views: Sequence[ProjectedImage],
+    profile: CameraProfile,
+    part: Equirect,
+    target: Equirect,
+) -> tuple[Floats, Mask]:
+    """Return luminance and clipped pixels of a part of the sphere, [h, w] each."""
+    coarse = _coarse_pixels(part, target)
+    fine = []
+    pairs = [(image, lens) for image in images for lens in profile.lens]
+    for (image, lens), view in zip(pairs, views, strict=True):
+        if (view.coverage[coarse] > 0).any():
+            stray = None if view.stray is None else view.stray[coarse]
+            fine.append(view_through(image, lens, profile, part, stray, _resampler))
+    if not fine:
+        return np.full(part.shape, np.nan), np.zeros(part.shape, bool)
+    joined = blend(fine)
+    unusable = (joined.flags & (Flag.OUTSIDE_LENS | Flag.FILLED)) > 0
+    light = np.where(unusable, np.nan, joined.luminance)
+    clipped = (joined.flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0
+    return light.reshape(part.shape), clipped.reshape(part.shape)
+
+
+def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:
+    """Return the flat index of the target's pixel at each pixel of a part, [h w]."""
+    assert part.part is not None
+    rows, columns = (
+        (start + np.arange(count) + 0.5) / part.height * target.height
+        for start, count in zip(part.part[:2], part.part[2:], strict=True)
+    )
+    return (
+        rows.astype(int)[:, None] * 2 * target.height + columns.astype(int) % (2 * target.height)
+    ).ravel()
+
+
+def _resampler(
+    target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str
+) -> Resampler:
+    """Return `resampler` of a block, stored while there is room.
+
+    Blocks beyond the room do not displace others, because each capture needs all of them in turn.
+    """
+    key = (target, lens, sensor_shape, cfa)
+    if key not in _stored:
+        made = resampler.__wrapped__(*key)
+        matrices = [m for r in _stored.values() for m in r.matrices.values()]
+        if sum(m.data.nbytes + m.indices.nbytes for m in matrices) > _MOST_BYTES:
+            return made
+        _stored[key] = made
+    return _stored[key]
+
+
+def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
+    """Return the tiles of a panorama in which the sun's disc can be within a year, [90, 180].
+
+    They are above -2 degrees of altitude. A heading may be wrong by 5 degrees.
+    """
+    rows = 180 // _TILE_DEG
+    latitude = np.radians(latitude_deg)
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    out = np.zeros((rows, 2 * rows), bool)
+    for wrong in _HEADING_ERRORS_DEG:
+        rays = equirect_rays(rows, 2 * rows, heading_deg + wrong)
+        out |= np.abs(np.degrees(np.arcsin(np.clip(rays @ pole, -1, 1)))) < _MOST_DECLINATION_DEG
+    above = 90.0 - np.arange(rows) * _TILE_DEG > LOWEST_ALTITUDE_DEG
+    return out & above[:, None]
+
+
+def _means(values: Floats, target: Equirect) -> Floats:
+    """Return the mean of a panorama's values [n] over each tile, [90, 180]; NaN counts not."""
+    rows = 180 // _TILE_DEG * _SAMPLES
+    at = values[_coarse_pixels(Equirect(rows, (0, 0, rows, 2 * rows)), target)]
+    parts = at.reshape(rows // _SAMPLES, _SAMPLES, -1, _SAMPLES)
+    count = np.isfinite(parts).sum(axis=(1, 3))
+    total = np.nansum(parts, axis=(1, 3))
+    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+
+
+def _bright(seen: ProjectedImage, target: Equirect) -> Mask:
+    """Return the tiles that show something as bright as a sky, [90, 180]."""
+    covered = (seen.flags & Flag.OUTSIDE_LENS) == 0
+    least = _LEAST_SHARE * float(np.median(seen.luminance[covered])) if covered.any() else np.inf
+    bright = covered & ((seen.luminance > least) | (seen.flags & Flag.CLIPPED_HIGH > 0))
+    return _means(bright.astype(float), target) > 0.0
