@@ -1,8 +1,7 @@
 """Cut the luminance around what can be sky from the sensor, at its own resolution.
 
 Only directions in which the sun can be within a year are kept. Of these, tiles of 2 degrees that
-are as bright as a sky are resampled from the same merged sensor as the panorama; darker tiles have
-the panorama's mean, which needs no space.
+are as bright as a sky are resampled from the same merged sensor as the panorama; others are NaN.
 """
 
 from __future__ import annotations
@@ -40,8 +39,8 @@ _MOST_DECLINATION_DEG = 23.44 + _TILE_DEG / np.sqrt(2.0) + 2.0
 _HEADING_ERRORS_DEG = (-5.0, 0.0, 5.0)  # of a compass near steel (sky_view)
 # A tile is resampled if a part of it is brighter than this share of the picture's median luminance:
 # what a window shows is brighter than the room. Chosen.
-_LEAST_SHARE = 1.0
-_SAMPLES = 3  # of a tile in each direction, at which a panorama is compared; chosen
+_LEAST_SHARE = 1.25
+_SAMPLES = 3  # places of a tile in each direction at which the panorama is read; chosen
 # Bytes of stored matrices in a process: blocks beyond are computed again for each capture. A raw
 # camera needs 1 MB a block of 36 square degrees. Chosen.
 _MOST_BYTES = 256_000_000
@@ -65,18 +64,16 @@ def sky_cut(
     centre, clockwise from true north; latitude_deg: of the camera. Pixels are at least as large as
     the sensor's, within 2 %, and at least 0.1 degrees.
     """
-    can_be_sun = sun_tiles(heading_deg, latitude_deg) & (_means(seen.coverage, target) > 0.0)
+    can_be_sun = sun_tiles(heading_deg, latitude_deg) & _any(seen.coverage > 0.0, target)
     if not can_be_sun.any():
         return None
     side = max(1, int(_TILE_DEG / max(_FINEST_DEG, sensor_pitch_deg(profile)) + 0.1))
     used = np.flatnonzero(can_be_sun.any(axis=1))
     first, (left, width) = int(used[0]), smallest_arc(np.asarray(can_be_sun.any(axis=0)))
     place = np.s_[first : int(used[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
-    covered = np.where(seen.flags & Flag.OUTSIDE_LENS > 0, np.nan, seen.luminance)
-    usual = np.where(can_be_sun, _means(covered, target), np.nan)[place]
-    out = usual.repeat(side, axis=0).repeat(side, axis=1).astype(np.float32)
+    bright = (can_be_sun & _any(_bright(seen), target))[place]
+    out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
     clipped = np.zeros(out.shape, bool)
-    bright = (can_be_sun & _bright(seen, target))[place]
     for tiles, part in _parts(bright, first, left, side):
         light, marked = _block(images, views, profile, part, target)
         for i, j in np.argwhere(bright[tiles]):
@@ -177,19 +174,15 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     return out & above[:, None]
 
 
-def _means(values: Floats, target: Equirect) -> Floats:
-    """Return the mean of a panorama's values [n] over each tile, [90, 180]; NaN counts not."""
+def _any(marked: Mask, target: Equirect) -> Mask:
+    """Return the tiles with a marked pixel of a panorama [n], [90, 180]."""
     rows = 180 // _TILE_DEG * _SAMPLES
-    at = values[_coarse_pixels(Equirect(rows, (0, 0, rows, 2 * rows)), target)]
-    parts = at.reshape(rows // _SAMPLES, _SAMPLES, -1, _SAMPLES)
-    count = np.isfinite(parts).sum(axis=(1, 3))
-    total = np.nansum(parts, axis=(1, 3))
-    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+    at = marked[_coarse_pixels(Equirect(rows, (0, 0, rows, 2 * rows)), target)]
+    return np.asarray(at.reshape(rows // _SAMPLES, _SAMPLES, -1, _SAMPLES).any(axis=(1, 3)))
 
 
-def _bright(seen: ProjectedImage, target: Equirect) -> Mask:
-    """Return the tiles that show something as bright as a sky, [90, 180]."""
+def _bright(seen: ProjectedImage) -> Mask:
+    """Return the pixels of a panorama that are as bright as a sky, [n]."""
     covered = (seen.flags & Flag.OUTSIDE_LENS) == 0
     least = _LEAST_SHARE * float(np.median(seen.luminance[covered])) if covered.any() else np.inf
-    bright = covered & ((seen.luminance > least) | (seen.flags & Flag.CLIPPED_HIGH > 0))
-    return _means(bright.astype(float), target) > 0.0
+    return covered & ((seen.luminance > least) | (seen.flags & Flag.CLIPPED_HIGH > 0))

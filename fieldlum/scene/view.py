@@ -34,7 +34,7 @@ class SceneView:
     and weight: the share of the pixel times the glass in between (or its mirror), so that
     luminance = sum of weight x reflectance x E / pi. sky [H, W] : share of the pixel that sees
     the sky, times the glass. plain [H, W] : the same for the open plain beyond the modelled
-    ground. height: rows of the panorama; heading_deg: azimuth of its centre column. Samples
+    ground. height: rows of the panorama; heading_deg: azimuth of its centre column. SurfaceSamples
     from index first_mirrored on are mirror images.
     """
 
@@ -134,7 +134,7 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
     )
 
 
-class Samples(NamedTuple):
+class SurfaceSamples(NamedTuple):
     """Surface samples as in `SceneView`, [m] each."""
 
     position: Floats
@@ -156,7 +156,7 @@ def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) 
 
 def trace_pixels(
     scene: BoxScene, pixel: NDArray[np.int32], rays: Floats, sub: int, count: int
-) -> tuple[Samples, int, Floats, Floats]:
+) -> tuple[SurfaceSamples, int, Floats, Floats]:
     """Trace sub x sub rays from the camera in each of `count` pixels.
 
     pixel: of each ray [n], 0 to count - 1; rays: in room axes [n, 3]. Return the surface samples of
@@ -174,17 +174,17 @@ def trace_pixels(
         rows = open_sky & where
         target += np.bincount(pixel[rows], (share * panes.through)[rows], count)
     surfaces.append(_mirrored(scene, pixel, eye, rays, panes, share))
-    samples = Samples._make(np.concatenate(parts) for parts in zip(*surfaces, strict=True))
+    samples = SurfaceSamples._make(np.concatenate(parts) for parts in zip(*surfaces, strict=True))
     return samples, len(surfaces[0][0]), sky, plain
 
 
 def _surfaces(
     pixel: NDArray[np.int32], origin: Floats, rays: Floats, hits: Hits, weight: Floats
-) -> Samples:
+) -> SurfaceSamples:
     rows = np.flatnonzero(hits.box >= 0)
     position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
     faces = hits.axis[rows], hits.sign[rows], hits.box[rows]
-    return Samples(position, *faces, pixel[rows], weight[rows])
+    return SurfaceSamples(position, *faces, pixel[rows], weight[rows])
 
 
 def _mirrored(
@@ -194,7 +194,7 @@ def _mirrored(
     rays: Floats,
     panes: Panes,
     share: Floats,
-) -> Samples:
+) -> SurfaceSamples:
     """Return the room's reflection in the panes: one bounce off the pane that a ray crosses."""
     rows = np.flatnonzero(panes.opening >= 0)
     axis = np.array([o.axis for o in scene.openings], np.intp)[panes.opening[rows]]

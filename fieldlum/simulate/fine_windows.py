@@ -17,7 +17,7 @@ from fieldlum.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.projection import altitude_azimuth_deg, direction, rotation, smallest_arc
 from fieldlum.scene.geometry import BoxScene, Opening
 from fieldlum.scene.points import SunPoints, sun_points
-from fieldlum.scene.view import Samples, camera_rays, trace_pixels
+from fieldlum.scene.view import SurfaceSamples, camera_rays, trace_pixels
 from fieldlum.simulate.gather import representatives
 from fieldlum.simulate.pixel_points import sample_codes
 from fieldlum.simulate.truth import GroundTruth, Rendering, box_room
@@ -97,7 +97,7 @@ def fine_windows(truth: GroundTruth, pitch_deg: float) -> FineWindows | None:
     pixel = np.flatnonzero(covered)
     rays = np.empty((len(pixel), 3))
     sky, plain = np.zeros((2, len(pixel)), np.float32)
-    blocks: list[Samples] = []
+    blocks: list[SurfaceSamples] = []
     codes: list[NDArray[np.int64]] = []
     for some, row, world in _blocks(grid, pixel):
         toward = camera_rays(view.scene, room, world, view.heading_deg)
@@ -110,7 +110,7 @@ def fine_windows(truth: GroundTruth, pitch_deg: float) -> FineWindows | None:
         joined, code = _one_for_each_face(samples, straight)
         blocks.append(joined._replace(pixel=joined.pixel + np.int32(some.start)))
         codes.append(code)
-    made = Samples._make(np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    made = SurfaceSamples._make(np.concatenate(parts) for parts in zip(*blocks, strict=True))
     luminance = made.weight * view.scene.reflectance[made.box] / np.pi
     faces = made.axis, made.sign
     points = sun_points(view.scene, made.position, *faces, luminance, made.pixel, len(pixel))
@@ -163,7 +163,7 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     """
     height = len(near)
     rows = np.flatnonzero(near.any(axis=1))
-    first, span = smallest_arc(near.any(axis=0))
+    first, span = smallest_arc(np.asarray(near.any(axis=0)))
     cut = near[rows[0] : rows[-1] + 1][:, (first + np.arange(span)) % (2 * height)]
     coarse = 180.0 / height
     start = (first + height) % (2 * height) - height
@@ -191,14 +191,16 @@ def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, NDArray[np.i
         yield some, np.arange(len(row)).repeat(_SUB**2).astype(np.int32), rays
 
 
-def _one_for_each_face(samples: Samples, straight: int) -> tuple[Samples, NDArray[np.int64]]:
+def _one_for_each_face(
+    samples: SurfaceSamples, straight: int
+) -> tuple[SurfaceSamples, NDArray[np.int64]]:
     """Join the samples of one face in a pixel to one, with the sum of their weights.
 
     Return the samples, and the code of each one's face.
     """
     code = sample_codes(samples.box, samples.axis, samples.sign, straight)
     rows, total = representatives((samples.pixel, code), samples.position, samples.weight)
-    joined = Samples._make(values[rows] for values in samples)
+    joined = SurfaceSamples._make(values[rows] for values in samples)
     return joined._replace(weight=total), code[rows]
 
 
