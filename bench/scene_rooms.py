@@ -34,7 +34,6 @@ from fieldlum.scene.geometry import glass_optics
 from fieldlum.scene.radiance import octree
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.corrected import with_patches
-from fieldlum.scene_fit.sun_path import sun_earlier
 from fieldlum.simulate.troubles import (
     Troubles,
     load_troubles,
@@ -42,6 +41,7 @@ from fieldlum.simulate.troubles import (
     troubled_pictures,
     true_light,
 )
+from fieldlum.sky_view.sun_path import sun_earlier
 
 Array = NDArray[Any]
 YEAR = 2027

@@ -19,15 +19,14 @@ from fieldlum.records import Panorama, Room, Site, SunSource, Window
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import LEVEL_SD_DEG
 from fieldlum.scene_fit.pose_prior import (
-    MeasuredDiscs,
     PosePrior,
     pose_note,
     pose_of,
     prior_of,
-    read_discs,
 )
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
+from fieldlum.sky_view.measured_discs import MeasuredDiscs, read_discs
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 TIMES = [datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.3 * k) for k in range(5)]

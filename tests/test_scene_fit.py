@@ -9,8 +9,8 @@ from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.projection import rotation, turned
 from fieldlum.records import Site
-from fieldlum.scene_fit.discs import fit_pose
-from fieldlum.scene_fit.sun_path import sun_earlier
+from fieldlum.sky_view.sun_discs import fit_pose
+from fieldlum.sky_view.sun_path import sun_earlier
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 TRUE = {"heading": 1.3, "tilt": 0.4, "roll": -0.3, "clock": 0.1, "scale": 0.004}

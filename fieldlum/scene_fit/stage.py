@@ -19,10 +19,11 @@ from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.pictures import draw
-from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
+from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
 from fieldlum.scene_fit.verdict import OUTSIDE_EVERY, GeometryCandidate, SceneVerdict, judge
 from fieldlum.session import Session, check_writable
+from fieldlum.sky_view.measured_discs import read_discs
 from fieldlum.statistics import is_no_worse
 
 # With four or five, two of four scenes had 2.4 and 3.3 times their expected error.

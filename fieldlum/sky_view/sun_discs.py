@@ -20,7 +20,7 @@ from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.projection import rotation
 from fieldlum.records import Site
-from fieldlum.scene_fit.sun_path import sun_earlier
+from fieldlum.sky_view.sun_path import sun_earlier
 
 NAMES = ("heading_deg", "tilt_deg", "roll_deg", "clock_min", "lens_scale")
 # Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand, a
@@ -73,6 +73,7 @@ def fit_pose(
     site: Site,
     axis_deg: float,
     prior_sd: Sequence[float] = PRIOR_SD,
+    least: int = LEAST_DISCS,
 ) -> PoseFit:
     """Fit north, level, clock and lens scale to n measured centres of the sun's disc.
 
@@ -80,14 +81,14 @@ def fit_pose(
     [n], their standard uncertainty along each axis. t_utc: recorded times [n]. axis_deg: the stated
     azimuth of the lens's axis. prior_sd: standard uncertainties [5] before the fit, in the order of
     `NAMES`; each prior's mean is 0. The sun's position is by NREL SPA. Gross errors (5 sigma) are
-    omitted, as long as four discs remain. Raises NotEnoughDataError for fewer than three discs.
+    omitted, as long as four discs remain. Raises NotEnoughDataError for fewer than `least` discs.
     """
     altitude, azimuth, sigma = (
         np.atleast_1d(np.asarray(v, float)) for v in (altitude_deg, azimuth_deg, sigma_deg)
     )
-    if len(altitude) < LEAST_DISCS:
+    if len(altitude) < least:
         raise NotEnoughDataError(
-            f"{len(altitude)} measured sun discs, but at least {LEAST_DISCS} are needed to "
+            f"{len(altitude)} measured sun discs, but at least {least} are needed to "
             "fit north, level and clock: capture clear hours with the sun in view"
         )
     place = sun.position(list(t_utc), site)
@@ -138,7 +139,7 @@ class _Problem:
     def residuals(self, values: Floats) -> Floats:
         """Return measured minus true directions of the sun, in standard uncertainties, [n, 3]."""
         heading, tilt, roll, clock, scale = values
-        true = _scaled(self.measured, scale, self.axis_deg) @ (
+        true = scaled(self.measured, scale, self.axis_deg) @ (
             rotation(heading, tilt, roll, self.axis_deg).T
         )
         suns = sun_earlier(self.expected, clock, self.latitude_deg)
@@ -195,12 +196,17 @@ def _least_explained(problem: _Problem, keep: Mask) -> tuple[int, float]:
     return worst, most
 
 
-def _scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
-    """Return directions [n, 3] with their angle from the axis times (1 + scale)."""
+def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
+    """Return directions [n, 3] with their angle from the axis times (1 + scale).
+
+    axis_deg: azimuth of the lens's axis; directions behind the camera count from a second lens's.
+    """
     a = np.radians(axis_deg)
-    axis = np.array([np.sin(a), np.cos(a), 0.0])
-    angle = np.arccos(np.clip(directions @ axis, -1.0, 1.0))
-    side = directions - (directions @ axis)[:, None] * axis
+    ahead = np.array([np.sin(a), np.cos(a), 0.0])
+    axis = np.where((directions @ ahead)[:, None] < 0.0, -ahead, ahead)  # [n, 3]
+    cosine = (directions * axis).sum(axis=1)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    side = directions - cosine[:, None] * axis
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
     wide = angle * (1.0 + scale)
     return np.cos(wide)[:, None] * axis + np.sin(wide)[:, None] * side

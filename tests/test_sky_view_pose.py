@@ -1,0 +1,109 @@
+"""The camera's pose from measured sun discs: what it is, and what few discs leave open."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from places import SEATTLE
+
+from fieldlum import sun
+from fieldlum.arrays import Floats
+from fieldlum.projection import altitude_azimuth_deg, rotation
+from fieldlum.sky_view.measured_discs import MeasuredDiscs
+from fieldlum.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
+from fieldlum.sky_view.sun_discs import scaled
+
+TIMES = tuple(
+    datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.2 * k) for k in range(6)
+)
+AXIS_DEG = 180.0
+
+
+def measured(values: Floats, count: int, noise_deg: float = 0.0, seed: int = 0) -> MeasuredDiscs:
+    """Discs as a camera of this true pose (heading, tilt, roll, lens scale) measures them."""
+    at = sun.position(list(TIMES[:count]), SEATTLE)
+    suns = sun.direction(at.apparent_altitude_deg, at.azimuth_deg)
+    shown = suns @ rotation(*values[:3], AXIS_DEG)
+    shown = scaled(shown, 1.0 / (1.0 + values[3]) - 1.0, AXIS_DEG)
+    altitude, azimuth = altitude_azimuth_deg(shown)
+    noise = np.random.default_rng(seed).normal(0.0, noise_deg, (2, count))
+    azimuth = azimuth + noise[1] / np.cos(np.radians(altitude))
+    return MeasuredDiscs(altitude + noise[0], azimuth % 360.0, np.full(count, 0.03), TIMES[:count])
+
+
+@pytest.mark.analytic
+def test_six_discs_give_the_pose() -> None:
+    values = np.array([5.0, 1.0, -0.6, 0.01])
+    pose = pose_of_discs(measured(values, 6), SEATTLE, AXIS_DEG)
+    assert pose.discs == 6 and pose.heading_sd_deg < 0.2
+    assert np.abs(pose.values - values) == pytest.approx(0.0, abs=0.35)
+    assert (np.abs(pose.values - values) < 2.5 * np.sqrt(np.diag(pose.covariance))).all()
+    at = sun.position(list(TIMES), SEATTLE)
+    suns = sun.direction(at.apparent_altitude_deg, at.azimuth_deg)
+    shown = pose.in_pictures(suns)
+    true = CameraPose(*values, axis_deg=AXIS_DEG).in_pictures(suns)
+    assert np.degrees(np.linalg.norm(shown - true, axis=1)).max() < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_uncertainties_of_drawn_poses_hold() -> None:
+    """The squared distance of 120 drawn poses has the mean of chi squared with 4 freedoms."""
+    rng, distances = np.random.default_rng(1), []
+    for k in range(120):
+        values = rng.normal(0.0, 1.0, 4) * STATED_SD
+        count = 1 + k % 3
+        pose = pose_of_discs(measured(values, count, 0.07, seed=k), SEATTLE, AXIS_DEG)
+        if pose.discs:
+            off = pose.values - values
+            distances.append(off @ np.linalg.solve(np.asarray(pose.covariance), off))
+    assert len(distances) > 110
+    assert 2.4 < np.mean(distances) < 5.0  # the clock had no error: a little below 4
+
+
+@pytest.mark.property
+def test_one_disc_leaves_a_combination_open() -> None:
+    values = np.array([3.0, 0.4, 0.3, 0.0])
+    pose = pose_of_discs(measured(values, 1), SEATTLE, AXIS_DEG)
+    assert pose.discs == 1 and "leave open" in pose.notes[1]
+    at = sun.position(list(TIMES[:1]), SEATTLE)
+    suns = sun.direction(at.apparent_altitude_deg, at.azimuth_deg)
+    places = [pose.in_pictures(suns, draw)[0] for draw in pose.drawn(np.random.default_rng(0), 200)]
+    # where the disc was seen the directions are certain; a place 60 degrees away is not
+    assert np.degrees(np.std(places, axis=0)).max() < 0.2
+    away = sun.direction(np.array([20.0]), np.array([240.0]))
+    places = [pose.in_pictures(away, draw)[0] for draw in pose.drawn(np.random.default_rng(0), 200)]
+    assert np.degrees(np.std(places, axis=0)).max() > 0.25
+    assert open_combination(1e-4 * np.eye(4)) == ""
+
+
+@pytest.mark.analytic
+def test_no_disc_is_the_stated_pose() -> None:
+    none = MeasuredDiscs(*np.zeros((3, 0)), ())
+    pose = pose_of_discs(none, SEATTLE, 90.0)
+    assert pose.values.tolist() == [0.0, 0.0, 0.0, 0.0] and pose.heading_sd_deg == 2.5
+    assert "would settle" in pose.notes[0]
+
+
+@pytest.mark.property
+def test_two_lamps_do_not_turn_the_camera() -> None:
+    discs = measured(np.array([25.0, 0.0, 0.0, 0.0]), 2)
+    pose = pose_of_discs(discs, SEATTLE, AXIS_DEG)
+    assert pose.discs == 0 and pose.heading_deg == 0.0 and "contradict" in pose.notes[0]
+    # three that agree are believed
+    discs = measured(np.array([12.0, 0.0, 0.0, 0.0]), 5)
+    assert pose_of_discs(discs, SEATTLE, AXIS_DEG).heading_deg == pytest.approx(12.0, abs=0.3)
+
+
+@pytest.mark.property
+def test_a_partly_hidden_disc_counts_less() -> None:
+    discs = measured(np.array([1.0, 0.0, 0.0, 0.0]), 6)
+    bent = discs.azimuth_deg.copy()
+    bent[0] += 0.15
+    moved = MeasuredDiscs(discs.altitude_deg, bent, discs.sigma_deg, discs.t_utc)
+    shares = np.array([0.3, 0.8, 0.8, 0.8, 0.8, np.nan])
+    alike = pose_of_discs(moved, SEATTLE, AXIS_DEG).heading_deg
+    less = pose_of_discs(moved, SEATTLE, AXIS_DEG, shares).heading_deg
+    assert abs(less - 1.0) < abs(alike - 1.0)
