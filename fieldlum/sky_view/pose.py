@@ -104,7 +104,7 @@ def pose_of_discs(
         return CameraPose(axis_deg=axis_deg, notes=(_NO_DISC,))
     sigma = np.hypot(discs.sigma_deg, _LENS_U_DEG)
     if shares is not None and np.isfinite(shares).any():
-        full = np.nanpercentile(shares, 90)
+        full = float(np.nanpercentile(shares, 90))
         hidden = np.nan_to_num(shares, nan=full) < _PARTLY_HIDDEN_SHARE * full
         sigma = np.where(hidden, np.hypot(sigma, _PARTLY_HIDDEN_U_DEG), sigma)
     heading, tilt, roll, scale = STATED_SD
@@ -126,15 +126,22 @@ def pose_of_discs(
     rows = [NAMES.index(f"{name}_deg") for name in ("heading", "tilt", "roll")]
     rows.append(NAMES.index("lens_scale"))
     covariance = fit.covariance[np.ix_(rows, rows)]
-    values = [float(v) for v in fit.values[rows]]
-    rounded = tuple(tuple(float(v) for v in row) for row in covariance)
-    return CameraPose(*values, rounded, axis_deg, used, _notes(fit, covariance, len(discs)))
+    return CameraPose(
+        fit["heading_deg"],
+        fit["tilt_deg"],
+        fit["roll_deg"],
+        fit["lens_scale"],
+        tuple(tuple(float(v) for v in row) for row in covariance),
+        axis_deg,
+        used,
+        _notes(fit, covariance, len(discs)),
+    )
 
 
 _NO_DISC = (
     f"no capture shows the sun's disc: heading and level are as stated, to {2 * STATED_SD[0]:g} "
-    f"and {2 * STATED_SD[1]:g} degrees; a capture of a clear hour with the sun in view would settle "
-    "them"
+    f"and {2 * STATED_SD[1]:g} degrees; a capture of a clear hour with the sun in view would "
+    "settle them"
 )
 
 
