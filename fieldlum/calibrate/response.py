@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Indices, Mask
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.steps import Steps, labelled_steps, steps_by_overlap
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import check_frame, true_shutter_s
 from fieldlum.photometry import (
@@ -48,7 +49,8 @@ class Places:
     codes [places, exposures, 3] : code of a place in R, G, B; 0 if its bracket has no such
     exposure. log_exposure [exposures] : ln of (true shutter time [s] times ISO); bracket [places] :
     index of each place's bracket; frames : files of all brackets; law : how log_exposure follows
-    from the nominal shutter times.
+    from the nominal shutter times; steps : where the overlap of the frames contradicts them,
+    log_exposure is corrected.
     """
 
     codes: NDArray[np.uint8]
@@ -56,6 +58,7 @@ class Places:
     bracket: Indices
     frames: tuple[Path, ...]
     law: ShutterLaw
+    steps: Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +119,17 @@ def sample(
         codes = _flat_places(blocks, profile, rng, paths[0].parent)
         parts.append(_Part(codes, tuple(exposures), paths[0].parent))
     files = tuple(path for paths in brackets for path in paths)
+    return _with_steps(_lawful(parts, files, profile))
+
+
+def _with_steps(places: Places) -> Places:
+    """Return the places with the exposures that the overlap of the frames shows."""
+    steps = steps_by_overlap(places.codes, places.log_exposure, places.bracket, LOW, HIGH)
+    return replace(places, log_exposure=steps.log_exposure, steps=steps)
+
+
+def _lawful(parts: Sequence[_Part], files: tuple[Path, ...], profile: CameraProfile) -> Places:
+    """Return the places under the profile's shutter law, or the law that labels or codes show."""
     if profile.shutter_law != AUTO:
         return _pool(parts, files, profile, ShutterLaw(profile.shutter_law, "profile"))
     nominal_s = [e.shutter_s for part in parts for e in part.exposures]
@@ -172,7 +186,7 @@ def _pool(
         at = np.searchsorted(grid, np.round(log_e, 4))
         codes[row : row + len(part.codes), at] = part.codes
         row += len(part.codes)
-    return Places(codes, grid, bracket, files, law)
+    return Places(codes, grid, bracket, files, law, labelled_steps(grid))
 
 
 @dataclass(frozen=True, slots=True)

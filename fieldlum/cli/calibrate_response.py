@@ -38,12 +38,14 @@ def command(brackets: tuple[Path, ...], refit: Refit) -> None:
         "shutter_law": places.law.law,
         "shutter_law_by": places.law.decided_by,
         "shutter_law_misfit_percent": places.law.misfit_percent,
+        "iso_seconds": [round(float(e), 6) for e in np.exp(places.log_exposure)],
+        "step_deviation_percent": [round(100.0 * float(d), 2) for d in places.steps.deviation],
     }
     law_is_known = places.law.decided_by == "frames" or profile.shutter_law != "auto"
     refit.write(
         profile,
         places.frames,
-        [fitted.choice.line],
+        [text for text in (fitted.choice.line, places.steps.text) if text],
         figures,
         response=fitted.response,
         shutter_law=places.law.law if law_is_known else profile.shutter_law,
