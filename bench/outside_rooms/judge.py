@@ -5,7 +5,7 @@
 FIELDLUM is the command, for example .venv/bin/fieldlum. Each room: nine days, tested on hours of
 the year, with: no patch (none), no [room] at all (free), the tape-measure room (box), the scene
 fitted from it (scene), the renderer's own patches (exact). Besides errors of maps and of DGP, it
-counts the hours with the sun's disc in view: shown, missed, and phantom.
+counts the hours with the sun's disc in view (shown, missed, phantom) and the wrong glare classes.
 """
 
 from __future__ import annotations
@@ -29,12 +29,6 @@ KEYS = (
     "dgp_mae",
     "dgp_mse",
     "dgp_mse_own_disc",
-    "dgp_class_wrong",
-    "dgp_class_wrong_own_disc",
-    "disc_shown",
-    "disc_missed",
-    "disc_phantom",
-    "disc_absent",
     "patch",
 )
 
@@ -76,7 +70,18 @@ def judge(fieldlum: str, file: Path, case: Path) -> Json:
         command += ["--scene", patches, "--models", model, "--render", "0", "--json"]
         answer, why, seconds = run(command)
         row[name] = {**figures(answer), "s": round(seconds)} if answer else why
+        if answer:
+            row[name] |= discs(fieldlum, folder, patches, model)
     return row
+
+
+def discs(fieldlum: str, folder: Path, scene: str, model: str) -> Json:
+    """Return counts of discs and wrong classes by `discs.py`, or its complaint."""
+    python = str(Path(fieldlum).parent / "python")
+    files = [str(folder / name) for name in ("9d.csv", "test.csv", "site.toml")]
+    script = str(Path(__file__).parent / "discs.py")
+    counts, why, _ = run([python, script, *files, scene, model])
+    return counts or {"discs": why}
 
 
 def line(row: Json) -> str:
@@ -87,9 +92,10 @@ def line(row: Json) -> str:
             continue
         text = f"{name} {value['log10_mse_weighted']:.2e} (DGP MSE {_short(value['dgp_mse'])}"
         text += f", own disc {_short(value['dgp_mse_own_disc'])}"
-        if value["disc_shown"] is not None:
-            text += f"; discs {value['disc_shown']} shown, {value['disc_missed']} missed"
-            text += f", {value['disc_phantom']} of {value['disc_absent']} phantom"
+        if "disc_shown" in value:
+            text += f"; discs {value['disc_shown']} of {value['disc_hours']}"
+            text += f", phantom {value['disc_phantom']} of {value['disc_absent']}"
+            text += f", wrong class {100 * value['class_wrong_own_disc']:.1f} %"
         parts.append(text + ")")
     return f"# {row['room']}: fit {row['fit_s']} s, {row['chosen'][:60]}; " + ", ".join(parts)
 

@@ -90,7 +90,10 @@ def side_of(normal: Array) -> Array:
 
 
 class Cells:
-    """Sunlight on pieces of surface, for every hour. lux: [cells, hours]."""
+    """Sunlight on pieces of surface, for every hour. lux: [cells, hours].
+
+    Pieces are 0.25 m indoors, and outdoors from 1 m on, larger with distance.
+    """
 
     def __init__(self, world: World, place: Place, hours: Sequence[Hour]) -> None:
         self.world, self.place = world, place
@@ -103,10 +106,12 @@ class Cells:
     def index(self, point: Array, normal: Array) -> Array:
         """Return the cell of each point on the side of its normal; unknown cells are computed."""
         inside = indoors(point, self.place)
-        grid = np.floor(point / np.where(inside, 0.25, 1.0)[:, None]).astype(np.int64)
+        away = np.abs(point - self.place.camera).max(1)
+        level = np.where(inside, 0, 2 + np.floor(np.log2(np.maximum(away / 6, 1)))).astype(np.int64)
+        grid = np.floor(point / (0.25 * 2.0**level)[:, None]).astype(np.int64)
         grid = np.clip(grid, -250, 250) + 256
-        key = ((grid[:, 0] * 512 + grid[:, 1]) * 512 + grid[:, 2]) * 16
-        key += side_of(normal) * 2 + inside
+        key = ((grid[:, 0] * 512 + grid[:, 1]) * 512 + grid[:, 2]) * 256
+        key += side_of(normal) * 32 + level * 2 + inside
         new = ~np.isin(key, self.keys)
         if new.any():
             self._add(key[new], point[new], normal[new])

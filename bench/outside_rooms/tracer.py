@@ -24,6 +24,8 @@ mi.set_variant("llvm_ad_mono")
 Array = NDArray[Any]
 
 _EPS_M = 2e-4  # start of a ray above its surface
+_COAT_INDEX = 1.49  # of Mitsuba's roughplastic
+_COAT_REFLECTANCE = 0.092  # of that index for diffuse light (Fresnel, averaged over the hemisphere)
 _COSINES = np.linspace(1e-3, 1.0, 512)  # cosines of the table of transmittance
 
 
@@ -52,6 +54,7 @@ class World:
         self.names = list(groups)
         self.panes = [(pane, _glass(pane)) for pane in panes]
         self.transmittance = np.array([g.transmittance for g in self.groups])
+        self.coated = np.array([g.gloss > 0 for g in self.groups])
         scene, owner = mitsuba_scene(groups)
         self.scene: Any = mi.load_dict(scene, optimize=False)
         table = np.zeros(1 + len(self.scene.shapes()) + 1000, np.uint32)
@@ -69,7 +72,7 @@ class World:
         sample, weight = bsdf.sample(
             context, si, mi.Float(random[0]), mi.Point2f(random[1], random[2]), valid
         )
-        reflectance = bsdf.eval_diffuse_reflectance(si, valid)[0]
+        reflectance = bsdf.eval_diffuse_reflectance(si, valid)[0]  # under a coat: of the base
         shape = dr.reinterpret_array(mi.UInt32, si.shape)
         group = dr.gather(mi.UInt32, self._group_of_shape, shape, valid)
         out = si.to_world(sample.wo)
@@ -83,11 +86,17 @@ class World:
             np.array(si.p).T,
             normal,
             np.array(group).astype(int),
-            np.array(reflectance),
+            self._below_coat(np.array(reflectance), np.array(group).astype(int)),
             np.array(out).T,
             np.array(weight[0]),
         )
         return self._through(hits, random)
+
+    def _below_coat(self, base: Array, group: Array) -> Array:
+        """Return the diffuse reflectance of surfaces with a coat, from that of their base."""
+        inside = 1 - (1 - _COAT_REFLECTANCE) / _COAT_INDEX**2
+        coated = base * (1 - _COAT_REFLECTANCE) * (1 - inside) / (1 - base * inside)
+        return np.where(self.coated[group], coated, base)
 
     def _through(self, hits: Hits, random: Array) -> Hits:
         """Send a share of the paths on through surfaces that transmit diffusely."""
