@@ -17,6 +17,7 @@ from fieldlum.glare import (
     view_azimuths_deg,
 )
 from fieldlum.glare.fisheye import fisheye_solid_angles
+from fieldlum.glare.metrics import combine
 from fieldlum.glare.sources import group_pixels, sources_of, widen
 from fieldlum.glare.standards import disturbed_share
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
@@ -227,3 +228,20 @@ def test_fisheye_keeps_flux_and_the_suns_energy() -> None:
     omega = fisheye_solid_angles(size)
     assert omega.sum() == pytest.approx(2 * np.pi, rel=1e-3)
     assert (picture * omega).sum() == pytest.approx(700.0 * 2 * np.pi + 5e4, rel=2e-3)
+
+
+@pytest.mark.analytic
+def test_the_sun_and_its_images_add_up_over_hours_and_directions() -> None:
+    """Four suns, two hours, three directions: contributions are added over the suns only."""
+    rng = np.random.default_rng(1)
+    map_ev, sums = rng.uniform(500, 2000, (2, 3)), rng.uniform(0, 9, (2, 4, 3))
+    sun_ev, right, up = rng.uniform(0, 900, (4, 2, 3)), *rng.uniform(0.1, 0.6, (2, 4, 2, 3))
+    sun_cdm2 = sun_ev / SUN_SOLID_ANGLE_SR
+    figures = combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
+    contrast = np.zeros((2, 3))
+    for each_ev, each_cdm2, x, y in zip(sun_ev, sun_cdm2, right, up, strict=True):
+        map_ev = map_ev + each_ev
+        contrast += each_cdm2**2 * SUN_SOLID_ANGLE_SR / position_index(x, y) ** 2
+    assert figures["ev_lx"] == pytest.approx(map_ev)
+    assert figures["sun_contrast"] == pytest.approx(contrast)
+    assert figures["contrast"] == pytest.approx(sums[:, 0] + contrast)

@@ -5,6 +5,7 @@ and the stage.
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from fieldlum import irradiance, light_clock, sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
 from fieldlum.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
+from fieldlum.irradiance.series import local_period_s
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.session.files import clean_csv
@@ -462,3 +464,30 @@ def test_pair_draws_the_days_once(tmp_path: Path) -> None:
     assert path is not None and path.read_bytes().startswith(b"\x89PNG")
     before = path.stat().st_mtime_ns
     assert draw_days(session) == path and path.stat().st_mtime_ns == before
+
+
+@pytest.mark.analytic
+def test_a_few_rows_at_the_end_have_the_period_of_those_before() -> None:
+    """64 rows each 5 s, then three each 60 s: too few to tell another logger from gaps."""
+    t = np.concatenate((5.0 * np.arange(64), 315.0 + 60.0 * np.arange(1, 4)))
+    assert local_period_s(t).tolist() == [5.0] * 67
+    assert local_period_s(np.concatenate((t, t[-1] + 60.0 * np.arange(1, 40))))[-1] == 60.0
+
+
+@pytest.mark.analytic
+def test_the_share_of_rows_that_close_is_printed() -> None:
+    """75 minutes with three components, which contradict each other by half in the first 25."""
+    rows = [
+        IrradianceSample(at(5.0 * i, 0, 0).t_utc, 800.0 * (1.5 if i < 300 else 1.0), 150.0, 0.0)
+        for i in range(900)
+    ]
+    series = series_of(rows)
+    altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
+    dni = (800.0 - 150.0) / np.sin(np.radians(altitude))
+    series = replace(series, dni_wm2=dni)
+    found = derive(check(series, altitude, top), altitude, SEATTLE)
+    told = health(series, found, altitude, top, 0, SEATTLE)
+    assert told.closure_pass is not None and told.closure_pass < 0.8
+    shown = f"is true in only {round(100 * told.closure_pass)} % of the rows"
+    assert any(shown in text for text in told.warnings)
+    assert told.smallest_step is None, "75 minutes of sun are too few for a day's ratio"

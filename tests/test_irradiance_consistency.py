@@ -73,6 +73,9 @@ def test_a_hill_is_found_from_days_that_agree() -> None:
     assert found[inside].mean() > 0.9
     assert not found[~hill].any()
     assert not shaded_horizon(t, clear, altitude, azimuth, clear).any()
+    gaps = np.where(np.arange(len(t)) % 50 == 0, np.nan, 0.0)  # a reading in fifty is missing
+    gappy = shaded_horizon(t, np.where(hill, 0.0, clear) + gaps, altitude, azimuth, clear)
+    assert gappy[inside].mean() > 0.9 and not gappy[~hill].any()
 
 
 @pytest.mark.analytic

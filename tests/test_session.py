@@ -36,6 +36,7 @@ from fieldlum.session import (
 )
 from fieldlum.session.journal import damaged_lines, decode_event
 from fieldlum.session.ledger import fold
+from fieldlum.session.tables import JournalEvent
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SETUP = SiteFile(SEATTLE)
@@ -290,3 +291,13 @@ def test_no_value_of_an_event_breaks_the_ledger(value: object) -> None:
     for name in ("event", "t_utc", "slot", "attempt", "frame", "why", "state", "illuminance_lx"):
         if (event := decode_event(encode_line({**row, name: value}))) is not None:
             fold([event])
+
+
+@pytest.mark.contract
+def test_the_ledger_keeps_the_last_start_of_a_capture() -> None:
+    """A restarted capture compares the clock with it."""
+    events: list[JournalEvent] = [
+        {"event": kind, "t_utc": f"2027-03-20T15:3{minute}:00Z"}
+        for minute, kind in enumerate(("open", "close", "open", "note"))
+    ]
+    assert fold(events).opened == events[2] and fold(events[3:]).opened is None

@@ -222,6 +222,8 @@ def sensitivity_steps(
     day = np.floor(t_unix_s[rows] / DAY_S).astype(np.int64)
     present, count = np.unique(day, return_counts=True)
     enough = count * period_s >= _DAY_STEADY_S
+    if not enough.any():
+        return SensitivitySteps((), None, 0)
     present, steady_s = present[enough], count[enough] * period_s
     value = np.array([float(np.median(ratio[rows[day == d]])) for d in present])
     spread = np.sqrt(1.0 + _FULL_DAY_S / steady_s)
