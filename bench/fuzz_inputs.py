@@ -1,8 +1,10 @@
-"""Mutated raw, JPEG, EXR, HDR, TOML and EXIF inputs: each must give a result or a one-line error.
+"""Mutated inputs, and sessions with a mutated file: each must give a result or a one-line error.
 
 The readers run in a worker process, so that a crash of a C library or a hang is seen and counted.
 
-    python bench/fuzz_inputs.py [--cases 2400] [--seed 1]
+Nothing of a session may start a program or touch a file outside its folder (fuzz_sessions.py).
+
+    python bench/fuzz_inputs.py [--cases 2400] [--seed 1] [--kinds files|sessions|all]
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import fuzz_sessions
 import numpy as np
 
 from fieldlum.errors import FieldlumError
@@ -40,7 +43,12 @@ from fieldlum.site_toml import load_site
 
 HANG_S = 60.0
 TIMES_S = (0.1, 0.01, 0.001)
-KINDS = ("raw", "jpeg", "exr", "hdr", "profile", "site", "exif", "merge")
+FILE_KINDS = ("raw", "jpeg", "exr", "hdr", "profile", "site", "exif", "merge")
+KINDS = {
+    "files": FILE_KINDS,
+    "sessions": fuzz_sessions.KINDS,
+    "all": (*FILE_KINDS, *fuzz_sessions.KINDS),
+}
 
 
 def camera() -> CameraProfile:
@@ -83,6 +91,7 @@ def make_originals(folder: Path) -> dict[str, list[Path]]:
         "site": [site],
         "exif": [jpeg, raws[0]],
         "merge": raws,
+        **fuzz_sessions.make_originals(folder, profile),
     }
 
 
@@ -142,6 +151,9 @@ def mutate(data: bytes, head: int, rng: np.random.Generator) -> bytes:
 
 def read(kind: str, path: Path, originals: list[Path]) -> None:
     """What a user's command would do with the file. Raises whatever the tool raises."""
+    if kind in fuzz_sessions.KINDS:
+        fuzz_sessions.read(kind, path, *originals[1:])
+        return
     if kind == "merge":
         result = merge_frames(
             [path, *originals[1:]], camera(), MergeOptions(height=8), heading_deg=0.0
@@ -220,17 +232,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=2400)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kinds", choices=sorted(KINDS), default="all")
     parser.add_argument("--keep", type=Path, help="keep the inputs that fail here")
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
-    slowest_s = dict.fromkeys(KINDS, 0.0)
+    kinds = KINDS[options.kinds]
+    counts: dict[str, Counter[str]] = {kind: Counter() for kind in kinds}
+    slowest_s = dict.fromkeys(kinds, 0.0)
     bad = 0
     with tempfile.TemporaryDirectory() as scratch:
         originals = make_originals(Path(scratch))
         worker = Worker(originals)
         for case in range(options.cases):
-            kind = KINDS[case % len(KINDS)]
+            kind = kinds[case % len(kinds)]
             source = (
                 originals[kind][int(rng.integers(len(originals[kind])))]
                 if kind == "exif"
@@ -240,7 +254,10 @@ def main() -> None:
             head = 1200 if source.suffix in (".dng", ".jpg", ".exr") else 400
             text = kind in ("profile", "site") and rng.random() < 0.7
             data = source.read_bytes()
-            path.write_bytes(reword(data, rng) if text else mutate(data, head, rng))
+            if kind in fuzz_sessions.KINDS and rng.random() < 0.8:
+                path.write_bytes(fuzz_sessions.mutated(kind, data, originals[kind][2], rng))
+            else:
+                path.write_bytes(reword(data, rng) if text else mutate(data, head, rng))
             asked_s = time.monotonic()
             said = worker.ask(kind, path)
             slowest_s[kind] = max(slowest_s[kind], time.monotonic() - asked_s)
@@ -257,7 +274,7 @@ def main() -> None:
         "| input | cases | result | one-line error | defect, crash or hang | slowest s "
         "|\n|---|---|---|---|---|---|"
     )
-    for kind in KINDS:
+    for kind in kinds:
         c = counts[kind]
         good, error = c["result"], c["one-line error"]
         print(

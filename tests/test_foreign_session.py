@@ -338,6 +338,8 @@ def test_a_session_with_a_link_is_refused(tmp_path: Path, name: str) -> None:
 def test_a_link_that_fieldlum_never_opens_does_not_stop_a_capture(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s")
     (session.root / "my notes").symlink_to(tmp_path)
+    (session.root / ".Trash-0").mkdir()
+    (session.root / ".Trash-0" / "link").symlink_to(tmp_path)
     assert open_session(session.root) == session
 
 

@@ -103,12 +103,15 @@ def _link_error(link: Path) -> InputError:
 def refuse_links(root: Path, names: Container[str]) -> None:
     """Raise InputError for a link, pipe or device in a session where fieldlum reads or writes.
 
-    names: of the entries of the session's folder to check, with all below them; hidden ones are
-    checked as well. Links that the user of this computer permitted are followed and checked too.
+    names: of the entries of the session's folder to check, with all below them. A hidden entry must
+    be no link; what is below it is of the disk or of another program. Links that the user of this
+    computer permitted are followed and checked too.
     """
     for entry in _entries(root):
-        if entry.name in names or entry.name.startswith("."):
+        if entry.name in names:
             _refuse_in(entry)
+        elif entry.name.startswith("."):
+            refuse_link(root, Path(entry.path))
 
 
 def _refuse_in(entry: os.DirEntry[str]) -> None:
