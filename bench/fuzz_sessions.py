@@ -24,12 +24,16 @@ import tomli_w
 from click.testing import CliRunner
 
 from fieldlum.capture.runner import Options, run
-from fieldlum.cli import main
+from fieldlum.cli import DISK_TROUBLE, main
 from fieldlum.cli.options import device_uris
 from fieldlum.devices import CameraInfo, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.errors import FieldlumError, InputError
+from fieldlum.merge import MergeOptions
+from fieldlum.merge.stage import _MergeJob as MergeJob
+from fieldlum.merge.stage import merge_slot
 from fieldlum.notify import Message, Outbox
+from fieldlum.profiles import load_camera_profile
 from fieldlum.raw import write_dng
 from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id
 from fieldlum.scene import window_fraction
@@ -235,6 +239,17 @@ def _room(session: Session) -> None:
         window_fraction(room, None, 8, 180.0)
 
 
+def _merge(session: Session) -> None:
+    """Merge the complete bracket, without the summary that `merge` draws afterwards."""
+    setup = session.site_file()
+    profile = load_camera_profile(Path(setup.camera.profile))
+    options = MergeOptions(height=8)
+    job = MergeJob(_CAPTURED, profile, "", setup.camera.heading_deg, setup.site, options, False)
+    verdict = merge_slot(session.root, job)
+    if verdict.state == "failed":
+        raise InputError(session.raw, verdict.text)
+
+
 def _messages(session: Session) -> None:
     sent: list[Message] = []
     outbox = Outbox(lambda message: not sent.append(message), session.root / "outbox.jsonl")
@@ -261,9 +276,9 @@ def _command(*words: str) -> Callable[[Session], None]:
 
 _STEPS: dict[str, tuple[Callable[[Session], None], ...]] = {
     "journal": (_command("status"), _capture),
-    "capture.json": (_command("merge", "--size", "16x8"),),
+    "capture.json": (_merge,),
     "outbox": (_messages,),
-    "session.toml": (_command("status"), _devices, _room, _command("plan", "--replan"), _capture),
+    "session.toml": (_command("status"), _devices, _room, _command("plan", "--replan")),
     "pairs.csv": (_command("status"), lambda session: _read_pairs(session)),
 }
 
@@ -287,12 +302,14 @@ def read(kind: str, path: Path, root: Path, outside: Path) -> None:
         for step in _STEPS[kind]:
             try:
                 step(open_session(case))
-            except FieldlumError as error:
-                errors.append(error)
+            except (FieldlumError, OSError) as error:  # the command line prints these as one line
+                if isinstance(error, OSError) and error.errno not in DISK_TROUBLE:
+                    raise
+                errors.append(" ".join(str(error).splitlines()))
     if watch.seen or _state(outside) != before:
         raise AssertionError(f"left the folder: {watch.seen[:3]}")
     if errors:
-        raise InputError(path, str(errors[0]))
+        raise InputError(path, errors[0])
 
 
 def _state(folder: Path) -> dict[str, str]:
