@@ -132,7 +132,7 @@ def mutated(kind: str, data: bytes, outside: Path, rng: np.random.Generator) -> 
     for _ in range(int(rng.integers(1, 3))):
         _replace(rows, outside, rng)
     if kind == "capture.json":
-        return json.dumps(rows[0], default=str).encode()
+        return json.dumps(rows[0] if rows else None).encode()
     if kind == "outbox":
         return "\n".join(json.dumps(row) for row in rows).encode()
     texts = [json.dumps(row).encode() for row in rows]

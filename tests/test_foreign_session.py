@@ -440,6 +440,7 @@ BAD_NAMES = [
     "a\0b",
     "a\nb",
     "x" * 300,
+    "\ud800",
 ]
 
 
@@ -458,6 +459,15 @@ def test_only_plain_names_are_frames_and_slots(tmp_path: Path, name: str) -> Non
     for place in (session.capture_file, session.panorama, session.sidecar, session.sunpatch):
         with pytest.raises(InputError, match="slot name"):
             place(name)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("key", ["shutter_s", "f_number", "iso"])
+def test_an_impossible_exposure_is_no_frame(key: str, value: float) -> None:
+    fields = dict(frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0)))
+    exposure = {"shutter_s": 1.0, "f_number": 5.6, "iso": 100.0, key: value}
+    with pytest.raises(ValueError, match="not above 0 and finite"):
+        frame_from({**fields, "exposure": exposure})
 
 
 def test_a_journal_cannot_move_a_file_into_the_session(rig: Field, tmp_path: Path) -> None:

@@ -26,12 +26,12 @@ _NO_WAITING = getattr(os, "O_NONBLOCK", 0)  # for a named pipe; without effect o
 
 def is_plain(name: object) -> bool:
     """Return whether a value is the name of a file or folder, without a path and not hidden."""
-    return (
-        isinstance(name, str)
-        and 0 < len(name) <= _MAX_NAME
-        and name[0] != "."
-        and not _FORBIDDEN & set(name)
-    )
+    if not isinstance(name, str) or name.startswith(".") or _FORBIDDEN & set(name):
+        return False
+    try:
+        return 0 < len(os.fsencode(name)) <= _MAX_NAME
+    except UnicodeEncodeError:
+        return False
 
 
 def plain(name: str) -> str:

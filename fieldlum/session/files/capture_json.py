@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -64,6 +65,9 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
     Raises KeyError, TypeError or ValueError for other content, such as a file in another folder.
     """
     frame = from_json(Frame, fields)
+    e = frame.exposure
+    if not all(0.0 < value < math.inf for value in (e.shutter_s, e.f_number, e.iso)):
+        raise ValueError(f"frame {frame.file}: an exposure that is not above 0 and finite: {e}")
     plain(frame.file)
     if frame.instead_of:
         plain(frame.instead_of)
