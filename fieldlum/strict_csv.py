@@ -30,6 +30,7 @@ _NOT_TEXT = {
 }
 # Share of zero bytes. UTF-16 without its mark has about half; a damaged block has few. Chosen.
 _MAX_ZERO_BYTES = 0.25
+COMMAS = ", because numbers have decimal commas"
 _INTEGER = re.compile(r"[+-]?\d+")
 _UNIT_AT_END = re.compile(r"(.*?)[\s_]*[(\[{]([^()\[\]{}]*)[)\]}\s]*")
 _WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
@@ -122,13 +123,24 @@ def split_row(line: str, mark: str = ",", *, padded: bool = True) -> list[str]:
 
 
 def split_header(path: Path, line: Line, mark: str = ",") -> list[str]:
-    """Return the cells of a header line; raise InputError for a stray quotation mark."""
+    """Return the cells of a header line.
+
+    Raises InputError for a stray quotation mark, and for another separator than commas.
+    """
     try:
-        return split_row(line[1], mark)
+        names = split_row(line[1], mark)
     except ValueError as error:
         raise InputError(
             path, f"line {line[0]}: {error}", "a line of names", "correct that line"
         ) from None
+    if len(names) == 1 and mark == "," and (other := re.search(r"[;\t|]", names[0])):
+        raise InputError(
+            path,
+            f"columns separated by {other[0]!r}",
+            "commas",
+            "save it as CSV with commas between and points in the numbers",
+        )
+    return names
 
 
 def split_rows(
@@ -154,7 +166,7 @@ def split_rows(
         line, cells = wrong[0]
         others = f" (and {len(wrong) - 1} more such lines)" if len(wrong) > 1 else ""
         commas = decimal_commas(cells, count, [cells for _, cells in rows if len(cells) == count])
-        why = ", because numbers have decimal commas" if commas else ""
+        why = COMMAS if commas else ""
         raise InputError(
             path,
             f"line {line}: {len(cells)} cells{why}{others}",
@@ -193,11 +205,28 @@ def read_table(
     lines = numbered(lines_of(read_text(path, expected, remedy)))
     if not lines:
         raise InputError(path, "an empty file", expected, remedy)
+    table = table_of(path, lines, mark)
+    if missing := [name for name in needed if name not in table.names]:
+        raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
+    return table
+
+
+def table_of(path: Path, lines: Sequence[Line], mark: str = ",") -> CsvTable:
+    """Return the table below the header in the first line.
+
+    Empty columns at the right, which spreadsheets write, are left out. Raises InputError for a
+    repeated name, a cell below an empty name there, and what `split_rows` refuses.
+    """
     names = split_header(path, lines[0], mark)
     check_names(path, names)
-    if missing := [name for name in needed if name not in names]:
-        raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
-    return CsvTable(path, tuple(names), tuple(split_rows(path, lines[1:], len(names), mark)))
+    rows = split_rows(path, lines[1:], len(names), mark)
+    width = max((k + 1 for k, name in enumerate(names) if name), default=0)
+    for line, cells in rows:
+        if any(cells[width:]):
+            raise InputError(
+                path, f"line {line}: a cell without a column name", "a name", "name its column"
+            )
+    return CsvTable(path, tuple(names[:width]), tuple((n, cells[:width]) for n, cells in rows))
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
@@ -249,6 +278,13 @@ def split_heading(heading: str) -> tuple[str, str]:
         if is_unit(unit := " ".join(words[k:])):
             return " ".join(words[:k]).rstrip(","), unit
     return heading.strip(), ""
+
+
+def stated_unit(heading: str) -> str:
+    """Return the unit that a heading states, also one that is no irradiance; empty without one."""
+    match = _UNIT_AT_END.fullmatch(heading.strip())
+    stated = match[2].strip() if match else ""
+    return stated if "/" in stated else split_heading(heading)[1]
 
 
 def is_unit(text: str) -> bool:

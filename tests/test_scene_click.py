@@ -161,7 +161,7 @@ def test_the_outline_passes_through_the_corners() -> None:
         ("kind,window,x_px,y_px\nfloor,,nan,2\n", ":2: x_px nan"),
         ("kind,window,x_px,y_px\nfloor,1,1,2\n", ":2: kind floor with window number 1"),
         ("kind,window,x_px,y_px\nwindow,,1,2\n", ":2: kind window with window number 0"),
-        ("kind,window,x_px,y_px\nfloor,,1\n", ":2: "),
+        ("kind,window,x_px,y_px\nfloor,,1\n", "line 2: 3 cells"),
         ("", "an empty file"),
     ],
 )

@@ -72,9 +72,9 @@ def test_plan_and_site_round_trip(session: Session) -> None:
     [
         (
             (b"; ", b", "),
-            "8 values; expected columns slot",
+            "8 cells; expected 7 cells",
         ),  # a bracket of one frame, its second taken for a tag
-        ((b",", b";"), "plan.csv: columns slot;t_utc;"),
+        ((b",", b";"), "plan.csv: columns separated by ';'"),
         ((b"exposures", b"shutters"), "shutters, tags; expected columns"),
     ],
 )

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError, input_errors
+from fieldlum.errors import InputError
 from fieldlum.profiles import CameraProfile, Provenance, save_profile
 from fieldlum.session import sha256
+from fieldlum.strict_csv import (
+    CsvTable,
+    Line,
+    lines_of,
+    numbered,
+    read_text,
+    split_header,
+    table_of,
+)
 from fieldlum.version import __version__
 
 CsvRow = dict[str, Any]
@@ -26,11 +34,10 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     Empty lines and lines that begin with # are skipped. Raises InputError for a missing or unknown
     column, an invalid cell, or a csv without readings.
     """
-    numbered = _lines(path)
-    lines = [line for _, line in numbered]
+    lines = _lines(path)
     mark = _separator(lines)
-    rows = csv.DictReader(lines, delimiter=mark)
-    names = [name.strip() for name in rows.fieldnames or []]
+    table = table_of(path, lines, mark) if lines else CsvTable(path, (), ())
+    names = table.names
     columns = (*needed, *also)
     expected = f"columns {', '.join(columns)}"
     if missing := [name for name in needed if name not in names]:
@@ -39,17 +46,10 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
         )
     if unknown := [name for name in names if name not in columns]:
         raise InputError(path, f"unknown column {unknown[0]}", expected, "remove or rename it")
-    rows.fieldnames = names
-    readings = []
-    for (number, _), row in zip(numbered[1:], rows, strict=False):
-        if any(text.strip() for text in row.get(None) or ()):
-            raise InputError(
-                f"{path}:{number}",
-                "this line has more cells than the header has columns",
-                f"{len(names)} cells",
-                "write decimals with a point, or put semicolons between the cells",
-            )
-        readings.append({n: _cell(path, number, n, row[n], mark) for n in names})
+    readings = [
+        {n: _cell(path, number, n, text, mark) for n, text in cells.items()}
+        for number, cells in table.dicts()
+    ]
     if not readings:
         raise InputError(
             path, "no readings", "one reading on each line", "add at least one reading"
@@ -57,19 +57,9 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     return readings
 
 
-def _lines(path: Path) -> list[tuple[int, str]]:
-    """Return the lines of a csv with their numbers from 1, without empty lines and comments.
-
-    Raises InputError if the file cannot be read.
-    """
-    expected, remedy = "a csv of readings in UTF-8", "check the path and the encoding of the csv"
-    with input_errors(path, expected, remedy, OSError, UnicodeDecodeError):
-        text = path.read_text(encoding="utf-8-sig")
-    return [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip()[:1] not in ("", "#")
-    ]
+def _lines(path: Path) -> list[Line]:
+    """Return the lines of a csv with their numbers, without empty lines and comments."""
+    return numbered(lines_of(read_text(path, "a csv of readings")))
 
 
 def columns_of(path: Path) -> list[str]:
@@ -77,17 +67,16 @@ def columns_of(path: Path) -> list[str]:
 
     The list is empty for an empty file. Raises InputError if the file cannot be read.
     """
-    lines = [line for _, line in _lines(path)[:1]]
-    return [name.strip() for name in next(csv.reader(lines, delimiter=_separator(lines)), [])]
+    lines = _lines(path)
+    return split_header(path, lines[0], _separator(lines)) if lines else []
 
 
-def _separator(lines: Sequence[str]) -> str:
+def _separator(lines: Sequence[Line]) -> str:
     """Return the separator of the header; many spreadsheets write semicolons."""
-    return next((mark for mark in (",", ";", "\t") if lines and mark in lines[0]), ",")
+    return next((mark for mark in (",", ";", "\t") if lines and mark in lines[0][1]), ",")
 
 
-def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> Any:
-    text = (text or "").strip()
+def _cell(path: Path, number: int, name: str, text: str, mark: str) -> Any:
     if not text:
         return None
     if name in ("file", "panorama"):

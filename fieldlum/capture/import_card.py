@@ -86,32 +86,39 @@ def run(
     *,
     logger: Path | None = None,
     utc_offset_s: float | None = None,
+    logger_utc_offset_s: float | None = None,
     columns: Mapping[str, str] | None = None,
+    sensitivities: Mapping[str, float] | None = None,
     progress: Progress = quiet,
 ) -> Report:
     """Copy brackets that match the plan into raw/ and the journal.
 
     Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
     are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None reads the
-    camera's from EXIF or fits it to the plan. columns: the logger's column name for each quantity,
-    if it is unusual. Raises InputError for a folder without frames, an ambiguous clock, an
-    invalid logger's file, or while a capture runs; NotEnoughDataError if no bracket matched.
+    camera's from EXIF or fits it to the plan. logger_utc_offset_s: the logger's, if it differs.
+    columns: the logger's column name for each quantity, if it is unusual; sensitivities: of
+    pyranometers whose column is a voltage, uV per W/m2. Raises InputError for a folder without
+    frames, an ambiguous clock, an invalid logger's file, or while a capture runs;
+    NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
         if logger is not None:
             # check before the card is read, so that both are imported or none
-            check_rows(logger, utc_offset_s, columns)
+            if logger_utc_offset_s is None:
+                logger_utc_offset_s = utc_offset_s
+            check_rows(logger, logger_utc_offset_s, columns, sensitivities)
         report = (
             Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
         )
         if logger is None:
             return report
-        adopted = adopt_rows(session, logger, utc_offset_s, columns)
+        adopted = adopt_rows(session, logger, logger_utc_offset_s, columns, sensitivities)
         return replace(
             report,
             rows=adopted.rows,
             withdrawn=adopted.withdrawn,
             left_out=(*report.left_out, *adopted.left_out),
+            notes=(*report.notes, *adopted.notes),
         )
 
 

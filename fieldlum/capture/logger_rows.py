@@ -35,12 +35,13 @@ class Adopted:
 
     rows: number of rows added. withdrawn: number of rows removed, which an earlier import of a file
     with this name had added with another clock or other columns. left_out: a sentence on each
-    unused part of the file.
+    unused part of the file. notes: which columns were read, and how.
     """
 
     rows: int
     withdrawn: int
     left_out: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def adopt_rows(
@@ -48,15 +49,17 @@ def adopt_rows(
     path: Path,
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None = None,
+    sensitivities: Mapping[str, float] | None = None,
 ) -> Adopted:
     """Add the rows of a logger's file to the day files, except those whose time is there already.
 
     Rows that an earlier import of this file name read with another clock or other columns are
     removed. utc_offset_s: the logger's clock minus UTC [s], if the file does not state it. columns:
-    name of the column for each quantity, if it is unusual. Raises InputError for a file that cannot
-    be read, or if another process logs into the session.
+    name of the column for each quantity, if it is unusual. sensitivities: of pyranometers whose
+    column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read, or if
+    another process logs into the session.
     """
-    table = _logger_table(path, utc_offset_s, columns)
+    table = _logger_table(path, utc_offset_s, columns, sensitivities)
     logger_file = _read(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
@@ -67,32 +70,46 @@ def adopt_rows(
         added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
-    return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in logger_file.left_out))
+    about = (
+        tuple(f"{path}: {text}" for text in f) for f in (logger_file.left_out, logger_file.notes)
+    )
+    return Adopted(added, withdrawn, *about)
 
 
 def check_rows(
-    path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None = None
+    path: Path,
+    utc_offset_s: float | None,
+    columns: Mapping[str, str] | None = None,
+    sensitivities: Mapping[str, float] | None = None,
 ) -> None:
     """Raise InputError for a file that `adopt_rows` could not read."""
-    _read(path, _logger_table(path, utc_offset_s, columns))
+    _read(path, _logger_table(path, utc_offset_s, columns, sensitivities))
 
 
 def _logger_table(
-    path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None
+    path: Path,
+    utc_offset_s: float | None,
+    columns: Mapping[str, str] | None,
+    sensitivities: Mapping[str, float] | None,
 ) -> LoggerFileTable:
-    """Return how a file is read (clock, columns), in the form that the session stores."""
+    """Return how a file is read, in the form that the session stores."""
     table: LoggerFileTable = {"file": path.name}
     if utc_offset_s is not None:
         table["utc_offset_s"] = utc_offset_s
     if columns:
         table["columns"] = dict(columns)
+    if sensitivities:
+        table["sensitivities"] = dict(sensitivities)
     return table
 
 
 def _read(path: Path, table: LoggerFileTable) -> LoggerFile:
     offset_s = table.get("utc_offset_s")
     return read_logger_file(
-        path, None if offset_s is None else timedelta(seconds=offset_s), table.get("columns")
+        path,
+        None if offset_s is None else timedelta(seconds=offset_s),
+        table.get("columns"),
+        table.get("sensitivities"),
     )
 
 

@@ -47,6 +47,23 @@ def _columns(
     return named
 
 
+def _sensitivities(
+    ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
+) -> dict[str, float]:
+    stated: dict[str, float] = {}
+    for text in texts:
+        quantity, _, number = text.partition("=")
+        try:
+            stated[quantity] = float(number)
+        except ValueError:
+            stated[quantity] = 0.0
+        if quantity not in ("ghi_wm2", "dhi_wm2", "dni_wm2") or not 0.1 <= stated[quantity] <= 1e4:
+            raise click.BadParameter(
+                f"{text} is not QUANTITY=UV_PER_WM2: write, for example, ghi_wm2=8.63"
+            )
+    return stated
+
+
 @click.command("import")
 @session_argument
 @click.argument("folder", metavar="[FOLDER]", required=False, type=PATH)
@@ -64,20 +81,37 @@ def _columns(
     help="Camera's and logger's clock minus UTC. [default: from EXIF, or fitted to the plan]",
 )
 @click.option(
+    "--logger-utc-offset",
+    "logger_offset_s",
+    metavar="+HH:MM",
+    callback=_offset_s,
+    help="Logger's clock minus UTC, if it differs from the camera's. [default: --utc-offset]",
+)
+@click.option(
     "--column",
     "columns",
     metavar="QUANTITY=NAME",
     multiple=True,
     callback=_columns,
     help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its name is unusual; "
-    "the other columns are found by their names.",
+    "the other columns are found by their names. A number counts columns of a file without names.",
+)
+@click.option(
+    "--sensitivity",
+    "sensitivities",
+    metavar="QUANTITY=UV_PER_WM2",
+    multiple=True,
+    callback=_sensitivities,
+    help="Sensitivity of the pyranometer, uV per W/m2, if the logger's column is a voltage.",
 )
 def command(
     session_folder: Path,
     folder: Path | None,
     logger: Path | None,
     offset_s: float | None,
+    logger_offset_s: float | None,
     columns: dict[str, str],
+    sensitivities: dict[str, float],
 ) -> None:
     """Import a card's folder and a logger's file.
 
@@ -92,6 +126,11 @@ def command(
         raise click.UsageError(
             "no input: name a card's folder, or a logger's file with --irradiance"
         )
+    if logger is None and (logger_offset_s is not None or columns or sensitivities):
+        raise click.UsageError(
+            "--logger-utc-offset, --column and --sensitivity are for a logger's file: name it with "
+            "--irradiance"
+        )
     from fieldlum.capture import import_card
     from fieldlum.records import counted
     from fieldlum.session import open_session
@@ -103,7 +142,9 @@ def command(
             folder,
             logger=logger,
             utc_offset_s=offset_s,
+            logger_utc_offset_s=logger_offset_s,
             columns=columns or None,
+            sensitivities=sensitivities or None,
             progress=progress,
         )
     for line in _summary(report):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
@@ -12,8 +11,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.arrays import Mask
-from fieldlum.errors import InputError, NotEnoughDataError, input_errors
+from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import Site
+from fieldlum.strict_csv import read_table
 from fieldlum.sun import position, standard_date, standard_offset
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
@@ -77,35 +77,24 @@ def read_occupancy(path: Path) -> Occupancy:
 
     Raises InputError for a file that cannot be read, or for other content.
     """
-    with input_errors(path, HOW, "check the path of the csv", OSError, UnicodeDecodeError):
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    reader = csv.reader(lines, skipinitialspace=True)
-    rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    rows = [(number, row) for number, row in rows if any(row)]
-    if not rows:
-        raise InputError(path, "an empty file", HOW, "write a line of column names and its rows")
-    names = rows[0][1]
-    if names == ["days", "start", "end"]:
-        return _weekly(path, rows[1:])
-    if "occupied" in names:
-        return _hourly(path, rows[1:], names.index("occupied"))
-    raise InputError(path, f"columns {', '.join(names)}", HOW, "correct the first line")
+    table = read_table(path, HOW, "write a line of column names and its rows")
+    if table.names == ("days", "start", "end"):
+        return _weekly(path, table.rows)
+    if "occupied" in table.names:
+        return _hourly(path, table.rows, table.names.index("occupied"))
+    raise InputError(path, f"columns {', '.join(table.names)}", HOW, "correct the first line")
 
 
-def _weekly(path: Path, rows: list[tuple[int, list[str]]]) -> Occupancy:
+def _time(cell: str) -> time:
+    """Return a time of day such as 08:00 or 8:00; 24:00 is the end of the day."""
+    return time.max if cell == "24:00" else time.fromisoformat(cell.zfill(5))
+
+
+def _weekly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]]) -> Occupancy:
     periods = []
     for number, row in rows:
-        if len(row) != 3:
-            raise InputError(
-                path,
-                f"line {number}: {len(row)} cells",
-                "three cells: days,start,end",
-                "correct that line",
-            )
         try:
-            start, end = (
-                time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:]
-            )
+            start, end = (_time(cell) for cell in row[1:])
             days = _days(row[0])
         except ValueError as error:
             raise InputError(
@@ -139,7 +128,7 @@ def _days(text: str) -> list[int]:
     return days
 
 
-def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occupancy:
+def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
     if len(rows) != HOURS_OF_YEAR:
         raise InputError(
             path,
@@ -149,7 +138,7 @@ def _hourly(path: Path, rows: list[tuple[int, list[str]]], column: int) -> Occup
         )
     hours = np.zeros(HOURS_OF_YEAR, bool)
     for k, (number, row) in enumerate(rows):
-        cell = row[column] if len(row) > column else ""
+        cell = row[column]
         if cell not in ("0", "1"):
             raise InputError(
                 path, f"line {number}: occupied is '{cell}'", "0 or 1", "correct the value"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -10,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, input_errors
+from fieldlum.errors import InputError
 from fieldlum.projection import equirect_pixel
+from fieldlum.strict_csv import read_table
 
 Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
 KINDS: tuple[Kind, ...] = ("floor", "ceiling", "window", "bar", "transom")
@@ -65,18 +65,15 @@ def read_clicks(path: Path) -> list[Click]:
     line).
     """
     expected, remedy = "a csv of clicks", "check the path of the csv"
-    with input_errors(path, expected, remedy, OSError, UnicodeDecodeError):
-        text = path.read_text(encoding="utf-8")
-    reader = csv.DictReader(text.splitlines())
-    if tuple(reader.fieldnames or ()) != COLUMNS:
-        names = ",".join(reader.fieldnames or ())[:80]
+    table = read_table(path, expected, remedy)
+    if table.names != COLUMNS:
         raise InputError(
             path,
-            f"columns {names}" if names else "an empty file",
+            f"columns {','.join(table.names)[:80]}",
             f"exactly the columns {','.join(COLUMNS)} in this order",
             "correct the first line and the order of the columns",
         )
-    return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
+    return [_click(f"{path}:{line}", line, row) for line, row in table.dicts()]
 
 
 def clicks_from_rows(rows: Any) -> list[Click]:

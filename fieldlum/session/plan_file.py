@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 from zoneinfo import ZoneInfo
 
 from fieldlum.errors import InputError, input_errors
 from fieldlum.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
 from fieldlum.session.writing import write_table
+from fieldlum.strict_csv import read_table
 
 PLAN_COLUMNS = (
     "slot",
@@ -86,26 +85,17 @@ def read_plan(path: Path) -> list[Slot]:
         )
     expected, remedy = f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
     slots: list[Slot] = []
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(path, "text that is not UTF-8", expected, remedy) from None
-    reader = csv.DictReader(text.splitlines())
-    if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
-        names = ", ".join(reader.fieldnames or ())[:120]
-        finding = f"columns {names}" if names else "an empty file"
-        raise InputError(path, finding, expected, remedy)
-    for number, row in enumerate(reader, start=2):
+    table = read_table(path, expected, remedy)
+    if table.names != PLAN_COLUMNS:
+        raise InputError(path, f"columns {', '.join(table.names)[:120]}", expected, remedy)
+    for number, row in table.dicts():
         where, wrong = f"{path}:{number}", (KeyError, ValueError, TypeError, AttributeError)
         with input_errors(where, expected, remedy, *wrong):
             slots.append(_slot(row))
     return slots
 
 
-def _slot(row: dict[Any, Any]) -> Slot:
-    # With commas instead of semicolons each bracket would have one frame.
-    if None in row:
-        raise ValueError(f"{len(PLAN_COLUMNS) + len(row[None] or ())} values")
+def _slot(row: dict[str, str]) -> Slot:
     t_utc = parse_utc(row["t_utc"])
     if slot_id(t_utc) != row["slot"]:
         raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")

@@ -53,12 +53,14 @@ class LoggerFileTable(TypedDict, total=False):
     """How a logger's file was read.
 
     file: its name without the folder, because the file may have grown and come from another card;
-    utc_offset_s: the logger's clock minus UTC [s]; columns: names of the columns by quantity.
+    utc_offset_s: the logger's clock minus UTC [s]; columns: names of the columns by quantity;
+    sensitivities: of pyranometers whose column is a voltage [uV per W/m2].
     """
 
     file: Required[str]
     utc_offset_s: float
     columns: dict[str, str]
+    sensitivities: dict[str, float]
 
 
 class SessionTable(TypedDict, total=False):

@@ -18,7 +18,7 @@ from fieldlum import sun
 from fieldlum.arrays import Floats, Mask
 from fieldlum.errors import InputError
 from fieldlum.records import Site
-from fieldlum.weather.label_shift import label_shift_min
+from fieldlum.weather.label_shift import MOST_SHIFT_MIN, label_shift_min
 from fieldlum.weather.year import Weather
 
 # Energy of the year's global irradiance over that of a cloudless sky. Chosen so that every climate
@@ -87,11 +87,24 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
     # Before the columns: with labels an hour off, low suns look like overcast hours with much DNI.
     _check_labels(path, weather, station)
     top = sun.extraterrestrial_wm2(weather.t_utc)
-    _check_limits(path, weather, altitude, top, up)
     overcast = up & (total < OVERCAST_CLEARNESS * top * sine) & (total > 10.0)
-    _check_overcast(path, weather, total, overcast)
-    _check_direct(path, weather)
-    _check_closure(path, ghi_wm2, total, up & (ghi_wm2 > 50.0))
+    try:
+        _check_limits(path, weather, altitude, top, up)
+        _check_overcast(path, weather, total, overcast)
+        _check_direct(path, weather)
+        _check_closure(path, ghi_wm2, total, up & (ghi_wm2 > 50.0))
+    except InputError:
+        # Half an hour beside its sun, clear light at low altitudes looks like wrong columns.
+        shift = label_shift_min(weather, station)
+        if shift is None or abs(shift) <= MOST_SHIFT_MIN:
+            raise
+        raise InputError(
+            path,
+            f"direct light of mornings and afternoons agrees only with all row times moved by "
+            f"{shift:+.0f} min",
+            "times at the middle of their hours",
+            _label_remedy(30 * round(shift / 30)),
+        ) from None
 
 
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
@@ -131,7 +144,7 @@ def _check_night(path: Path, weather: Weather, station: Site, altitude: Floats) 
     shares = {h: _share_at_night(weather, station, h) for h in range(-12, 13)}
     best = min(shares, key=lambda hours: (shares[hours], abs(hours)))
     found = f"{100 * share:.0f} % of the irradiance is at times when the sun is down"
-    if shares[best] <= MOST_LIGHT_AT_NIGHT and best:
+    if shares[best] <= min(MOST_LIGHT_AT_NIGHT, 0.2 * share):
         found += f" at {station.name}; {100 * shares[best]:.0f} % with all row times moved by"
         found += f" {best:+d} h"
         remedy = "check the file's time zone, and the sign of the site's longitude"
@@ -145,6 +158,13 @@ def _check_night(path: Path, weather: Weather, station: Site, altitude: Floats) 
         found += f" at {station.name}, whatever the time zone"
         remedy = "check that the file is of this place, and the sign of its latitude"
     raise InputError(path, found, "irradiance only while the sun is up", remedy)
+
+
+def _label_remedy(shift_min: int) -> str:
+    return (
+        "check the time zone, and whether a row's time is its hour's start, middle or end; if "
+        f"the labels are wrong, use --label-shift {shift_min:+d}"
+    )
 
 
 def _share_at_night(weather: Weather, station: Site, hours: int) -> float:
@@ -246,10 +266,7 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
     likeliest = float(np.median(equal)) if stated is None else stated
     best = min(equal, key=lambda shift: (abs(shift - likeliest), abs(shift)))
     if other[best] < 0.5 * against:
-        remedy = (
-            "check the time zone, and whether a row's time is its hour's start, middle or end; if "
-            f"the labels are wrong, use --label-shift {best:+d}"
-        )
+        remedy = _label_remedy(best)
         if other[best] > most:
             remedy = f"check that the file is of {station.name}: no shift makes the times right"
         raise InputError(

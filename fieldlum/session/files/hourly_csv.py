@@ -16,6 +16,7 @@ from fieldlum.errors import input_errors
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
+from fieldlum.strict_csv import read_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "hourly.csv"
@@ -72,14 +73,10 @@ class HourlyFile:
         NaN. Raises InputError for a missing file, another number of rows or other content.
         """
         path = folder / NAME
-        with (
-            input_errors(path, NAME, "write the file with: fieldlum predict", OSError),
-            path.open(newline="", encoding="utf-8") as file,
-        ):
-            rows = list(csv.reader(file))
+        table = read_table(path, NAME, "write the file with: fieldlum predict")
         expected, remedy = "what fieldlum predict wrote", "run fieldlum predict again"
         with input_errors(path, expected, remedy, ValueError, KeyError, IndexError):
-            head, body = rows[0], rows[1:]
+            head, body = table.names, [cells for _, cells in table.rows]
             if len(body) != count:
                 raise ValueError(f"{len(body)} hours, but {count} in predict.json")
             times = tuple(parse_utc(row[0]) for row in body)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.folder import session_around
 from fieldlum.session.inside import inside, refuse_link
 from fieldlum.session.writing import write_table
+from fieldlum.strict_csv import CsvTable, read_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 PAIR_COLUMNS = (
@@ -98,15 +98,14 @@ class PairsFile:
         Raises InputError for a missing file, a missing required column, a newer format, or a wrong
         cell, with its line. Warns of a file that changed after `write`.
         """
-        reader = _reader(path)
-        names = reader.fieldnames or ()
-        rows = [_row(path, reader.line_num, cells) for cells in reader]
+        table = _table(path)
+        rows = [_row(path, line, cells) for line, cells in table.dicts()]
         _refuse_foreign_pictures(path, rows)
-        unknown = [name for name in names if name and name not in OPTIONAL]
+        unknown = [name for name in table.names if name and name not in OPTIONAL]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
         if change := change_of(path):
             warnings.append(f"WARNING: {change}")
-        return cls(path, tuple(rows), _format(path, names), tuple(warnings))
+        return cls(path, tuple(rows), _format(table), tuple(warnings))
 
     @classmethod
     def find(cls, path: Path) -> PairsFile:
@@ -136,50 +135,23 @@ def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
                 inside(root, name, where, folder.relative_to(root).as_posix())
 
 
-def _reader(path: Path) -> csv.DictReader[str]:
-    """Return a reader. Raises InputError for an unreadable file or missing required columns."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
+def _table(path: Path) -> CsvTable:
+    """Return the table. Raises InputError for an unreadable file or missing required columns."""
+    if not path.is_file():
         raise InputError(
             path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            path,
-            str(error),
-            "a readable csv of pairs",
-            "check the path, or write the file again with: fieldlum pair SESSION",
-        ) from None
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
-    names = reader.fieldnames or ()
-    missing = [name for name in NEEDED if name not in names]
-    if missing:
-        raise InputError(
-            path,
-            f"no column {', '.join(missing)}",
-            f"a csv with the columns {', '.join(NEEDED)}",
-            _separator_remedy(names),
         )
-    return reader
+    expected = f"a csv with the columns {', '.join(NEEDED)}"
+    return read_table(path, expected, "name the columns in the first line", needed=NEEDED)
 
 
-def _separator_remedy(names: Sequence[str]) -> str:
-    mark = next((mark for mark in (";", "\t") if mark in (names or ("",))[0]), "")
-    if not mark:
-        return "name the columns in the first line"
-    return f"save the file with commas instead of {mark!r} between cells, and points in numbers"
-
-
-def _format(path: Path, names: Sequence[str]) -> int:
+def _format(table: CsvTable) -> int:
     """Return the largest version in the column `format`; 1 if there is no such column."""
-    if "format" not in names:
-        return 1
-    texts = {(cells["format"] or "1").strip() for cells in _reader(path)}
+    texts = {cells.get("format") or "1" for _, cells in table.dicts()}
     newest = max((int(text) if text.isdigit() else 1 for text in texts), default=FORMAT)
     if newest > FORMAT:
         raise InputError(
-            path,
+            table.path,
             f"a csv of format {newest}",
             f"format 1 to {FORMAT}",
             "read the file with a newer fieldlum",
@@ -188,14 +160,6 @@ def _format(path: Path, names: Sequence[str]) -> int:
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
-    if None in cells or any(value is None for value in cells.values()):
-        raise InputError(
-            path,
-            f"line {line}: the number of cells differs from the header",
-            "one cell for each column",
-            "correct that line",
-        )
-
     def number(name: str, default: float = math.nan) -> float:
         return _number(path, line, name, cells.get(name) or "", default)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from fieldlum.errors import InputError, reason_of
 from fieldlum.records import SunSource
 from fieldlum.session.files.json_file import from_json
 from fieldlum.session.writing import write_table
+from fieldlum.strict_csv import read_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
@@ -63,13 +63,11 @@ def read_suns(path: Path) -> dict[str, SunRow]:
     rows: dict[str, SunRow] = {}
     line = 1
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            for cells in reader:
-                line = reader.line_num
-                row = _row(cells)
-                rows[row.panorama] = row
-    except (OSError, KeyError, TypeError, ValueError) as error:
+        for number, cells in read_table(path, _EXPECTED, _REMEDY).dicts():
+            line = number
+            row = _row(cells)
+            rows[row.panorama] = row
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(path, f"line {line}: {reason_of(error)}", _EXPECTED, _REMEDY) from None
     return rows
 

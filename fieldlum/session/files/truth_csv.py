@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +12,7 @@ from fieldlum.arrays import Floats
 from fieldlum.errors import InputError, input_errors
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import write_table
+from fieldlum.strict_csv import read_table
 
 TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 
@@ -34,9 +34,10 @@ class TruthIrradiance:
         """
         expected = f"the columns {', '.join(TRUTH_COLUMNS)}"
         remedy = "write the file again with: fieldlum simulate"
-        with input_errors(path, expected, remedy, OSError, KeyError, ValueError, TypeError):
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = list(csv.DictReader(file))
+        rows = [
+            cells for _, cells in read_table(path, expected, remedy, needed=TRUTH_COLUMNS).dicts()
+        ]
+        with input_errors(path, expected, remedy, ValueError):
             times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
             light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
         if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():

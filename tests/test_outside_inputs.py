@@ -1,0 +1,696 @@
+"""Tables that other programs write: read as these programs mean them, or refused with their cause.
+
+Expected values come from pvlib's readers, from Python's csv module, or from the construction of
+the file, as each test states.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pvlib
+import pytest
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fieldlum import sun
+from fieldlum.calibrate.readings_csv import read_table as read_readings
+from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.cli import main
+from fieldlum.devices.logger_files import LoggerFile, read_logger_file
+from fieldlum.errors import InputError
+from fieldlum.predict.occupancy import read_occupancy
+from fieldlum.records import Exposure, Site, SiteFile, Slot
+from fieldlum.session import create_session, day_files, read_day
+from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.strict_csv import is_wm2, microvolts, split_heading, stated_unit
+from fieldlum.weather import read_weather
+from fieldlum.weather.files import lines_of
+from fieldlum.weather.formats import read_table
+
+NORTH = Site("Town", 52.3, 4.8, "Europe/Amsterdam", 10.0)
+EAST = Site("Town", 35.7, 139.7, "Asia/Tokyo", 10.0)
+WEST = Site("Town", 33.8, -118.1, "America/Los_Angeles", 10.0)
+ZONE = {"Town": 1, "Europe/Amsterdam": 1, "Asia/Tokyo": 9, "America/Los_Angeles": -8}
+HALF = timedelta(minutes=30)
+
+
+def hours_of(site: Site, year: int = 2023) -> list[datetime]:
+    """The starts of the hours of a year on the site's clock, written as if in UTC."""
+    start = datetime(year, 1, 1, tzinfo=UTC)
+    return [start + timedelta(hours=k) for k in range(8760)]
+
+
+def light_of(site: Site, starts: list[datetime], after: timedelta = HALF) -> Any:
+    """DNI, DHI, GHI [n, 3] of a hazy sky without a cloud: moments `after` the local starts."""
+    zone = timedelta(hours=ZONE[site.timezone])
+    clear = sun.clearsky([t - zone + after for t in starts], site)
+    return np.round(np.stack([0.7 * clear.dni_wm2, 1.5 * clear.dhi_wm2, 0.8 * clear.ghi_wm2], 1), 1)
+
+
+def write_epw(path: Path, site: Site, light: Any, city: str = "Town", blank: str = "") -> Path:
+    zone = ZONE[site.timezone]
+    lines = [
+        f"LOCATION,{city},-,XXX,made up,0,{site.latitude_deg},{site.longitude_deg},{zone},10.0"
+    ]
+    lines += [f"HEADER {k}" for k in range(7)]
+    for t, (dni, dhi, _) in zip(hours_of(site), light, strict=True):
+        before = [t.year, t.month, t.day, t.hour + 1, 60, "?9", 10.0, 5.0, 70, 101000, 0, 0, 300]
+        cells = [*before, "9999", dni, dhi, *[0] * 18, 0.2]
+        lines.append(",".join(map(str, cells)))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def table(path: Path, site: Site = NORTH) -> Any:
+    return read_table(path, lines_of(path.read_text(encoding="utf-8")), site)
+
+
+# ----------------------------------------------------------------------------------------------
+# weather: what other programs read
+
+
+def tmy3(path: Path, heading: str = "(W/m^2)") -> Path:
+    names = (
+        f"Date (MM/DD/YYYY),Time (HH:MM),ETR (W/m^2),GHI {heading},GHI source,DNI {heading},"
+        f"DHI {heading}"
+    )
+    rows = [
+        f"{t:%m/%d/%Y},{t.hour + 1:02d}:00,0,{c},1,{a},{b}"
+        for t, (a, b, c) in zip(hours_of(WEST), light_of(WEST, hours_of(WEST)), strict=True)
+    ]
+    path.write_text("\n".join(['0,"Town",XX,-8,33.8,-118.1,10', names, *rows]))
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_tmy3_has_the_values_and_hours_of_pvlib(tmp_path: Path) -> None:
+    """pvlib.iotools.read_tmy3 returns the ends of the hours; spellings of the unit are one unit."""
+    path = tmp_path / "a.csv"
+    expected, _ = pvlib.iotools.read_tmy3(tmy3(path), map_variables=True)
+    read = table(path)
+    ends = [t.to_pydatetime().replace(tzinfo=UTC) for t in expected.index]
+    assert [row.when + HALF for row in read.rows] == ends
+    assert [row.dni for row in read.rows] == list(expected["dni"])
+    assert [row.dhi for row in read.rows] == list(expected["dhi"])
+    for heading in ("(W/m^2))", "(W/m²)", "(W m^-2)", "[Watts/m^2]"):
+        again = table(tmy3(tmp_path / "b.csv", heading))
+        assert again.rows == read.rows, heading
+    with pytest.raises(InputError, match="no column of DNI in W/m2 among"):
+        table(tmy3(tmp_path / "c.csv", "(kW/m^2)"))
+
+
+def pvgis_csv(path: Path, february: int) -> Path:
+    """A typical year of PVGIS, whose February is of any year and ends with the 28th in UTC."""
+    lines = [
+        "Latitude (decimal degrees): 35.7",
+        "Longitude (decimal degrees): 139.7",
+        "Elevation (m): 10.0",
+        "Irradiance Time Offset (h): 0.1761",
+        "month,year",
+        *(f"{month},{february if month == 2 else 2015}" for month in range(1, 13)),
+        "time(UTC),T2m,RH,G(h),Gb(n),Gd(h),IR(h),WS10m,WD10m,SP",
+    ]
+    hours = hours_of(EAST, 2015)
+    moments = [t + timedelta(hours=9 + 0.1761) for t in hours]
+    light = light_of(EAST, moments, timedelta(0))
+    for t, (dni, dhi, ghi) in zip(hours, light, strict=True):
+        stamp = t.replace(year=february) if t.month == 2 else t
+        lines.append(f"{stamp:%Y%m%d:%H%M},2.0,94.4,{ghi},{dni},{dhi},283.6,0.7,257.0,99870.0")
+    path.write_text("\r\n".join([*lines, "", "T2m: temperature", ""]), newline="")
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_a_pvgis_year_has_the_values_of_pvlib_and_all_hours_of_a_leap_february(
+    tmp_path: Path,
+) -> None:
+    """pvlib.iotools.read_pvgis_tmy reads the same rows; 28 February in UTC is 1 March in Tokyo."""
+    plain, leap = pvgis_csv(tmp_path / "a.csv", 2014), pvgis_csv(tmp_path / "b.csv", 2016)
+    expected, meta = pvlib.iotools.read_pvgis_tmy(leap, pvgis_format="csv")
+    assert meta["inputs"]["irradiance time offset"] == 0.1761
+    read = table(leap, EAST)
+    assert [row.when for row in read.rows] == [t.to_pydatetime() for t in expected.index]
+    for name in ("dni", "dhi", "ghi"):
+        assert [getattr(row, name) for row in read.rows] == list(expected[name])
+    a, b = read_weather(plain, EAST), read_weather(leap, EAST)
+    assert len(b) == 8760 and a.t_utc == b.t_utc and a.repairs == b.repairs
+    assert (a.dni_wm2 == b.dni_wm2).all()
+    february = datetime(2027, 2, 28, 23, 10, 34, tzinfo=UTC)
+    assert february - timedelta(seconds=1) < min(b.t_utc, key=lambda t: abs(t - february))
+
+
+def pvgis_series(path: Path, slope: int = 0) -> tuple[Path, Any]:
+    """An hourly series of PVGIS: moments in UTC, and the beam on a horizontal plane."""
+    moments = [datetime(2023, 6, 1, 0, 10, tzinfo=UTC) + timedelta(hours=k) for k in range(24 * 9)]
+    clear = sun.clearsky(moments, NORTH)
+    sine = np.maximum(np.sin(np.radians(sun.position(moments, NORTH).altitude_deg)), 0.0)
+    dni, dhi = 0.7 * clear.dni_wm2, 1.5 * clear.dhi_wm2
+    head = [
+        "Latitude (decimal degrees):\t52.300",
+        "Longitude (decimal degrees):\t4.800",
+        "Elevation (m):\t10",
+        "Radiation database:\tPVGIS-SARAH3",
+        "",
+        "",
+        f"Slope: {slope} deg.",
+        "Azimuth: 0 deg.",
+        "time,Gb(i),Gd(i),Gr(i),H_sun,T2m,WS10m,Int",
+    ]
+    rows = [
+        f"{t:%Y%m%d:%H%M},{a:.3f},{b:.3f},0.0,0,5,1,0.0"
+        for t, a, b in zip(moments, dni * sine, dhi, strict=True)
+    ]
+    path.write_text("\r\n".join([*head, *rows, "", "Gb(i): beam", ""]), newline="")
+    return path, (moments, dni, dhi, sine)
+
+
+@pytest.mark.authority
+def test_a_series_of_pvgis_has_the_diffuse_of_pvlib_and_the_beam_of_the_normal_plane(
+    tmp_path: Path,
+) -> None:
+    """pvlib.iotools.read_pvgis_hourly reads the moments and the diffuse part; DNI from the test."""
+    path, (moments, dni, dhi, sine) = pvgis_series(tmp_path / "a.csv")
+    expected, *_ = pvlib.iotools.read_pvgis_hourly(path)
+    read = table(path)
+    assert [row.when for row in read.rows] == [t.to_pydatetime() for t in expected.index]
+    assert [row.dhi for row in read.rows] == list(expected["poa_sky_diffuse"])
+    high = sine > np.sin(np.radians(10.0))
+    assert np.array([row.dni for row in read.rows])[high] == pytest.approx(dni[high], abs=0.02)
+    assert moments[0].minute == 10 and not read.typical and np.isfinite(dhi).all()
+    with pytest.raises(InputError, match="plane with slope 35 deg; expected a horizontal plane"):
+        table(pvgis_series(tmp_path / "b.csv", 35)[0])
+
+
+@pytest.mark.contract
+def test_pvgis_in_json_is_the_csv(tmp_path: Path) -> None:
+    """The same hours in both forms give the same rows; a file without hours is named."""
+    path, _ = pvgis_series(tmp_path / "a.csv")
+    lines = path.read_text().splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("time"))
+    names = lines[start].split(",")
+    hours = []
+    for line in lines[start + 1 : -2]:
+        time, *numbers = line.split(",")
+        hours.append(dict(zip(names, [time, *map(float, numbers)], strict=True)))
+    location = {"latitude": 52.3, "longitude": 4.8, "elevation": 10.0}
+    answer = {"inputs": {"location": location}, "outputs": {"hourly": hours}}
+    (tmp_path / "a.json").write_text(json.dumps(answer))
+    csv_rows, json_rows = table(path).rows, table(tmp_path / "a.json").rows
+    assert [(r.when, r.dni, r.dhi) for r in csv_rows] == [(r.when, r.dni, r.dhi) for r in json_rows]
+    (tmp_path / "b.json").write_text('{"inputs": {}, "outputs": {"monthly": []}}')
+    with pytest.raises(InputError, match="no key 'hourly'"):
+        table(tmp_path / "b.json")
+
+
+def sam(path: Path, minute: str | None = None, source: str = "NSRDB") -> Path:
+    keys = "Source,Location ID,City,State,Country,Latitude,Longitude,Time Zone,Elevation"
+    names = "Year,Month,Day,Hour,GHI,DNI,DHI,Tdry" + (",Minute" if minute else "")
+    rows = [
+        f"{t.year},{t.month},{t.day},{t.hour},{c},{a},{b},20" + (f",{minute}" if minute else "")
+        for t, (a, b, c) in zip(hours_of(WEST), light_of(WEST, hours_of(WEST)), strict=True)
+    ]
+    path.write_text("\n".join([keys, f"{source},0,Town,AZ,USA,33.8,-118.1,-8,337", names, *rows]))
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_sam_files_are_read_as_sam_and_pvlib_mean_them(tmp_path: Path) -> None:
+    """SAM's file format: without a column Minute a row is the middle of its hour.
+
+    pvlib.iotools.read_nsrdb_psm4 reads the values of the form with minutes, after the key
+    Local Time Zone, which NSRDB adds, is put in.
+    """
+    without, with_30 = table(sam(tmp_path / "a.csv")), table(sam(tmp_path / "b.csv", "30"))
+    text = (tmp_path / "b.csv").read_text().replace("Elevation\n", "Elevation,Local Time Zone\n")
+    (tmp_path / "p.csv").write_text(text.replace("-8,337\n", "-8,337,-8\n"))
+    expected, _ = pvlib.iotools.read_nsrdb_psm4(tmp_path / "p.csv", map_variables=True)
+    moments = [t.tz_convert("UTC").to_pydatetime() for t in expected.index]
+    for read in (without, with_30):
+        assert [row.when - read.clock + read.shift for row in read.rows] == moments
+        assert [row.dni for row in read.rows] == list(expected["dni"])
+    minute_0 = table(sam(tmp_path / "c.csv", "0"))
+    assert minute_0.shift == HALF and "hour starts" in minute_0.notes[0]
+    assert table(sam(tmp_path / "d.csv", source="TMY3")).typical and not without.typical
+
+
+# ----------------------------------------------------------------------------------------------
+# weather: causes by their name
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+@pytest.mark.parametrize("city", ['"Town, West"', '"A ""new"" Town, East, North"', "Town"])
+def test_a_comma_in_the_city_moves_no_coordinate(tmp_path: Path, city: str) -> None:
+    """The expected cells of the header are those of Python's csv module."""
+    path = write_epw(tmp_path / "a.epw", NORTH, light_of(NORTH, hours_of(NORTH)), city)
+    cells = next(csv.reader([path.read_text().splitlines()[0]]))
+    place = table(path).place
+    assert (place.name, place.latitude_deg) == (cells[1], float(cells[6]))
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("site", "minutes"), [(NORTH, 0), (WEST, 0), (EAST, 60)], ids=["north", "west", "east"]
+)
+def test_values_of_another_moment_of_the_hour_are_refused_with_the_right_shift(
+    tmp_path: Path, site: Site, minutes: int
+) -> None:
+    """Values of the hour's start need -30 minutes, of its end +30; then nothing is noted."""
+    light = light_of(site, hours_of(site), timedelta(minutes=minutes))
+    path = write_epw(tmp_path / "a.epw", site, light)
+    right = minutes - 30
+    with pytest.raises(InputError, match=re.escape(f"--label-shift {right:+d}")):
+        read_weather(path, site)
+    moved = read_weather(path, site, label_shift_min=right)
+    assert moved.repairs == (f"times of all rows moved by {right:+d} min",)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("column", "value"), [(0, 47.0), (1, 6.0), (0, 900.0)], ids=["dni", "dhi", "much dni"]
+)
+def test_light_at_night_is_named_and_no_time_zone_blamed(
+    tmp_path: Path, column: int, value: float
+) -> None:
+    light = light_of(NORTH, hours_of(NORTH))
+    light[light[:, 1] == 0, column] = value
+    path = write_epw(tmp_path / "a.epw", NORTH, light)
+    name = ("DNI", "DHI")[column]
+    with pytest.raises(InputError, match=f"around midnight have light.*{name} {value:g} W/m2"):
+        read_weather(path, NORTH)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_wrong_time_zone_is_blamed_with_its_hours(tmp_path: Path) -> None:
+    light = np.roll(light_of(WEST, hours_of(WEST)), 7, axis=0)
+    with pytest.raises(InputError, match=r"moved by -[67] h.*check the file's time zone"):
+        read_weather(write_epw(tmp_path / "a.epw", WEST, light), WEST)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_plan_moves_the_times_of_its_weather_file(tmp_path: Path) -> None:
+    light = light_of(NORTH, hours_of(NORTH), timedelta(0))
+    write_epw(tmp_path / "a.epw", NORTH, light)
+    (tmp_path / "site.toml").write_text(
+        '[site]\nname = "Town"\nlatitude_deg = 52.3\nlongitude_deg = 4.8\n'
+        'timezone = "Europe/Amsterdam"\n[camera]\nheading_deg = 180.0\n'
+    )
+    asked = [
+        "plan",
+        str(tmp_path / "site.toml"),
+        "--set",
+        "even",
+        "--count",
+        "12",
+        "--year",
+        "2030",
+    ]
+    asked += ["--weather", str(tmp_path / "a.epw"), "--out", str(tmp_path / "s")]
+    refused = CliRunner().invoke(main, asked)
+    assert refused.exit_code == 3 and "--label-shift -30" in refused.output
+    assert CliRunner().invoke(main, [*asked, "--label-shift", "-30"]).exit_code == 0
+
+
+# ----------------------------------------------------------------------------------------------
+# loggers
+
+
+def logger_csv(path: Path, head: str = "t_utc,ghi_wm2,dhi_wm2", zone: str = "Z") -> list[str]:
+    start = datetime(2027, 3, 20, 6, tzinfo=UTC)
+    lines = [head]
+    for k in range(60):
+        t = start + timedelta(minutes=k)
+        lines.append(f"{t:%Y-%m-%dT%H:%M:%S}{zone},{1.5 * k:.1f},{0.5 * k:.1f}")
+    path.write_text("\n".join(lines) + "\n")
+    return lines
+
+
+def toa5(path: Path, names: str, units: str, encoding: str = "utf-8") -> Path:
+    head = [
+        '"TOA5","Roof","CR1000X","12345","OS","prog","9","T"',
+        f'"TIMESTAMP","RECORD",{names}',
+        f'"TS","RN",{units}',
+        '"",""' + ',"Avg"' * (names.count(",") + 1),
+    ]
+    rows = [
+        f'"2027-03-20 06:{k:02d}:00",{k}' + f",{8 * k:.2f}" * (names.count(",") + 1)
+        for k in range(60)
+    ]
+    path.write_bytes(("\n".join([*head, *rows]) + "\n").encode(encoding))
+    return path
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("row", [2, 31, 60])
+@pytest.mark.parametrize("cell", [0, 1, 2])
+def test_a_stray_quote_loses_one_row_and_names_it(tmp_path: Path, row: int, cell: int) -> None:
+    lines = logger_csv(tmp_path / "a.csv")
+    whole = read_logger_file(tmp_path / "a.csv")
+    cells = lines[row].split(",")
+    cells[cell] = '"' + cells[cell]
+    lines[row] = ",".join(cells)
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    read = read_logger_file(tmp_path / "a.csv")
+    assert read.samples == (*whole.samples[: row - 1], *whole.samples[row:])
+    fault = "a quotation mark without its counterpart"
+    assert read.left_out == (f"line {row + 1}: {fault}",)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("head", ["t_utc", "time_utc", "Time(UTC)"])
+def test_an_offset_never_moves_times_that_say_utc(tmp_path: Path, head: str) -> None:
+    logger_csv(tmp_path / "a.csv", f"{head},ghi_wm2,dhi_wm2", zone="")
+    for hours in (None, -8, 9):
+        offset = None if hours is None else timedelta(hours=hours)
+        read = read_logger_file(tmp_path / "a.csv", offset)
+        assert read.samples[0].t_utc == datetime(2027, 3, 20, 6, tzinfo=UTC)
+        assert any("no offset moves them" in note for note in read.notes) == (hours is not None)
+    logger_csv(tmp_path / "b.csv", "time,ghi_wm2,dhi_wm2", zone="")
+    local = read_logger_file(tmp_path / "b.csv", timedelta(hours=-8))
+    assert local.samples[0].t_utc == datetime(2027, 3, 20, 14, tzinfo=UTC)
+
+
+@pytest.mark.contract
+def test_card_and_logger_have_offsets_of_their_own(tmp_path: Path) -> None:
+    slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
+    session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})
+    path = str(toa5(tmp_path / "a.dat", '"GHI_Avg","Dif_Avg","Plane"', '"W/m^2","W/m²","W m-2"'))
+    asked = ["import", str(session.root), "--irradiance", path, "--utc-offset", "+02:00"]
+    done = CliRunner().invoke(main, [*asked, "--logger-utc-offset", "-08:00"])
+    assert done.exit_code == 0, done.output
+    assert "not used: Plane" in done.output
+    samples, _ = read_day(day_files(session)[0])
+    assert samples[0].t_utc == datetime(2027, 3, 20, 14, tzinfo=UTC)
+    lone = CliRunner().invoke(main, [*asked[:2], path, "--logger-utc-offset", "-08:00"])
+    assert lone.exit_code == 2 and "--irradiance" in lone.output
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("names", "used", "unused"),
+    [
+        ('"SlrW_Avg","Dif_Avg"', {"ghi_wm2", "dhi_wm2"}, ""),
+        ('"SlrW_Avg","Tilted_Avg"', {"ghi_wm2"}, "not used: Tilted_Avg"),
+        ('"GHI","SW_up","LW_dn"', {"ghi_wm2"}, "not used: SW_up, LW_dn"),
+    ],
+)
+def test_every_column_in_wm2_is_listed(
+    tmp_path: Path, names: str, used: set[str], unused: str
+) -> None:
+    units = ",".join('"W/m^2"' for _ in names.split(","))
+    read = read_logger_file(toa5(tmp_path / "a.dat", names, units), timedelta(0))
+    last = read.samples[-1]
+    values = {"ghi_wm2": last.ghi_wm2, "dhi_wm2": last.dhi_wm2, "dni_wm2": last.dni_wm2}
+    assert {name for name, value in values.items() if value is not None} == used
+    assert all(f" as {name}" in read.notes[0] for name in used) and unused in read.notes[0]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("t_utc,ghi_wm2,ghi_wm2\n2027-03-20T16:00:00Z,1,2\n", "2 columns named ghi_wm2"),
+        ("t_utc,GHI_wm2,ghi_wm2\n2027-03-20T16:00:00Z,1,2\n", "2 columns named ghi_wm2"),
+        ("t_utc,t_utc,ghi_wm2\n1,2027-03-20T16:00:00Z,2\n", "2 columns named t_utc"),
+        ("time,ghi_wm2\n2027-03-20,5\n", "line 2: '2027-03-20' is a date without a time of day"),
+        ("time,ghi_wm2\n20270320,5\n", "is a date without a time of day"),
+        ("t_utc,ghi_wm2\n2027-03-20,5\n2027-03-21,6\n", "is a date without a time of day"),
+        ("t_utc,ghi_wm2\n2027-03-20T16:00Z,3,6\n2027-03-20T16:01Z,3,7\n", "2 of 2 rows have dec"),
+        ('t_utc,ghi_wm2\n2027-03-20T16:00Z,"3,6"\n2027-03-20T16:01Z,"3,7"\n', "decimal commas"),
+        ("t_utc,ghi_wm2\n2027-03-20T16:00Z,5\nx\ny\nz\n", "3 rows cannot be read, 1 can"),
+        ("t_utc,ghi (kW/m2)\n2027-03-20T16:00Z,0.5\n", "columns t_utc, ghi"),
+        ("t_utc,ghi_wm2\n", "no row could be read: it has no rows"),
+        ("t_utc;ghi_wm2\n2027-03-20T16:00Z;5,1\n", "columns separated by ';'"),
+    ],
+)
+def test_each_refusal_states_its_cause(tmp_path: Path, text: str, found: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=re.escape(found)):
+        read_logger_file(tmp_path / "a.csv", timedelta(0), None)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("start", [b"CDF\x01", b"\x89HDF\r\n", b"PK\x03\x04", b"\x1f\x8b\x08"])
+def test_files_that_are_no_text_are_named(tmp_path: Path, start: bytes) -> None:
+    (tmp_path / "a.csv").write_bytes(start + b"t_utc,ghi_wm2\n" * 3)
+    for read in (
+        lambda path: read_logger_file(path),
+        lambda path: read_weather(path, NORTH),
+        PairsFile.read,
+    ):
+        with pytest.raises(InputError, match=r"netCDF|zip archive|gzip"):
+            read(tmp_path / "a.csv")
+
+
+SPELLINGS = (
+    "W/m²", "W m^-2", "Watts/m^2", "Wm^-2", "W/m2", "W/M^2", "W.m-2", "W m⁻²", "W/m**2",
+    "Watts per square meter", "W·m⁻²", "watt/m2", "W/sq m", "W/metre^2",
+)  # fmt: skip
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("unit", SPELLINGS)
+def test_spellings_of_one_unit_are_one_unit(tmp_path: Path, unit: str) -> None:
+    assert is_wm2(unit) and split_heading(f"DNI ({unit})") == ("DNI", unit)
+    read = read_logger_file(toa5(tmp_path / "a.dat", '"SlrW_Avg"', f'"{unit}"'), timedelta(0))
+    assert len(read.samples) == 60
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "unit", ["kW/m2", "mW/cm2", "W/m2/nm", "J/m2", "kWh/m2", "W/ft2", "MJ/m^2", "lux", "Wm"]
+)
+def test_other_units_are_not_taken_for_it(tmp_path: Path, unit: str) -> None:
+    assert not is_wm2(unit) and microvolts(unit) is None
+    with pytest.raises(InputError, match="is in"):
+        read_logger_file(toa5(tmp_path / "a.dat", '"SlrW_Avg"', f'"{unit}"'), timedelta(0))
+    if "/" in unit:
+        (tmp_path / "a.csv").write_text(f"t_utc,sky ({unit})\n2027-03-20T16:00Z,5\n")
+        assert stated_unit(f"sky ({unit})") == unit
+        with pytest.raises(InputError, match="is in"):
+            read_logger_file(tmp_path / "a.csv", None, {"ghi_wm2": f"sky ({unit})"})
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(("unit", "scale"), [("mV", 1.0), ("uV", 1e3), ("V", 1e-3)])
+def test_a_voltage_becomes_irradiance_by_its_sensitivity(
+    tmp_path: Path, unit: str, scale: float
+) -> None:
+    """8.63 uV per W/m2: 8.024312 mV are 929.816 W/m2 (the station of Patras, 21 April 2021)."""
+    time = "2021-04-21 11:40:00"
+    (tmp_path / "a.csv").write_text(f"time,sun_{unit}\n{time},{8.024312 * scale:.9g}\n")
+    column, sensitivity = {"ghi_wm2": f"sun_{unit}"}, {"ghi_wm2": 8.63}
+    read = read_logger_file(tmp_path / "a.csv", timedelta(hours=2), column, sensitivity)
+    assert read.samples[0].ghi_wm2 == pytest.approx(929.816, abs=0.001)
+    with pytest.raises(InputError, match="state the sensitivity of the pyranometer"):
+        read_logger_file(tmp_path / "a.csv", timedelta(hours=2), column)
+    (tmp_path / "b.dat").write_text(f"{time},3963626,0.1,8.024312\n")
+    numbers = {"ghi_wm2": "4", "dhi_wm2": "3"}
+    both = {"ghi_wm2": 8.63, "dhi_wm2": 8.64}
+    raw = read_logger_file(tmp_path / "b.dat", timedelta(hours=2), numbers, both)
+    assert raw.samples[0].ghi_wm2 == pytest.approx(929.816, abs=0.001)
+    assert "unit is not stated" in raw.notes[1]
+    bare = read_logger_file(tmp_path / "b.dat", timedelta(hours=2), numbers)
+    assert "a voltage needs --sensitivity" in bare.notes[-1]
+
+
+@pytest.mark.contract
+def test_a_changed_sensitivity_replaces_the_earlier_rows(tmp_path: Path) -> None:
+    slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
+    session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})
+    lines = logger_csv(tmp_path / "a.csv", "t_utc,sun_mV,sky_mV")
+    columns = {"ghi_wm2": "sun_mV"}
+    first = adopt_rows(session, tmp_path / "a.csv", None, columns, {"ghi_wm2": 50.0})
+    again = adopt_rows(session, tmp_path / "a.csv", None, columns, {"ghi_wm2": 100.0})
+    assert (first.rows, again.rows, again.withdrawn) == (60, 60, 60)
+    samples, _ = read_day(day_files(session)[0])
+    assert samples[-1].ghi_wm2 == pytest.approx(885.0) and lines[60].endswith("88.5,29.5")
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("start", "end"), [("8:00", "18:00"), ("08:00", "9:30"), ("0:15", "24:00")]
+)
+def test_occupancy_takes_hours_of_one_digit(tmp_path: Path, start: str, end: str) -> None:
+    (tmp_path / "a.csv").write_text(f"days,start,end\nmon-fri,{start},{end}\n")
+    (tmp_path / "b.csv").write_text(f"days,start,end\nmon-fri,{start:0>5},{end:0>5}\n")
+    assert read_occupancy(tmp_path / "a.csv").periods == read_occupancy(tmp_path / "b.csv").periods
+
+
+# ----------------------------------------------------------------------------------------------
+# property: one damage at a random place
+
+
+def _readings(path: Path) -> list[Any]:
+    return read_readings(path, ("x_px", "y_px", "azimuth_deg"), ("note_px",))
+
+
+def _samples(path: Path) -> LoggerFile:
+    return read_logger_file(path, timedelta(0))
+
+
+def _hours(path: Path) -> list[tuple[Any, ...]]:
+    text_lines = lines_of(path.read_text(encoding="utf-8"))
+    return [
+        tuple(map(repr, (r.when, r.dni, r.dhi, r.ghi)))
+        for r in read_table(path, text_lines, NORTH).rows
+    ]
+
+
+def _files() -> dict[str, tuple[str, int, Any]]:
+    """A text with decimals in all rows, the number of header lines, and its reader."""
+    days = [datetime(2023, 6, 1, tzinfo=UTC) + timedelta(hours=k) for k in range(12)]
+    epw = ["LOCATION,Town,-,X,made up,0,52.3,4.8,1,10.0", *(f"HEADER {k}" for k in range(7))]
+    epw += [
+        f"2023,6,1,{t.hour + 1},60,?9,10.5,5.5,70,101000,0,0,300,{9.5 + k},{3.5 + k},{6.5 + k},0.2"
+        for k, t in enumerate(days)
+    ]
+    tmy = [
+        "0,Town,X,1,52.3,4.8,10",
+        "Date (MM/DD/YYYY),Time (HH:MM),GHI (W/m^2),DNI (W/m^2),DHI (W/m^2)",
+    ]
+    tmy += [f"{t:%m/%d/%Y},{t.hour + 1:02d}:00,{k}.5,{k}.4,{k}.3" for k, t in enumerate(days)]
+    sam_ = ["Source,City,Latitude,Longitude,Time Zone,Elevation", "x,Town,52.3,4.8,1,10"]
+    sam_ += ["Year,Month,Day,Hour,GHI,DNI,DHI"]
+    sam_ += [f"2023,6,1,{t.hour},{k}.5,{k}.4,{k}.3" for k, t in enumerate(days)]
+    own = ["t_utc,dni_wm2,dhi_wm2"]
+    own += [f"{t:%Y-%m-%dT%H:%M:%SZ},{k}.5,{k}.4" for k, t in enumerate(days)]
+    pairs = ["t_utc,panorama,dni_wm2,dhi_wm2"]
+    pairs += [f"{t:%Y-%m-%dT%H:%M:%SZ},a{k}.exr,{k}.5,{k}.4" for k, t in enumerate(days)]
+    logger = [
+        "t_utc,ghi_wm2,dhi_wm2",
+        *(f"{t:%Y-%m-%dT%H:%M:%SZ},{t.hour}.5,{t.hour}.4" for t in days),
+    ]
+    table5 = ['"TOA5","a","b","c","d","e","f","T"', '"TIMESTAMP","RECORD","GHI","Dif"']
+    table5 += ['"TS","RN","W/m^2","W/m^2"', '"","","Avg","Avg"']
+    table5 += [f'"{t:%Y-%m-%d %H:%M:%S}",{k},{k}.5,{k}.4' for k, t in enumerate(days)]
+    readings = ["x_px,y_px,azimuth_deg,note_px", *(f"{k}.5,{k}.4,{k}.3,{k}.2" for k in range(12))]
+    return {
+        "epw": ("\n".join(epw) + "\n", 8, _hours),
+        "tmy3": ("\n".join(tmy) + "\n", 2, _hours),
+        "sam": ("\n".join(sam_) + "\n", 3, _hours),
+        "weather csv": ("\n".join(own) + "\n", 1, _hours),
+        "pairs": ("\n".join(pairs) + "\n", 1, lambda path: PairsFile.read(path).rows),
+        "logger": ("\n".join(logger) + "\n", 1, _samples),
+        "toa5": ("\n".join(table5) + "\n", 4, _samples),
+        "readings": ("\n".join(readings) + "\n", 1, _readings),
+    }
+
+
+FILES = _files()
+
+
+def _damaged(line: str, kind: str, place: int) -> str:
+    """A line with one cell more or less, one quotation mark, or one decimal comma."""
+    cells = line.split(",")
+    k = place % len(cells)
+    if kind == "more":
+        cells.insert(k, "")
+    elif kind == "less":
+        del cells[k]
+    elif kind == "quote":
+        cells[k] = '"' + cells[k]
+    else:
+        decimals = [k for k, cell in enumerate(cells) if re.fullmatch(r"[\d]+\.\d+", cell)]
+        k = decimals[place % len(decimals)]
+        cells[k] = cells[k].replace(".", ",")
+    return ",".join(cells)
+
+
+@pytest.mark.property
+@pytest.mark.slow
+@settings(
+    deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.sampled_from(sorted(FILES)),
+    st.sampled_from(["more", "less", "quote", "comma"]),
+    st.integers(0, 11),
+    st.integers(0, 40),
+)
+def test_one_damage_at_any_place_is_refused_with_its_line_or_costs_its_row(
+    tmp_path: Path, name: str, kind: str, row: int, place: int
+) -> None:
+    """Property: loggers lose the damaged row and name it; all other readers refuse the line."""
+    text, header, read = FILES[name]
+    path = tmp_path / ("a.epw" if name == "epw" else "a.csv")
+    path.write_text(text)
+    whole = read(path)
+    lines = text.splitlines()
+    lines[header + row] = _damaged(lines[header + row], kind, place)
+    path.write_text("\n".join(lines) + "\n")
+    named = f"line {header + row + 1}: "
+    try:
+        found = read(path)
+    except InputError as error:
+        assert named in str(error), str(error)
+        return
+    if isinstance(found, LoggerFile) and found.left_out:
+        assert found.left_out[0].startswith(named)
+        assert found.samples == (*whole.samples[:row], *whole.samples[row + 1 :])
+    else:
+        # A quotation mark before an already quoted cell, or inside an unused one, changes nothing.
+        assert found == whole
+
+
+@pytest.mark.property
+@pytest.mark.slow
+@settings(
+    deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.sampled_from(sorted(FILES)),
+    st.sampled_from(["utf-8-sig", "utf-16", "utf-16-le", "latin-1", "cp1252", "utf-32"]),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+    st.sampled_from(["", "# station Zürich, Plätze\n"]),
+)
+def test_every_encoding_is_read_exactly_or_refused_by_its_name(
+    tmp_path: Path, name: str, encoding: str, end: str, comment: str
+) -> None:
+    """Property: a byte order mark, UTF-16 or a Western encoding changes no value."""
+    text, header, read = FILES[name]
+    if name in ("toa5",) and end == "\r":
+        end = "\n"
+    path = tmp_path / ("a.epw" if name == "epw" else "a.csv")
+    path.write_text(text)
+    values = read_weather_rows(path) if read is _hours else read(path)
+    if header == 1 and read is not _samples:
+        text = comment + text
+    path.write_bytes(text.replace("\n", end).encode(encoding))
+    try:
+        found = read_weather_rows(path) if read is _hours else read(path)
+    except InputError as error:
+        assert "UTF-16 without its byte order mark" in str(error), str(error)
+        assert encoding in ("utf-16-le", "utf-32")
+        return
+    lines = {"line": 0}
+    if name == "pairs":
+        found, values = ([{**_asdict(row), **lines} for row in rows] for rows in (found, values))
+    assert found == values
+
+
+def _asdict(row: Any) -> dict[str, Any]:
+    return {key: repr(getattr(row, key)) for key in row.__slots__}
+
+
+def read_weather_rows(path: Path) -> list[tuple[Any, ...]]:
+    """The rows of a weather file, by the reader of texts that `read_weather` uses."""
+    from fieldlum.strict_csv import read_text
+
+    rows = read_table(path, lines_of(read_text(path, "a file")), NORTH).rows
+    return [tuple(map(repr, (r.when, r.dni, r.dhi, r.ghi))) for r in rows]
