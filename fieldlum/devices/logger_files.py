@@ -9,7 +9,7 @@ from datetime import UTC, timedelta
 from pathlib import Path
 
 from fieldlum.devices.ascii_lines import sample_of
-from fieldlum.devices.toa5 import Columns, check_count, is_toa5, parse_toa5, scaled
+from fieldlum.devices.toa5 import LoggerColumns, check_count, is_toa5, parse_toa5, scaled
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DAY_COLUMNS, read_day
@@ -195,7 +195,7 @@ def _sample(
     row: list[str],
     clock: str,
     time: str,
-    chosen: Columns,
+    chosen: LoggerColumns,
     utc_offset: timedelta | None,
 ) -> IrradianceSample:
     """Return the sample of a row; clock: name of its column of times. Raises ValueError."""

@@ -54,7 +54,7 @@ class Toa5:
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class LoggerColumns:
     """The columns of a file by quantity, and what turns their numbers into W/m2.
 
     at : index of the column; factor : W/m2 in a unit of the column; notes : sentences on columns;
@@ -89,7 +89,7 @@ def scaled(
     sensitivities: Mapping[str, float] | None,
     *,
     blank: bool = False,
-) -> Columns:
+) -> LoggerColumns:
     """Return the columns with their factors; list all columns in W/m2 as used or not used.
 
     sensitivities : of the pyranometers, uV per W/m2, for columns of voltage; blank : whether cells
@@ -124,7 +124,7 @@ def scaled(
     used = ", ".join(f"{names[i]} as {q}" for q, i in at.items())
     others = [n for k, n in enumerate(names) if is_wm2(units[k]) and k not in at.values()]
     unused = f"; not used: {', '.join(others)} (name one with --column)" if others else ""
-    return Columns(at, factor, (f"columns: {used}{unused}", *notes), blank)
+    return LoggerColumns(at, factor, (f"columns: {used}{unused}", *notes), blank)
 
 
 def is_toa5(text: str) -> bool:
@@ -313,7 +313,7 @@ def _columns(
 
 
 def _sample(
-    row: list[str], names: list[str], chosen: Columns, utc_offset: timedelta
+    row: list[str], names: list[str], chosen: LoggerColumns, utc_offset: timedelta
 ) -> IrradianceSample:
     stamp = row[names.index("TIMESTAMP")]
     if not _TIME.fullmatch(stamp):
