@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene_captures import ROOM, window_captures
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.models.data import Dataset
 from fieldlum.records import Site
 from fieldlum.scene_fit.checks import check_captures
@@ -41,11 +41,11 @@ def test_a_camera_heading_off_by_180_degrees_is_refused(captures: Dataset, tmp_p
 
 
 @pytest.mark.analytic
-def test_a_compass_read_backwards_is_refused(captures: Dataset, tmp_path: Path) -> None:
+def test_a_compass_read_backwards_is_named(captures: Dataset, tmp_path: Path) -> None:
     room = replace(ROOM, wall_azimuth_deg=0.0)
     setup = replace(captures.setup, room=room)
     turned = replace(captures, heading_deg=0.0, setup=setup)
-    with pytest.raises(InputError, match="read backwards"):
+    with pytest.raises(NotEnoughDataError, match="read backwards"):
         run(turned, tmp_path / "scene")
     assert not (tmp_path / "scene").exists()
 

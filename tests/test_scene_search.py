@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -25,17 +25,13 @@ from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.furniture import propose_columns, solid_parameters
-from fieldlum.scene_fit.guess import Guess, Solid, WindowRect, guess_of, room_of
-from fieldlum.scene_fit.least_squares import principal_search
+from fieldlum.scene_fit.guess import Solid, WindowRect, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.misfits import Misfits
 from fieldlum.scene_fit.parameters import (
-    SUN_DEG_PER_MIN,
-    Parameter,
     room_parameters,
     stated_albedo,
 )
-from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search
@@ -96,31 +92,6 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
     count = np.bincount(pixel, inside, 2 * HEIGHT**2) == SUB**2  # pixels beside the glass differ
     assert (lit & count).sum() > 60
     assert (lit != want)[:, count].sum() < 0.04 * want[:, count].sum()
-
-
-@pytest.mark.authority
-@pytest.mark.parametrize(("wall", "arch_m", "slant_m"), [("south", 1.2, 0.0), ("east", 0.4, -0.5)])
-def test_arched_and_slanted_windows_agree_with_their_stairs(
-    wall: str, arch_m: float, slant_m: float
-) -> None:
-    """authority: fieldlum.scene, which renders the stairs that `room_of` writes."""
-    plain = replace(ROOM, window=(replace(ROOM.window[0], wall=wall, width_m=3.0, panes=1),))
-    rect = guess_of(plain).windows[0]
-    guess = replace(guess_of(plain), windows=(replace(rect, arch_m=arch_m, slant_m=slant_m),))
-    room = room_of(guess, plain)
-    azimuth = 180.0 if wall == "south" else 90.0
-    suns = sun.direction(np.array([35.0, 20.0, 50.0]), azimuth + np.array([0.0, 25.0, -30.0]))
-    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), room)
-    exact = sun_patches(room, setup, suns, 1e5, height=HEIGHT, heading_deg=180.0, sub=SUB)
-    from fieldlum.scene.view import pixel_rays
-
-    pixel, rays = pixel_rays(HEIGHT, 180.0, SUB)
-    ends = surfaces(guess, rays.astype(np.float32))
-    room_suns = (suns @ guess.turn.T).astype(np.float32)
-    unit = unit_patches(guess, ends, room_suns, pixel.astype(np.intp), 2 * HEIGHT**2, SUB)
-    lit, want = unit > 0.05, exact.luminance_cdm2.reshape(3, -1) > 300.0
-    inside = np.bincount(pixel, ends.surface >= 0, 2 * HEIGHT**2) == SUB**2
-    assert (lit != want)[:, inside].sum() < 0.04 * want[:, inside].sum()
 
 
 @pytest.mark.analytic
@@ -211,7 +182,7 @@ def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> No
     objective = Objective(turned, start, parameters, albedo, PRIOR_SHARE * first)
     coarse, _ = pattern_search(objective, start, parameters, fine=4.0)
     fine, _ = pattern_search(objective, coarse, parameters, coarse=0.25)
-    found, cost = principal_search(objective, fine, parameters)  # as `SceneSearch.polish` does
+    found, cost = fine, objective(fine)
     assert cost <= objective(replace(guess_of(ROOM), north_deg=1.0))
     values = {p.name: p.read(found) for p in parameters}
     assert found.north_deg == pytest.approx(1.0, abs=0.45)  # a sixth of a pixel
@@ -268,7 +239,7 @@ def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> N
     assert not len(fit.changed)
     assert fit.misfits.mean()["fitted"] < fit.misfits.mean()["none"]
     chosen, verdict = choose_by_misfit(fit.misfits)
-    assert chosen in ("stated", "fitted") and "wrong" in verdict
+    assert chosen in ("stated", "fitted") and "misfit" in verdict
     scene = scene_of(fit, "fitted", verdict)
     write_scene(tmp_path, scene)
     again = read_scene(tmp_path)
@@ -413,42 +384,3 @@ def test_a_wall_without_light_where_patches_are_expected_is_not_black(
     dark = np.where(on_wall, np.log(evidence.below), evidence.log_seen)
     albedo = replace(evidence, log_seen=dark).albedos(guess, stated_albedo(ROOM))
     assert albedo[wall] > 0.5 * np.median(albedo[:4])
-
-
-class _Hours:
-    """Twelve hours of four days."""
-
-    days = np.repeat(np.arange(4), 3)
-
-    def __len__(self) -> int:
-        return len(self.days)
-
-
-@dataclass(frozen=True)
-class _Valley:
-    """A cost with errors in north plus a quarter of the clock, and in the clock times `known`."""
-
-    parameters: list[Parameter]
-    known: float
-    evidence: _Hours = _Hours()  # noqa: RUF009
-    pose: None = None
-
-    def misfits(self, guess: Guess) -> np.ndarray:
-        valley = guess.north_deg + SUN_DEG_PER_MIN * guess.clock_min
-        noise = 0.1 * np.sin(np.arange(12.0))
-        return (noise + valley) ** 2 + (noise + self.known * guess.clock_min) ** 2
-
-    def __call__(self, guess: Guess) -> float:
-        return float(self.misfits(guess).mean()) / 2.0
-
-
-@pytest.mark.analytic
-def test_numbers_that_trade_reach_as_far_as_their_valley() -> None:
-    """North and clock, of which the captures know one sum, are as uncertain as their priors."""
-    guess = guess_of(ROOM)
-    parameters = [p for p in room_parameters(guess) if p.name in ("north_deg", "clock_min")]
-    flat = reach_of(cast("Objective", _Valley(parameters, 0.0)), guess, (CLOCK,))
-    assert flat["clock_min"] == pytest.approx(5.0, abs=0.1)
-    assert flat["north_deg"] == pytest.approx(5.0 * SUN_DEG_PER_MIN, abs=0.1)
-    steep = reach_of(cast("Objective", _Valley(parameters, 1.0)), guess, (CLOCK,))
-    assert steep["clock_min"] < 0.2 and steep["north_deg"] < 0.1

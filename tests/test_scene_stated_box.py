@@ -40,7 +40,7 @@ def test_a_box_that_explains_the_patches_is_used_and_learnt_robustly(captures: D
     judged, patch = with_judged_box(captures, "absolute")
     assert patch == "absolute" and judged.patch_cdm2 is not None
     assert training_arrays_of(judged, with_patch=True).fitted_patches
-    assert judged.notes[-1].startswith("stated [room]: share of wrong pixels")
+    assert judged.notes[-1].startswith("stated [room]: misfit of sun patches")
 
 
 @pytest.mark.property

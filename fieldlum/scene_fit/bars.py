@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -26,40 +25,14 @@ RUNNING_M = 1.0
 MAX_BAR_M = 0.2
 MIN_BAR_M = 0.015
 START_DEPTH_M = 0.06
-MAX_GAP_M = 0.05  # between two bars that may be one; chosen
 # share of a pixel's rays that must be lit, so that its brightness counts; chosen, not varied
 _LIT_SHARE = 0.8
-
-
-def propose_merged(guess: Guess) -> list[Guess]:
-    """Return guesses in which two parallel bars of a window, at most 5 cm apart, are one bar.
-
-    It is the last bar of each guess, covers both, and has the depth of the wider one.
-    """
-    proposals: list[Guess] = []
-    for first, second in combinations(guess.bars, 2):
-        if not is_near(first, second):
-            continue
-        (low, end), (_, high) = sorted((first.span_m, second.span_m))
-        wider = max(first, second, key=lambda bar: bar.span_m[1] - bar.span_m[0])
-        merged = replace(wider, span_m=(low, max(end, high)))
-        rest = [bar for bar in guess.bars if bar is not first and bar is not second]
-        proposals.append(replace(guess, bars=(*rest, merged)))
-    return proposals
 
 
 def without_bars(guess: Guess) -> Guess:
     """Return the guess without bars up to 20 cm wide: blinds and curtains stay."""
     covers = [bar for bar in guess.bars if bar.span_m[1] - bar.span_m[0] > MAX_BAR_M]
     return replace(guess, bars=tuple(covers))
-
-
-def is_near(bar: Bar, other: Bar) -> bool:
-    """Return whether two bars of one window are parallel and at most 5 cm apart."""
-    if (bar.window, bar.upright) != (other.window, other.upright):
-        return False
-    (_, end), (start, _) = sorted((bar.span_m, other.span_m))
-    return start - end <= MAX_GAP_M
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Reject captures that no scene can explain, before a search.
 
-Three errors are detected: windows at other places in the pictures than in the room, a compass that
-was read in the wrong direction, and two views in one csv.
+Two errors are detected: windows at other places in the pictures than in the room, and two views in
+one csv. A compass that was read backwards is noted.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from fieldlum.scene_fit.renderer import OUTSIDE, surfaces
 # corrects for a compass near steel; least number of hours that show a pattern.
 _TURN_STEP_DEG = 10.0
 _MIN_TURN_DEG = 30.0
+_REVERSED_DEG = 135.0  # chosen: nearer to a reversed compass than to a side wall
 _MIN_HOURS = 12
 # Measured in the office and in three rendered rooms: 0 (windows) and 1.0 (sun) with the correct
 # room; 2.6 to 3.0 and 0.48 to 0.54 with the room turned by 180 degrees.
@@ -52,8 +53,7 @@ def check_captures(data: Dataset, room: Room) -> None:
 
     These are a room that is not a box, has no window or is impossible; captures of two views
     (judged from 12 captures without a marked room state, such as lamp=on); and captures whose
-    bright windows, or whose light that follows the sun (from 12 captures), fit the room only after
-    a turn of 30 degrees or more.
+    bright windows fit the room only after a turn of 30 degrees or more.
     """
     require_box(room)
     where = data.source or "the captures"
@@ -77,17 +77,22 @@ def check_captures(data: Dataset, room: Room) -> None:
             "windows at the places stated in [room]",
             f"check heading_deg, wall_azimuth_deg and the windows' walls; {_REMEDY}",
         )
+
+
+def reversed_compass_note(data: Dataset, room: Room) -> str:
+    """Return a note if the room's light follows a sun behind the stated windows; "" otherwise.
+
+    A compass that was read backwards has this effect, and so has a sunlit facade opposite: the
+    captures alone do not tell which, so that nothing is refused.
+    """
     turn_deg = _sun_turned_deg(data, room)
-    if turn_deg is not None:
-        raise InputError(
-            where,
-            f"light that follows the sun as in a room turned by {turn_deg:+.0f} degrees "
-            "(clockwise) "
-            "from the stated one",
-            "light that follows the sun in front of the stated windows",
-            "check heading_deg and wall_azimuth_deg (180 degrees mean that the compass was "
-            f"read backwards) and the time zone of the captures' times; {_REMEDY}",
-        )
+    if turn_deg is None or abs(turn_deg) < _REVERSED_DEG:
+        return ""
+    return (
+        f"the room's light follows the sun as in a room turned by {turn_deg:+.0f} degrees: if no "
+        "sunlit facade faces the windows, the compass was read backwards; check heading_deg and "
+        "wall_azimuth_deg (180 degrees) and the time zone of the captures' times"
+    )
 
 
 def _windows_turned_deg(data: Dataset, room: Room) -> float | None:

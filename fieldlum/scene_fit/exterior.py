@@ -1,4 +1,4 @@
-"""Propose what shades a window: a facade opposite, a canopy, a blind, an arched or slanted top."""
+"""Propose what shades a window from outside: a facade opposite, or a canopy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from fieldlum.scene.geometry import WALLS
-from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.scene_fit.guess import Guess, Solid, WindowRect
 from fieldlum.scene_fit.parameters import Parameter
 
 # Grids from which searches start; chosen, not varied. A farther and higher facade gives nearly the
@@ -21,7 +21,7 @@ FACADE_THICKNESS_M = 2.0  # chosen: hardly changes the shade of a facade that st
 # extent of a facade to either side of the window, beyond every sun that enters; chosen
 REACH_M = 40.0
 # Chosen, not measured: gaps above the window's upper edge, depths and thickness of common canopies,
-# the overhang to either side, shares of a window that a blind or a curtain covers. A thinner shade
+# the overhang to either side. A thinner shade
 # than `THINNEST_M` explains noise; no captured patch shows the outside, so that a common facade's
 # albedo is taken.
 CANOPY_GAPS_M = (0.05, 0.3)
@@ -29,10 +29,6 @@ CANOPY_DEPTHS_M = (0.4, 0.8, 1.3, 2.0)
 CANOPY_THICKNESS_M = 0.1
 THINNEST_M = 0.08
 CANOPY_OVERHANG_M = 1.5
-COVERED_SHARES = (0.15, 0.3, 0.45, 0.6, 0.75)
-# Of half a window's width (1: a half circle) and of its height; chosen, not varied.
-ARCH_SHARES = (0.3, 0.6, 1.0)
-SLANT_SHARES = (0.25, 0.5)
 ALBEDO = 0.4
 
 Side = Literal["all", "low", "high"]
@@ -140,37 +136,3 @@ def exterior_parameters(number: int) -> list[Parameter]:
 
     faces = [face(which, axis) for axis in (0, 1, 2) for which in ("low_m", "high_m")]
     return [*faces, slide(0), slide(1), slide(2)]
-
-
-def propose_shapes(guess: Guess) -> list[Guess]:
-    """Return guesses in which one window has an arched or slanted upper edge, on a coarse grid.
-
-    Each window gets three arches and four slants.
-    """
-    proposals: list[Guess] = []
-    for number, rect in enumerate(guess.windows):
-        half, height = (0.5 * (rect.u_m[1] - rect.u_m[0]), rect.z_m[1] - rect.z_m[0])
-        arches = [(min(share * half, 0.8 * height), 0.0) for share in ARCH_SHARES]
-        slants = [(0.0, sign * share * height) for share in SLANT_SHARES for sign in (1.0, -1.0)]
-        for arch, slant in arches + slants:
-            shaped = replace(rect, arch_m=arch, slant_m=slant)
-            windows = (*guess.windows[:number], shaped, *guess.windows[number + 1 :])
-            proposals.append(replace(guess, windows=windows))
-    return proposals
-
-
-def propose_covers(guess: Guess) -> list[Bar]:
-    """Return blinds and curtains: bars that cover 15 to 75 % of one window's opening from one end.
-
-    Blinds hang from the top; curtains start at the left or the right end.
-    """
-    proposals: list[Bar] = []
-    depth = (0.0, min(0.05, 0.5 * guess.thickness_m))
-    for number, rect in enumerate(guess.windows):
-        for share in COVERED_SHARES:
-            for upright, (low, high) in ((True, rect.u_m), (False, rect.z_m)):
-                width = share * (high - low)
-                proposals.append(Bar(number, upright, (high - width, high), depth))
-                if upright:
-                    proposals.append(Bar(number, upright, (low, low + width), depth))
-    return proposals

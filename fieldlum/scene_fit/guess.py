@@ -11,47 +11,23 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
-import numpy as np
-
 from fieldlum.arrays import Floats
 from fieldlum.projection import rotation
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import WALLS, build, room_axes
-
-ARCH_STEPS = 24  # chosen: stairs of up to 12 cm in a half circle 2 m wide
-ROUND_SLABS = 12  # chosen: of a table 1.3 m wide they are within 2 cm of its edge
 
 
 @dataclass(frozen=True, slots=True)
 class WindowRect:
     """A window's opening: its extent along the wall (u_m) and in height (z_m), in room axes.
 
-    u is x in the "south" and "north" walls and y in the others. arch_m: how far the ends of the
-    upper edge are below its middle, along half an ellipse. slant_m: how far the upper edge's end at
-    `u_m[1]` is below that at `u_m[0]`, along a straight line; negative: above. `z_m[1]` is its
-    highest point.
+    u is x in the "south" and "north" walls and y in the others.
     """
 
     wall: Literal["south", "west", "north", "east"]
     u_m: tuple[float, float]
     z_m: tuple[float, float]
     transmittance: float
-    arch_m: float = 0.0
-    slant_m: float = 0.0
-
-    @property
-    def is_rectangle(self) -> bool:
-        """Whether the upper edge is level, without arch and slant."""
-        return self.arch_m == 0.0 and self.slant_m == 0.0
-
-    def top_m(self, u: Floats) -> Floats:
-        """Return the height of the upper edge [k], in m, at places `u` [k], in m along the wall.
-
-        Beyond the window's ends it is the height at the nearer end.
-        """
-        x = np.clip((2.0 * u - sum(self.u_m)) / (self.u_m[1] - self.u_m[0]), -1.0, 1.0)
-        arch = self.arch_m * (1.0 - np.sqrt(1.0 - x**2))
-        return self.z_m[1] - arch - abs(self.slant_m) * (1.0 + np.sign(self.slant_m) * x) / 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,30 +48,12 @@ class Bar:
 class Solid:
     """An opaque box in room axes, from corner `low_m` to corner `high_m`, each (x, y, z).
 
-    It is furniture, a column or a building outside. albedo: 0 to 1. is_round: it is the upright
-    cylinder whose plan is the largest ellipse in that of the box, such as a round table's top.
+    It is furniture, a column or a building outside. albedo: 0 to 1.
     """
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
     albedo: float
-    is_round: bool = False
-
-    def boxes(self) -> list[Solid]:
-        """Return the solid as boxes: itself, or for a cylinder slabs of the same area in plan."""
-        if not self.is_round:
-            return [self]
-        (x0, y0, z0), (x1, y1, z1) = self.low_m, self.high_m
-        across = np.cos(np.linspace(np.pi, 0.0, ROUND_SLABS + 1))  # -1 to 1
-        angle = np.arcsin(across)
-        area = np.diff((angle + across * np.cos(angle)) / 2.0)  # under half a circle
-        half = area / np.diff(across) * (x1 - x0) / 2.0
-        middle = (x0 + x1) / 2.0
-        y = (y0 + y1) / 2.0 + across * (y1 - y0) / 2.0
-        return [
-            Solid((middle - w, a, z0), (middle + w, b, z1), self.albedo)
-            for w, a, b in zip(half.tolist(), y[:-1].tolist(), y[1:].tolist(), strict=True)
-        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +170,7 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 
 
 def room_of(guess: Guess, stated: Room) -> Room:
-    """Return the guess as a `Room`: bars, solids and arched or slanted tops become boxes.
+    """Return the guess as a `Room`: bars and solids become boxes.
 
     Windows end at the edges of their wall and at windows before them, beyond which no light enters.
     stated: the room from which other fields are taken, also the walls' azimuth; neither
@@ -220,13 +178,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
     """
     windows = tuple(_window(guess, rect) for rect in _fitting(guess))
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
-    boxes = [box for solid in guess.solids for box in solid.boxes()]
-    solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in boxes)
-    blocks = tuple(
-        _obstruction(s.low_m, s.high_m, s.albedo)
-        for rect in guess.windows
-        for s in _blocks(guess, rect, stated.reflectance_walls)
-    )
+    solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
     return replace(
         stated,
         width_m=guess.size_m[0],
@@ -239,7 +191,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
         camera_roll_deg=guess.roll_deg,
         wall_thickness_m=guess.thickness_m,
         window=windows,
-        obstruction=bars + solids + blocks,
+        obstruction=bars + solids,
     )
 
 
@@ -282,25 +234,6 @@ def _window(guess: Guess, rect: WindowRect) -> Window:
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
     left_m = length - u1 if rect.wall in ("south", "east") else u0
     return Window(rect.wall, left_m, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
-
-
-def _blocks(guess: Guess, rect: WindowRect, albedo: float) -> list[Solid]:
-    """Return boxes within the wall above an upper edge that is not level: its stairs."""
-    if rect.is_rectangle:
-        return []
-    angle = np.linspace(np.pi, 0.0, ARCH_STEPS + 1)
-    u = np.mean(rect.u_m) + 0.5 * (rect.u_m[1] - rect.u_m[0]) * np.cos(angle)
-    tops = rect.top_m((u[1:] + u[:-1]) / 2.0)
-    axis, side = WALLS[rect.wall]
-    inner = guess.size_m[axis] if side else 0.0
-    across = (inner, inner + guess.thickness_m) if side else (-guess.thickness_m, 0.0)
-    blocks: list[Solid] = []
-    for u0, u1, top in zip(u[:-1], u[1:], tops, strict=True):
-        low, high = [0.0, 0.0, min(float(top), rect.z_m[1] - 0.001)], [0.0, 0.0, rect.z_m[1]]
-        low[axis], high[axis] = across
-        low[1 - axis], high[1 - axis] = float(u0), float(u1)
-        blocks.append(Solid((low[0], low[1], low[2]), (high[0], high[1], high[2]), albedo))
-    return blocks
 
 
 def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:

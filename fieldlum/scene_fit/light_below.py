@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Kernel, facades_of, light_features
-from fieldlum.scene_fit.small_systems import solve_packed
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -26,8 +25,6 @@ BRIGHTER, DARKER = 0.12, 0.5
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
 LEAST_CDM2 = 0.1
 _RIDGE = 1e-3
-# Chosen: a scene that is wrong must not explain all light of a pixel by its patches.
-_MOST_REFLECTED = 0.8
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
@@ -46,41 +43,36 @@ class LightBelow:
         scale = np.sqrt(np.mean(basis**2) * rank)
         # float32 is precise to 1e-5 of the light, and twice as fast
         terms = (np.column_stack([basis, np.ones(len(data))]) / scale).T.astype(np.float32)
-        row, column = np.tril_indices(len(terms))
         self.basis = terms  # [k, n]
-        self.products = terms[row] * terms[column]  # [k (k + 1) / 2, n], packed
-        self.diagonal = np.flatnonzero(row == column)  # [k]
+        self.products = (terms[:, None] * terms).reshape(-1, len(data))  # [k k, n]
         self.total_lx = data.light.total_lx[:, None].astype(np.float32)  # [n, 1]
 
-    def __call__(self, seen: Array, patch: Array, reflected: Array, rounds: int = ROUNDS) -> Array:
+    def __call__(self, seen: Array, patch: Array, rounds: int = ROUNDS) -> Array:
         """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
 
         seen: captured luminance; patch: luminance of known sun patches, which is subtracted, and
-        values that it dominates count less; reflected: luminance of surfaces that these patches
-        light; each cd/m2 [n, m], 0 where not known. The result is `reflected`, at most 80 % of what
-        is left without patches, plus a ridge regression of the rest on 15 smooth features of sky
-        and sun. Its rounds reduce the weight of pixels that are brighter than the fit, because a
-        sun patch only adds light. It is at least 0.1.
+        values that it dominates count less; each cd/m2 [n, m]. The result is a ridge regression of
+        the rest on 15 smooth features of sky and sun. Its rounds reduce the weight of pixels that
+        are brighter than the fit, because a sun patch only adds light. It is at least 0.1.
         """
         trust = _trust(patch, seen)
-        rest = np.maximum(seen - patch, 0.02 * seen)
-        near = np.minimum(reflected, _MOST_REFLECTED * rest)
-        y = (rest - near) / self.total_lx
+        y = np.maximum(seen - patch, 0.02 * seen) / self.total_lx
         scale = _middle(y)
         y = (y / scale).astype(np.float32)  # [n, m] of median 1
         trust = trust.astype(np.float32)
         fit = np.maximum(np.minimum(y, 1.5), 0.05)
         weight = trust / (y * fit)
-        least = np.float32(0.05)
+        least, terms = np.float32(0.05), len(self.basis)
         for _ in range(rounds):
-            normal = self.products @ weight  # [k (k + 1) / 2, m]
-            normal[self.diagonal] += _RIDGE * normal[self.diagonal].mean(axis=0)
-            right = self.basis @ (weight * y)  # [k, m]
-            fit = np.maximum(self.basis.T @ solve_packed(normal, right), least)  # [n, m]
+            normal = (self.products @ weight).T.reshape(-1, terms, terms)  # [m, k, k]
+            mean = np.einsum("mkk->m", normal) / terms
+            normal = normal + (_RIDGE * mean)[:, None, None] * np.eye(terms, dtype=np.float32)
+            right = (self.basis @ (weight * y)).T[..., None]  # [m, k, 1]
+            fit = np.maximum(self.basis.T @ np.linalg.solve(normal, right)[..., 0].T, least)
             q = np.log(y / fit)
             doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
             weight = trust / (y * fit) / (1.0 + doubt)
-        return np.maximum(fit * scale * self.total_lx + near, LEAST_CDM2)
+        return np.maximum(fit * scale * self.total_lx, LEAST_CDM2)
 
 
 def _middle(values: Array) -> Array:

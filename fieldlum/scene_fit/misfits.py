@@ -15,7 +15,7 @@ from fieldlum.scene_fit.renderer import SHELL
 
 @dataclass(frozen=True)
 class Misfits:
-    """Shares of wrong pixels, 0 to 1, in n held-out hours [n], by geometry; days: local dates."""
+    """Misfits (`SceneEvidence.misfit`) of n held-out hours [n], by geometry; days: local dates."""
 
     none: Floats
     stated: Floats
@@ -23,12 +23,12 @@ class Misfits:
     days: NDArray[np.datetime64]
 
     def mean(self) -> dict[str, float]:
-        """Return the mean share of wrong pixels over the hours: "none", "stated" and "fitted"."""
+        """Return the mean misfit over the hours: "none", "stated" and "fitted"."""
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
 def misfits_of(evidence: SceneEvidence, stated: Guess, fitted: Guess, albedo: Floats) -> Misfits:
-    """Return the shares of wrong pixels in the hours of `evidence` with three geometries.
+    """Return the misfits in the hours of `evidence` with three geometries.
 
     They are no sun patch, the stated box and the fitted scene. albedo: of the fitted scene's west,
     east, south and north wall, floor, ceiling and solids [6 + solids]. The stated box gets albedos

@@ -150,33 +150,6 @@ def _window_parameters(number: int) -> list[Parameter]:
     return [edge("u_m", 0), edge("u_m", 1), edge("z_m", 0), edge("z_m", 1)]
 
 
-def shape_parameters(guess: Guess, number: int) -> list[Parameter]:
-    """Return arch and slant of the upper edge of window `number` (from 0) as parameters, in m.
-
-    They have no prior. The list is empty if the edge has neither arch nor slant.
-    """
-
-    def changed(name: str) -> Change:
-        def change(g: Guess, by: float) -> Guess:
-            rect = g.windows[number]
-            value = getattr(rect, name) + by
-            if name == "arch_m" and value < 0.0:
-                return g
-            moved = replace(rect, **{name: value})
-            return replace(g, windows=(*g.windows[:number], moved, *g.windows[number + 1 :]))
-
-        return change
-
-    def read(name: str) -> Callable[[Guess], float]:
-        return lambda g: getattr(g.windows[number], name)
-
-    if guess.windows[number].is_rectangle:
-        return []
-    names = ("arch_m", "slant_m")
-    label = f"window {number + 1}"
-    return [Parameter(f"{label} {n}", read(n), changed(n), 0.08, 0.01, np.inf) for n in names]
-
-
 def bar_parameters(guess: Guess) -> list[Parameter]:
     """Return place, width and depth of each of the guess's bars as parameters without a prior.
 
@@ -203,26 +176,6 @@ def bar_parameters(guess: Guess) -> list[Parameter]:
             label = f"bar {number + 1} {name}"
             parameters.append(Parameter(label, reader, changed(change), 0.02, 0.004, np.inf))
     return parameters
-
-
-def inset_parameters(guess: Guess) -> list[Parameter]:
-    """Return the depth of the inner face of each of the guess's bars, in m, as parameters.
-
-    They have no prior. The depth is outwards from the wall's inner face.
-    """
-
-    def parameter(number: int) -> Parameter:
-        def change(g: Guess, by: float) -> Guess:
-            bars = list(g.bars)
-            inner, outer = bars[number].depth_m
-            inner = float(np.clip(inner + by, 0.0, outer - 0.005))
-            bars[number] = replace(bars[number], depth_m=(inner, outer))
-            return replace(g, bars=tuple(bars))
-
-        reader = _bar_reader(lambda bar: bar.depth_m[0], number)
-        return Parameter(f"bar {number + 1} inset", reader, change, 0.02, 0.004, np.inf)
-
-    return [parameter(number) for number in range(len(guess.bars))]
 
 
 def _bar_reader(read: Callable[[Bar], float], number: int) -> Callable[[Guess], float]:

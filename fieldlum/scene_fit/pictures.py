@@ -138,7 +138,7 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
     far outside is stated above the drawing.
     """
     from matplotlib import pyplot
-    from matplotlib.patches import Ellipse, Rectangle
+    from matplotlib.patches import Rectangle
 
     figure, axis = pyplot.subplots(figsize=(5.5, 8))
     before = Rectangle(
@@ -154,7 +154,7 @@ def plan_of(guess: Guess, stated: Room) -> Figure:
     for solid in guess.solids:
         (x0, y0, _), (x1, y1, top) = solid.low_m, solid.high_m
         middle, sides = ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0)
-        shape = Ellipse(middle, *sides) if solid.is_round else Rectangle((x0, y0), *sides)
+        shape = Rectangle((x0, y0), *sides)
         shape.set_color("0.75")
         axis.add_patch(shape)
         if not any(_is_above(other, middle, top) for other in guess.solids):

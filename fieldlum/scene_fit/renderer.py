@@ -1,7 +1,7 @@
 """Compute direct sun on the surfaces of a guessed scene, at sampled pixels, in milliseconds.
 
 `fieldlum.scene` renders a complete panorama of one room exactly. A search needs thousands of scenes
-at a few thousand pixels, so this renderer knows only boxes and upright cylinders: a ray from the
+at a few thousand pixels, so this renderer knows only boxes: a ray from the
 camera ends on the shell of the room or on a solid; from there the sun is seen if the line towards
 it passes the inner and the outer rectangle of a window, misses its bars and misses all solids.
 """
@@ -138,8 +138,8 @@ def entries(
 
 
 def solid_numbers(solid: Solid) -> Float32:
-    """Return a solid's numbers for the compiled loops, [3, 3]."""
-    return np.array([solid.low_m, solid.high_m, (solid.is_round, 0, 0)], np.float32)
+    """Return a solid's numbers for the compiled loops, [2, 3]."""
+    return np.array([solid.low_m, solid.high_m], np.float32)
 
 
 def _wall_surface(wall: str) -> int:
@@ -154,13 +154,8 @@ def _in_window(guess: Guess, position: Array, surface: NDArray) -> NDArray[np.bo
         along = 1 - WALLS[rect.wall][0]
         u, z = position[:, along], position[:, 2]
         on_wall = surface == _wall_surface(rect.wall)
-        found |= on_wall & _within(u, rect.u_m) & _within(z, rect.z_m) & _below_top(rect, u, z)
+        found |= on_wall & _within(u, rect.u_m) & _within(z, rect.z_m)
     return found
-
-
-def _below_top(rect: WindowRect, u: Array, z: Array) -> NDArray[np.bool_]:
-    """Return which points of a window's plane are below an upper edge that is not level, [k]."""
-    return np.ones(len(u), bool) if rect.is_rectangle else z < rect.top_m(u)
 
 
 def seen_in_opening(guess: Guess, position: Array, direction: Array) -> NDArray[np.int8]:
@@ -189,7 +184,7 @@ def seen_in_opening(guess: Guess, position: Array, direction: Array) -> NDArray[
                 below, above = _gaps(bar, at, slope)
                 sees[(below < 0.0) & (above < 0.0)] = BAR
         sees[~_within(outer_u, rect.u_m)] = JAMB
-        sees[outer_z > (rect.z_m[1] if rect.is_rectangle else rect.top_m(outer_u))] = HEAD
+        sees[outer_z > rect.z_m[1]] = HEAD
         sees[outer_z < rect.z_m[0]] = SILL
         shown[rows] = sees
     return shown
@@ -231,7 +226,7 @@ def _lit_blocks(
     faces_down = (ends.axis == 2) & (ends.sign < 0.0)
     face = (ends.axis + np.where(ends.sign > 0.0, 0, 3)).astype(np.int8)
     face[faces_down | (ends.surface == OUTSIDE)] = -1
-    solids = np.array([solid_numbers(s) for s in guess.solids], np.float32).reshape(-1, 3, 3)
+    solids = np.array([solid_numbers(s) for s in guess.solids], np.float32).reshape(-1, 2, 3)
     suns = suns_room.astype(np.float32)
     for number, rect in enumerate(guess.windows):
         axis, _ = WALLS[rect.wall]
@@ -245,11 +240,10 @@ def _lit_blocks(
 
 
 def _numbers(guess: Guess, rect: WindowRect) -> Float32:
-    """Return a window's numbers for `lit_pairs`, [9]."""
+    """Return a window's numbers for `lit_pairs`, [7]."""
     axis, side = WALLS[rect.wall]
     inner, outward = (guess.size_m[axis], 1.0) if side else (0.0, -1.0)
-    edges = (*rect.u_m, *rect.z_m, rect.arch_m, rect.slant_m)
-    return np.array((inner, outward, guess.thickness_m, *edges), np.float32)
+    return np.array((inner, outward, guess.thickness_m, *rect.u_m, *rect.z_m), np.float32)
 
 
 def _bar_numbers(bar: Bar) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.scene.geometry import WALLS
-from fieldlum.scene_fit.evidence import WIDTH, SceneEvidence
+from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect, camera_is_free
 from fieldlum.scene_fit.parameters import POSE_NAMES, SUN_DEG_PER_MIN, Change, Parameter
 from fieldlum.scene_fit.renderer import SHELL
@@ -64,14 +64,6 @@ class Objective:
     count: int = field(default=0)
     _seen: tuple[Guess | None, float] = field(default=(None, 0.0), init=False)
 
-    @property
-    def objective(self) -> Objective:
-        """Itself, as for other costs of `least_squares`."""
-        return self
-
-    def move_base(self, guess: Guess) -> None:
-        """Change nothing: the light below stays."""
-
     def __call__(self, guess: Guess) -> float:
         """Return the misfits of sun patches and of the windows' picture, plus the prior."""
         self.count += 1
@@ -96,19 +88,6 @@ class Objective:
         rough model, which would make uncertainties too small.
         """
         return self.evidence.misfit(self.evidence.patches(guess, self.albedo_of(guess)))
-
-    def residuals(self, guess: Guess) -> Array:
-        """Return numbers whose squares add up to the misfit, [n m + q].
-
-        The first n m are of hours and pixels, hour by hour; the last q of pixels that show windows.
-        The prior is not included.
-        """
-        evidence = self.evidence
-        patch = evidence.patches(guess, self.albedo_of(guess))
-        error = np.log(evidence.below + patch) - evidence.log_seen  # [n, m]
-        scale = np.sqrt(evidence.weights / len(evidence))
-        patches = (scale * error / np.sqrt(error**2 + WIDTH**2)).ravel()
-        return np.concatenate([patches, self.evidence.view.residuals(guess)])
 
     def albedo_of(self, guess: Guess) -> Array:
         """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""

@@ -13,7 +13,7 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.year_sample import Predictor
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.apply import scene_of, with_scene
-from fieldlum.scene_fit.checks import check_captures
+from fieldlum.scene_fit.checks import check_captures, reversed_compass_note
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.misfits import Misfits
@@ -67,15 +67,21 @@ def run(
     check_writable(out)
     discs = read_discs(Session(Path(data.source).parent))
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
-    fit = fit_scene(
-        data,
-        room,
-        pose=pose and prior_of(pose),
-        clock_sd_min=clock_sd_min,
-        seed=seed,
-        progress=progress,
-    )
+    note = reversed_compass_note(data, room)
+    try:
+        fit = fit_scene(
+            data,
+            room,
+            pose=pose and prior_of(pose),
+            clock_sd_min=clock_sd_min,
+            seed=seed,
+            progress=progress,
+        )
+    except NotEnoughDataError as error:
+        raise NotEnoughDataError(f"{error}; {note}" if note else str(error)) from None
     scene = judged_scene(data, fit, seed=seed, progress=progress)
+    if note:
+        scene = replace(scene, notes=(note, *scene.notes))
     if pose is not None:
         scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     files = [write_scene(out, scene)]
@@ -124,10 +130,10 @@ def judge_fit(
 ) -> SceneVerdict:
     """Choose between no patch, the stated box and the fitted scene; return the choice with reasons.
 
-    The misfits of the fit's held-out hours decide first; if they agree within 10 %, the error that
-    a transport model with each geometry expects over a year decides (`choose_geometry`). seed: of
-    the drawn pixels and hours. Raises NotEnoughDataError if the sunny hours have fewer than three
-    blocks of sun directions (`outside_hours`).
+    Misfits of held-out hours, and the error that a transport model with each geometry expects over
+    a year, decide (`choose_geometry`). seed: of the drawn pixels and hours. Raises
+    NotEnoughDataError if the sunny hours have fewer than three blocks of sun directions
+    (`outside_hours`).
     """
     from fieldlum.models.transport import fit as fit_transport
 
@@ -150,8 +156,8 @@ def judge_fit(
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     """Return the geometry that the held-out hours support, and why.
 
-    In the order none, stated, fitted, a geometry replaces the one chosen so far if its mean share
-    of wrong pixels is lower by more than one standard error of the difference over the hours.
+    In the order none, stated, fitted, a geometry replaces the one chosen so far if its mean misfit
+    is lower by more than one standard error of the difference over the hours.
     """
     order: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen: Chosen = "none"
@@ -159,8 +165,8 @@ def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
         if not is_no_worse(getattr(misfits, chosen), getattr(misfits, name)):
             chosen = name
     mean = misfits.mean()
-    shares = ", ".join(f"{name} {100 * mean[name]:.1f} %" for name in order)
+    shares = ", ".join(f"{name} {mean[name]:.3f}" for name in order)
     return chosen, (
-        f"{chosen}: chosen by the share of wrong pixels near sun patches (lower is better) in "
+        f"{chosen}: chosen by the misfit of sun patches (lower is better) in "
         f"{len(misfits.none)} held-out hours: {shares}"
     )

@@ -21,11 +21,13 @@ from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_file import Chosen, Scene
 from fieldlum.scene_fit.sunny import MIN_SUNNY_HOURS, sunny_hours
-from fieldlum.scene_fit.verdict import SAME_MISFIT
 
 # With fewer clear hours, held-out days chose plain recipes for patches of a tape-measured box in
 # two rooms of four, with up to 2.6 times the error.
 MIN_CLEAR_HOURS = 12
+# Of no patch. Chosen: with half of its patches beside the true ones a box has 1.5 times the misfit.
+# The model gives such patches little weight, so that they do less harm than their misfit states.
+MAX_BOX_MISFIT = 1.5
 # Chosen: of the sum of two pictures of patches, beyond rounding; other patches are of a 3D model.
 MAX_OTHER_SHARE = 0.02
 
@@ -41,10 +43,10 @@ class BoxVerdict:
 def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     """Return the choice between no patch and the stated box; None with 12 clear hours or more.
 
-    A clear hour has over 1 000 lx of direct sun on a window. The box is not used if it leaves over
-    10 % more wrong pixels near sun patches than no patch. Otherwise, also if no capture has direct
-    sun on a window, it is used: a box of about the right place predicts suns that were not captured
-    better than no patch does. Raises InputError for a room that, with fewer clear hours, is not a
+    A clear hour has over 1 000 lx of direct sun on a window. The box is not used if its patches
+    have over 1.5 times the misfit of no patch. Otherwise, also if no capture has direct sun on a
+    window, it is used: a box of about the right place predicts suns that were not captured better
+    than no patch does. Raises InputError for a room that, with fewer clear hours, is not a
     box, has no window or is impossible.
     """
     clear = int(sunny_hours(data, room).sum())
@@ -63,14 +65,14 @@ def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     patch = evidence.patches(start, evidence.albedos(start, stated_albedo(room)))
     stated = float(evidence.misfit(patch).mean())
     none = float(evidence.misfit(np.zeros_like(patch)).mean())
-    chosen: Chosen = "none" if stated > SAME_MISFIT * none else "stated"
+    chosen: Chosen = "none" if stated > MAX_BOX_MISFIT * none else "stated"
     cause = ": check north, the clock and the windows of [room]" if chosen == "none" else ""
     name = {"stated": "stated [room]", "none": "no sun patch"}[chosen]
     return BoxVerdict(
         chosen,
-        f"{name}: share of wrong pixels near sun patches in {len(evidence)} captures with direct "
-        f"sun: {100.0 * none:.1f} % without patches, {100.0 * stated:.1f} % with those of [room], "
-        f"which must not be over 10 % larger{cause}; {remedy}",
+        f"{name}: misfit of sun patches in {len(evidence)} captures with direct sun: {none:.3f} "
+        f"without patches, {stated:.3f} with those of [room], which must be under "
+        f"{MAX_BOX_MISFIT:g} times as large{cause}; {remedy}",
     )
 
 

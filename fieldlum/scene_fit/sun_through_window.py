@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats32, Indices
 from fieldlum.compiled import compiled
-from fieldlum.scene_fit.sunlit import AHEAD_M, inverses_of, is_shaded
+from fieldlum.scene_fit.sunlit import AHEAD_M, inverses_of
 
 _GRAZING = np.float32(1e-4)  # chosen: cosine of a sun 0.006 degrees above the glass
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -25,15 +25,6 @@ _BLOCK = 32  # chosen
 def _passed(beyond: np.float32, inverse_spread: np.float32) -> np.float32:
     """Return the share of a ray's spread that is past an edge; beyond: how far its middle is, m."""
     return min(max(beyond * inverse_spread + _HALF, _ZERO), _ONE)
-
-
-@compiled
-def _top(window: Floats32, u: np.float32) -> np.float32:
-    """Return the height of a window's upper edge; see `guess.WindowRect.top_m`."""
-    u0, u1, z1, arch, slant = window[3], window[4], window[6], window[7], window[8]
-    x = min(max((u + u - u0 - u1) / (u1 - u0), -_ONE), _ONE)
-    fallen = arch * (_ONE - np.sqrt(_ONE - x * x))
-    return z1 - fallen - abs(slant) * (_ONE + np.sign(slant) * x) * _HALF
 
 
 @compiled
@@ -116,12 +107,10 @@ def _boxes(position: Floats32) -> Floats32:
 @compiled
 def _opening(
     axis: int, window: Floats32, suns: Floats32, hour: int
-) -> tuple[
-    np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32
-]:
-    """Return slopes of lines to the sun, their shift in the wall, and the opening that they pass.
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Return slopes of lines to the sun, and the opening that they pass.
 
-    Slopes and shifts are along u and z; the opening is u from and to, z from and to, at the inner
+    Slopes are along u and z; the opening is u from and to, z from and to, at the inner
     face.
     """
     toward = suns[hour, axis] * window[1]
@@ -129,7 +118,7 @@ def _opening(
     shift_u, shift_z = slope_u * window[2], slope_z * window[2]
     low_u, high_u = window[3] - min(shift_u, _ZERO), window[4] - max(shift_u, _ZERO)
     low_z, high_z = window[5] - min(shift_z, _ZERO), window[6] - max(shift_z, _ZERO)
-    return slope_u, slope_z, shift_u, shift_z, low_u, high_u, low_z, high_z
+    return slope_u, slope_z, low_u, high_u, low_z, high_z
 
 
 @compiled
@@ -160,7 +149,7 @@ def _reached(
     for hour in range(len(suns)):
         if suns[hour, axis] * window[1] <= _GRAZING or suns[hour, 2] <= _ZERO:
             continue
-        slope_u, slope_z, _, _, low_u, high_u, low_z, high_z = _opening(axis, window, suns, hour)
+        slope_u, slope_z, low_u, high_u, low_z, high_z = _opening(axis, window, suns, hour)
         for block in range(len(least)):
             least_u, most_u = _range(least, most, block, 0, slope_u)
             least_z, most_z = _range(least, most, block, 1, slope_z)
@@ -201,8 +190,8 @@ def lit_blocks(
     """Return k pairs of hour and block of 32 rays, and the sun's strength on each ray, [k, 32].
 
     axis: of the wall's normal, 0 or 1. window: inner face, outward (1 or -1), thickness of the
-    wall, u from and to, z from and to, arch, slant [9]. bars: upright (1 or 0), span from and to,
-    depth from and to [b, 5]. solids: as in `entered` [s, 3, 3]. face: axis of the normal, plus
+    wall, u from and to, z from and to [7]. bars: upright (1 or 0), span from and to,
+    depth from and to [b, 5]. solids: as in `entered` [s, 2, 3]. face: axis of the normal, plus
     3 where it points to lower numbers, -1 for rays that the sun cannot reach [r]. glass:
     transmittance at each hour [n]. The strength is described at `renderer.LitEntries`.
     """
@@ -211,13 +200,12 @@ def lit_blocks(
     boxes, faces = _boxes(position), _faces(face, len(least))
     alike = np.array([(faces[block] == faces[block, 0]).all() for block in range(len(faces))])
     cosines, inverses = _cosines(suns), inverses_of(suns)
-    is_sloped = window[7] != _ZERO or window[8] != _ZERO
     strengths = np.empty((len(hours), _BLOCK), np.float32)
     us, zs = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
     for pair in range(len(hours)):
         hour, block = hours[pair], blocks[pair]
         sun = _opening(axis, window, suns, hour)
-        slope_u, slope_z, shift_u, shift_z, low_u, high_u, low_z, high_z = sun
+        slope_u, slope_z, low_u, high_u, low_z, high_z = sun
         least_u, most_u = _range(least, most, block, 0, slope_u)
         least_z, most_z = _range(least, most, block, 1, slope_z)
         for k in range(_BLOCK):
@@ -236,12 +224,6 @@ def lit_blocks(
                 strengths[pair, k] = (
                     strengths[pair, k] * cosines[hour, faces[block, k]] * glass[hour]
                 )
-        if is_sloped:
-            for k in range(_BLOCK):
-                inverse = numbers[block, 3, k]
-                top, outer_top = _top(window, us[k]), _top(window, us[k] + shift_u)
-                share = _passed(top - zs[k], inverse)
-                strengths[pair, k] *= share * _passed(outer_top - zs[k] - shift_z, inverse)
         for bar in range(len(bars)):
             upright = bars[bar, 0] > _ZERO
             slope = slope_u if upright else slope_z
@@ -255,16 +237,8 @@ def lit_blocks(
                 hidden = _passed(at[k] - low, inverse) * _passed(high - at[k], inverse)
                 strengths[pair, k] *= _ONE - hidden
         for solid in range(len(solids)):
-            if not _may_shade(solids, solid, boxes[block], inverses, hour):
-                continue
-            if solids[solid, 2, 0] <= _ZERO:
+            if _may_shade(solids, solid, boxes[block], inverses, hour):
                 _shade(solids, solid, axis, numbers, block, inverses, hour, strengths, pair)
-                continue
-            for k in range(min(_BLOCK, len(position) - block * _BLOCK)):
-                ray = block * _BLOCK + k
-                may_shine = strengths[pair, k] > _ZERO
-                if may_shine and is_shaded(solids, solid, position, ray, inverses, hour):
-                    strengths[pair, k] = _ZERO
     return hours, blocks, strengths
 
 

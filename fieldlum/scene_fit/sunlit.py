@@ -14,7 +14,7 @@ from fieldlum.compiled import compiled
 
 AHEAD_M = np.float32(1e-3)  # chosen: a surface does not shade itself, and no object is as thin
 _SMALLEST = np.float32(1e-9)  # of a direction along an axis: avoids a division by zero; chosen
-_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _INFINITE = np.float32(np.inf)
 
 
@@ -42,35 +42,14 @@ def shell_ends(
 
 
 @compiled
-def _round_crossing(
-    solid: Floats32, x: np.float32, y: np.float32, dx: np.float32, dy: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Return where a line enters and leaves an upright cylinder, in lengths of its direction.
-
-    The plan is the ellipse that touches the sides of a box. Without a crossing it leaves first.
-    """
-    half_x = _HALF * (solid[1, 0] - solid[0, 0])
-    half_y = _HALF * (solid[1, 1] - solid[0, 1])
-    px, py = (x - solid[0, 0]) / half_x - _ONE, (y - solid[0, 1]) / half_y - _ONE
-    ex, ey = dx / half_x, dy / half_y
-    a, b, c = ex * ex + ey * ey, px * ex + py * ey, px * px + py * py - _ONE
-    root = b * b - a * c
-    if root <= _ZERO or a <= _ZERO:
-        return _INFINITE, -_INFINITE
-    root = np.sqrt(root)
-    return (-b - root) / a, (-b + root) / a
-
-
-@compiled
 def entered(
     solid: Floats32, eye: Floats32, inverse: Floats32, nearest: Floats32
 ) -> tuple[Indices, Floats32, NDArray[np.int8]]:
     """Return rays that enter a solid before they are `nearest` [r] m long: index, length, face [k].
 
-    solid: low corner, high corner, and 1 in the third row's first number if it is round [3, 3]. A
-    ray that starts within the solid does not count. The face of a round side is the nearer axis.
+    solid: low and high corner [2, 3]. A ray that starts within the solid does not count.
     """
-    low, high, is_round = solid[0], solid[1], solid[2, 0] > _ZERO
+    low, high = solid[0], solid[1]
     count = len(nearest)
     rows = np.empty(count, np.intp)
     lengths = np.empty(count, np.float32)
@@ -78,18 +57,7 @@ def entered(
     entered = 0
     for ray in range(count):
         near, far, face = _ZERO, nearest[ray], -1
-        if is_round:
-            dx, dy = _ONE / inverse[0, ray], _ONE / inverse[1, ray]
-            first, last = _round_crossing(solid, eye[0], eye[1], dx, dy)
-            if first > near:
-                near = first
-                across = (eye[0] + first * dx - _HALF * (low[0] + high[0])) / (
-                    high[0] - low[0]
-                ) ** 2
-                along = (eye[1] + first * dy - _HALF * (low[1] + high[1])) / (high[1] - low[1]) ** 2
-                face = 0 if abs(across) > abs(along) else 1
-            far = min(far, last)
-        for axis in range(2 if is_round else 0, 3):
+        for axis in range(3):
             a = (low[axis] - eye[axis]) * inverse[axis, ray]
             b = (high[axis] - eye[axis]) * inverse[axis, ray]
             first, last = min(a, b), max(a, b)
@@ -126,20 +94,13 @@ def is_shaded(
 ) -> bool:
     """Return whether a solid is between a position [r, 3] and the sun.
 
-    solids: as in `entered` [s, 3, 3], of which solid `number` counts; inverse: of suns [n, 3].
+    solids: as in `entered` [s, 2, 3], of which solid `number` counts; inverse: of suns [n, 3].
     Numbers are read one by one: views of rows take three times as long.
     """
     enters, leaves = -_INFINITE, _INFINITE
-    if solids[number, 2, 0] > _ZERO:
-        x, y = position[ray, 0], position[ray, 1]
-        dx, dy = _ONE / inverse[hour, 0], _ONE / inverse[hour, 1]
-        enters, leaves = _round_crossing(solids[number], x, y, dx, dy)
-    else:
-        for axis in range(2):
-            first, last = _slab(solids, number, position, ray, inverse, hour, axis)
-            enters, leaves = max(enters, first), min(leaves, last)
-    first, last = _slab(solids, number, position, ray, inverse, hour, 2)
-    enters, leaves = max(enters, first), min(leaves, last)
+    for axis in range(3):
+        first, last = _slab(solids, number, position, ray, inverse, hour, axis)
+        enters, leaves = max(enters, first), min(leaves, last)
     return bool(leaves > enters and leaves > AHEAD_M and enters > -AHEAD_M)
 
 
@@ -161,11 +122,11 @@ def shaded(
 ) -> NDArray[np.bool_]:
     """Return whether a solid is between position and sun, for k pairs of hour and ray, [k].
 
-    solid: as in `entered` [3, 3]; position [r, 3]; suns: unit vectors [n, 3]; hour, ray: indices
+    solid: as in `entered` [2, 3]; position [r, 3]; suns: unit vectors [n, 3]; hour, ray: indices
     into these [k].
     """
     hidden = np.empty(len(hour), np.bool_)
-    solids = solid.reshape(1, 3, 3)
+    solids = solid.reshape(1, 2, 3)
     inverse = inverses_of(suns)
     for k in range(len(hour)):
         hidden[k] = is_shaded(solids, 0, position, ray[k], inverse, hour[k])
