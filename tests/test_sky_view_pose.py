@@ -10,7 +10,9 @@ from places import SEATTLE
 
 from fieldlum import sun
 from fieldlum.arrays import Floats
+from fieldlum.merge.disc import take_out_disc
 from fieldlum.projection import altitude_azimuth_deg, rotation
+from fieldlum.records import Panorama
 from fieldlum.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
 from fieldlum.sky_view.sun_discs import scaled
@@ -107,3 +109,17 @@ def test_a_partly_hidden_disc_counts_less() -> None:
     alike = pose_of_discs(moved, SEATTLE, AXIS_DEG).heading_deg
     less = pose_of_discs(moved, SEATTLE, AXIS_DEG, shares).heading_deg
     assert abs(less - 1.0) < abs(alike - 1.0)
+
+
+@pytest.mark.analytic
+def test_merge_finds_a_strong_disc_5_degrees_away() -> None:
+    def seen_from(illuminance_lx: float) -> tuple[bool, float]:
+        light = np.full((180, 360), 500.0, np.float32)
+        omega = 2.0 * np.pi / 360 * np.radians(1.0) * np.cos(np.radians(20.5))
+        light[69, 186] += illuminance_lx / omega  # altitude 20.5, azimuth 186.5
+        _, disc = take_out_disc(Panorama(light, 180.0), 20.5, 181.0)
+        return disc is not None, disc.azimuth_deg if disc is not None else 0.0
+
+    there, azimuth_deg = seen_from(70_000.0)
+    assert there and azimuth_deg == pytest.approx(186.5, abs=0.5)
+    assert not seen_from(15_000.0)[0]  # the mirror image in a facade

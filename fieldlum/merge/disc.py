@@ -32,6 +32,11 @@ _CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
 _CLIPPED_CENTRE = 0.05
 _BLUR_RAD = np.radians(0.5)  # blur of a lens; not measured
 _DISC_PART = 0.05  # share of the brightest pixel's excess; dimmer pixels count as sky; not measured
+# A compass near steel is wrong by up to 5 degrees, more than `find_disc` searches: it is called again
+# so far to both sides. There only a strong light counts, because a facade of glass mirrors up to a
+# fifth of the sun's 100 klx. Chosen.
+_HEADING_ERROR_DEG = 5.0
+_LEAST_FAR_LX = 20_000.0
 MEASURED = "nd-frames"
 OPEN = "merge"
 
@@ -60,12 +65,7 @@ def take_out_disc(
     flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16)
     if panorama.flags is not None:
         flags |= panorama.flags.astype(np.uint16)
-    disc = find_disc(
-        panorama.luminance_cdm2,
-        panorama.heading_deg,
-        near_deg=(altitude_deg, azimuth_deg),
-        clipped=(flags & Flag.CLIPPED_HIGH) > 0,
-    )
+    disc = _disc_near(panorama, (flags & Flag.CLIPPED_HIGH) > 0, altitude_deg, azimuth_deg)
     if disc is None:
         return panorama, None
     filtered = bool(((flags & Flag.ND) > 0)[disc.pixels].any())
@@ -86,6 +86,25 @@ def take_out_disc(
         rgb=rgb,
     )
     return without, disc
+
+
+def _disc_near(
+    panorama: Panorama, clipped: Mask, altitude_deg: float, azimuth_deg: float
+) -> SunDisc | None:
+    """Return the disc within 3 degrees of the stated place, else of a place by a wrong heading."""
+
+    def at(turn_deg: float) -> SunDisc | None:
+        near_deg = altitude_deg, (azimuth_deg + turn_deg) % 360.0
+        light, heading_deg = panorama.luminance_cdm2, panorama.heading_deg
+        return find_disc(light, heading_deg, near_deg=near_deg, clipped=clipped)
+
+    disc = at(0.0)
+    for turn_deg in (_HEADING_ERROR_DEG, -_HEADING_ERROR_DEG):
+        if disc is None:
+            far = at(turn_deg)
+            shown = far is not None and np.isfinite(far.sigma_deg)
+            disc = far if far is not None and shown and far.normal_lx > _LEAST_FAR_LX else None
+    return disc
 
 
 def disc_px(lenses: Sequence[Lens]) -> float:
