@@ -82,7 +82,9 @@ def exposures(profile: CameraProfile) -> list[Exposure]:
 
 
 def capture(name: str, folder: Path) -> None:
-    """Write the frames of one bracket."""
+    """Write the frames of one bracket, unless they exist."""
+    if len(list(folder.glob("*.dng"))) == len(SHUTTER_S):
+        return
     profile = camera(name)
     clock = FastClock(datetime(2027, 3, 20, 20, 0, tzinfo=UTC))
     taken = SimulatedCamera(Window(), profile, clock, heading_deg=180.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -47,6 +49,8 @@ def test_six_discs_give_the_pose() -> None:
     shown = pose.in_pictures(suns)
     true = CameraPose(*values, axis_deg=AXIS_DEG).in_pictures(suns)
     assert np.degrees(np.linalg.norm(shown - true, axis=1)).max() < 0.05
+    assert pose.true_directions(shown) == pytest.approx(suns, abs=1e-9)
+    assert CameraPose.from_table(json.loads(json.dumps(asdict(pose)))) == pose
 
 
 @pytest.mark.slow

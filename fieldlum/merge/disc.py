@@ -32,9 +32,9 @@ _CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
 _CLIPPED_CENTRE = 0.05
 _BLUR_RAD = np.radians(0.5)  # blur of a lens; not measured
 _DISC_PART = 0.05  # share of the brightest pixel's excess; dimmer pixels count as sky; not measured
-# A compass near steel is wrong by up to 5 degrees, more than `find_disc` searches: it is called again
-# so far to both sides. There only a strong light counts, because a facade of glass mirrors up to a
-# fifth of the sun's 100 klx. Chosen.
+# A compass near steel is wrong by up to 5 degrees, more than `find_disc` searches: so far to both
+# sides it searches again. There only a strong light counts, because a facade of glass mirrors up to
+# a fifth of the sun's 100 klx. Chosen.
 _HEADING_ERROR_DEG = 5.0
 _LEAST_FAR_LX = 20_000.0
 MEASURED = "nd-frames"

@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldlum.arrays import Floats
 from fieldlum.projection import rotation
-from fieldlum.records import Site
+from fieldlum.records import JsonTable, Site
 from fieldlum.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky_view.sun_discs import NAMES, PoseFit, fit_pose, scaled
 
@@ -71,6 +71,12 @@ class CameraPose:
         """Standard uncertainty of tilt or roll, the larger."""
         return float(np.sqrt(max(self.covariance[1][1], self.covariance[2][2])))
 
+    @classmethod
+    def from_table(cls, table: JsonTable) -> CameraPose:
+        """Build from a JSON object of the fields. Raises TypeError or KeyError for another one."""
+        covariance = tuple(tuple(map(float, row)) for row in table["covariance"])
+        return cls(**{**table, "covariance": covariance, "notes": tuple(table["notes"])})
+
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
         """Return draws of the four values, [count, 4]."""
         covariance = np.asarray(self.covariance, float)
@@ -84,6 +90,11 @@ class CameraPose:
         heading, tilt, roll, scale = self.values if values is None else values
         turned = suns @ rotation(heading, tilt, roll, self.axis_deg)  # inverse: the transpose
         return scaled(turned, 1.0 / (1.0 + scale) - 1.0, self.axis_deg)
+
+    def true_directions(self, shown: Floats) -> Floats:
+        """Return the true directions of what pictures show in stated directions [n, 3], [n, 3]."""
+        turn = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
+        return scaled(shown, self.lens_scale, self.axis_deg) @ turn.T
 
 
 def pose_of_discs(
