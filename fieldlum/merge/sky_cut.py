@@ -77,7 +77,9 @@ def sky_cut(
     used = np.flatnonzero(can_be_sun.any(axis=1))
     first, (left, width) = int(used[0]), smallest_arc(np.asarray(can_be_sun.any(axis=0)))
     place = np.s_[first : int(used[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
-    bright = (can_be_sun & _any(_bright(seen), target))[place]
+    dark_cdm2 = _LEAST_SHARE * float(np.median(seen.luminance[seen.coverage > 0.0]))
+    shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
+    bright = (can_be_sun & _any(shines & (seen.coverage > 0.0), target))[place]
     out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
     clipped = np.zeros(out.shape, bool)
     for tiles, part in _parts(bright, first, left, side):
@@ -89,7 +91,8 @@ def sky_cut(
             out[into], clipped[into] = light[of], marked[of]
     step_deg = _TILE_DEG / side
     corner_deg = 90.0 - first * _TILE_DEG, left * _TILE_DEG - 180.0
-    return SkyPicture(out, clipped, SkyGrid(*corner_deg, step_deg, heading_deg, *out.shape))
+    grid = SkyGrid(*corner_deg, step_deg, heading_deg, *out.shape)
+    return SkyPicture(out, clipped, grid, dark_cdm2=dark_cdm2)
 
 
 def _parts(
@@ -223,10 +226,3 @@ def _any(marked: Mask, target: Equirect) -> Mask:
     rows = 180 // _TILE_DEG * _SAMPLES
     at = marked[_coarse_pixels(Equirect(rows, (0, 0, rows, 2 * rows)), target)]
     return np.asarray(at.reshape(rows // _SAMPLES, _SAMPLES, -1, _SAMPLES).any(axis=(1, 3)))
-
-
-def _bright(seen: ProjectedImage) -> Mask:
-    """Return the pixels of a panorama that are as bright as a sky, [n]."""
-    covered = (seen.flags & Flag.OUTSIDE_LENS) == 0
-    least = _LEAST_SHARE * float(np.median(seen.luminance[covered])) if covered.any() else np.inf
-    return covered & ((seen.luminance > least) | (seen.flags & Flag.CLIPPED_HIGH > 0))

@@ -82,7 +82,8 @@ class SkyPicture:
     """The luminance of one capture in the directions that can be sky.
 
     luminance_cdm2 [h, w] : NaN where no lens saw or where merge did not keep it. clipped [h, w] :
-    True where the luminance is a lower bound. rgb [h, w, 3] : None without colour.
+    True where the luminance is a lower bound. rgb [h, w, 3] : None without colour. dark_cdm2 : what
+    merge saw but did not keep is darker than this; None if it kept all.
     """
 
     luminance_cdm2: Floats32
@@ -90,6 +91,7 @@ class SkyPicture:
     grid: SkyGrid
     t_utc: datetime | None = None
     rgb: Floats32 | None = None
+    dark_cdm2: float | None = None
 
 
 def write_sky_picture(path: Path, picture: SkyPicture) -> None:
@@ -111,6 +113,7 @@ def write_sky_picture(path: Path, picture: SkyPicture) -> None:
             step_deg=grid.step_deg,
             heading_deg=grid.heading_deg,
             t_utc=utc_text(picture.t_utc) if picture.t_utc else "",
+            dark_cdm2=np.nan if picture.dark_cdm2 is None else picture.dark_cdm2,
         )
 
 
@@ -140,12 +143,13 @@ def read_sky_picture(path: Path) -> SkyPicture:
             height,
             width,
         )
-        moment = str(stored["t_utc"])
+        moment, dark = str(stored["t_utc"]), float(stored["dark_cdm2"])
         return SkyPicture(
             table.astype(np.float32)[code],
             clipped.astype(bool),
             grid,
             parse_utc(moment) if moment else None,
+            dark_cdm2=None if np.isnan(dark) else dark,
         )
 
 
