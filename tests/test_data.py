@@ -116,7 +116,7 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
     with pytest.raises(InputError, match="the values are in kW/m2"):
         load_pairs(pairs)
     pairs.write_text(text.replace(",", ";").replace(".", ","))
-    with pytest.raises(InputError, match="commas instead of ';'"):
+    with pytest.raises(InputError, match="separated by ';'; expected commas"):
         load_pairs(pairs)
 
 

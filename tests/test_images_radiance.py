@@ -217,7 +217,7 @@ def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) ->
         ("FORMAT=float\n", "-Y 2 +X 3", "rmtxop"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 2 +Y 3", "two axes"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 90000 +X 90000", "pixels"),
-        ("FORMAT=32-bit_rle_rgbe\nEXPOSURE=0\n", "-Y 2 +X 3", "above 0"),
+        ("FORMAT=32-bit_rle_rgbe\nEXPOSURE=-1\n", "-Y 2 +X 3", "above 0"),
         ("FORMAT=32-bit_rle_rgbe\nCOLORCORR= 1 1\n", "-Y 2 +X 3", "3 numbers"),
         ("FORMAT=32-bit_rle_rgbe\nPRIMARIES= 1 1 1 1 1 1 1 1\n", "-Y 2 +X 3", "PRIMARIES"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 20 +X 30", "cut short"),

@@ -87,7 +87,7 @@ def test_without_dask_one_line_states_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     scheduler = parse_scheduler("tcp://127.0.0.1:8786")
-    with pytest.raises(InputError, match=r'pip install "fieldlum\[cluster\]"'):
+    with pytest.raises(InputError, match=r"pip install '\.\[cluster\]'"):
         list(run_units([WorkUnit("a", units.doubled, tmp_path, 1)], scheduler))
 
 
