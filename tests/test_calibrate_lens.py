@@ -188,6 +188,36 @@ def test_circle_and_shift() -> None:
         lens_circle.circle(np.full((200, 300), 90, np.uint8))
 
 
+@pytest.mark.slow
+@pytest.mark.property
+def test_a_picture_of_a_room_gives_no_circle() -> None:
+    """Windows and lamps in a dark room leave parts of the circle's edge, and edges of their own."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:400, :600] + 0.5
+    room = np.full(x.shape, 12.0)
+    for _ in range(25):
+        top, left = rng.integers(0, 360), rng.integers(80, 500)
+        room[top : top + 60, left : left + 70] = rng.uniform(20, 250)
+    room[np.hypot(x - 300, y - 200) > 190] = 2.0
+    with pytest.raises(InputError, match=r"no evenly lit bright field.*white paper"):
+        lens_circle.circle(room.astype(np.uint8), "room.jpg")
+
+
+@pytest.mark.contract
+def test_a_circle_that_contradicts_the_profile_is_refused() -> None:
+    lens = Lens((2825.0, 1863.0), 1806.0, 180.0)
+    near = lens_circle.Circle((2830.0, 1860.0), 1812.0, 0.4)
+    assert lens_circle.circle_lens(lens, near).radius_px == 1812.0
+    for wrong in (
+        lens_circle.Circle((2805.2, 1862.2), 2666.6, 4.4),
+        replace(near, centre_px=(2400.0, 1860.0)),
+    ):
+        with pytest.raises(
+            InputError, match=r"the profile has 2825, 1863 px and 1806 px.*white paper"
+        ):
+            lens_circle.circle_lens(lens, wrong, "IMG_6955.JPG")
+
+
 @pytest.mark.property
 @pytest.mark.parametrize(
     ("mapping", "coefficients"),

@@ -17,6 +17,15 @@ from fieldlum.raw import read_mosaic
 from fieldlum.statistics import robust_sigma
 
 EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
+# Share of the rays inside the picture whose edge is on the circle; how near, of the radius and in
+# px. Evenly lit fields have 1.0, six exposures of a real room (8 mm fisheye) at most 0.71.
+_MIN_ON_CIRCLE, _ON_CIRCLE_REL, _ON_CIRCLE_PX = 0.9, 0.005, 2.0
+# of the profile's radius: a centre or radius that differs by more contradicts the profile; chosen
+_MAX_CHANGE = 0.15
+_PHOTOGRAPH = (
+    "hold white paper in front of the lens, or point it at a bright, evenly lit wall, and take one "
+    "frame without clipping that shows the complete circle"
+)
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
@@ -57,12 +66,14 @@ class Circle:
     u_px: float  # of the edge points about the circle
 
 
-def circle(picture: NDArray[np.uint8]) -> Circle:
-    """Find the image circle in a picture [h, w] of 8-bit grey, from a bright frame.
+def circle(picture: NDArray[np.uint8], source: Path | str = "circle") -> Circle:
+    """Find the image circle in a picture [h, w] of 8-bit grey, of an evenly lit bright field.
 
     scikit-image's Hough transform finds the circle. The edge is then refined along 720 rays, as the
     place where linear light is half way between the light just inside the circle and the darkest
-    place outside. Raises InputError if there is no circle.
+    place outside. source : the file, for errors. Raises InputError if there is no circle, or if
+    over a tenth of the rays have no edge there: in a picture of a room, edges of the room look like
+    the circle's.
     """
     from skimage.feature import canny
     from skimage.transform import hough_circle, resize
@@ -76,24 +87,34 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
     short, long = sorted(small.shape)
     radii = np.arange(int(0.2 * short), int(0.62 * long), 1)
     if not edges.any():
-        raise InputError(
-            "circle",
-            "no edges in the picture",
-            "a bright frame that shows the complete lens circle",
-            "photograph a bright, evenly lit wall and use that frame",
-        )
+        raise _no_field(source, "no edges in the picture")
     votes = hough_circle(edges, radii, full_output=False)
     best, y, x = np.unravel_index(int(votes.argmax()), votes.shape)
-    return _refined(
-        picture, float(x + 0.5) * step, float(y + 0.5) * step, float(radii[best]) * step
-    )
+    start = float(x + 0.5) * step, float(y + 0.5) * step, float(radii[best]) * step
+    edge, rays = _edge_points(picture, *start)
+    if edge.shape[1] < 60:
+        raise _no_field(source, "no clear edge of a lens circle")
+    image_circle, misses = _through(edge, start)
+    near = np.abs(misses) < max(_ON_CIRCLE_REL * image_circle.radius_px, _ON_CIRCLE_PX)
+    if near.sum() < _MIN_ON_CIRCLE * rays:
+        share = f"only {100 * near.sum() / rays:.0f} % of the best circle's edge is in the picture"
+        raise _no_field(source, f"{share}: this is no evenly lit bright field")
+    return image_circle
 
 
-def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle:
+def _no_field(source: Path | str, finding: str) -> InputError:
+    expected = "a bright, evenly lit lens circle on a dark background"
+    return InputError(source, finding, expected, _PHOTOGRAPH)
+
+
+def _edge_points(picture: NDArray[np.uint8], x: float, y: float, r: float) -> tuple[Array, int]:
+    """Return points x, y [2, n] on the edge of the circle, and the number of rays that reach it.
+
+    The edge is at half of the light, not at half of the code. Rays leave x, y in 720 directions;
+    those that leave the picture inside the circle are not counted.
+    """
     from scipy.ndimage import gaussian_filter, map_coordinates
-    from scipy.optimize import least_squares
 
-    # The edge is at half of the light, not at half of the code.
     light = (picture.astype(np.float32) / 255) ** 2.2
     smooth = 255 * gaussian_filter(light, 1.0)
     turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
@@ -105,23 +126,23 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     below = line < ((inner + outer) / 2)[:, None]
     first = below.argmax(axis=1)
     good = below.any(axis=1) & (first > 0) & (inner > outer + 8)
-    if good.sum() < 60:
-        raise InputError(
-            "circle",
-            "no clear edge of a lens circle",
-            "a bright, evenly lit lens circle on a dark background",
-            "photograph a bright, evenly lit wall and use that frame",
-        )
-    edge = np.stack(
-        [x + np.cos(turn[good]) * out[first[good]], y + np.sin(turn[good]) * out[first[good]]]
-    )
+    reached = np.isfinite(line[:, : len(out) // 2 + 1]).all(axis=1)
+    away = out[first[good]]
+    edge = np.stack([x + np.cos(turn[good]) * away, y + np.sin(turn[good]) * away])
+    return edge, int((good | reached).sum())
+
+
+def _through(edge: Array, start: tuple[float, float, float]) -> tuple[Circle, Array]:
+    """Return the circle through points [2, n] by robust least squares, and their distances [px]."""
+    from scipy.optimize import least_squares
 
     def misses(p: Array) -> Array:
         return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
 
-    solved = least_squares(misses, (x, y, r), loss="soft_l1", f_scale=0.5)
+    solved = least_squares(misses, start, loss="soft_l1", f_scale=0.5)
     cx, cy, radius = (float(v) for v in solved.x)
-    return Circle((cx, cy), radius, robust_sigma(misses(solved.x), 0.0))
+    off = misses(solved.x)
+    return Circle((cx, cy), radius, robust_sigma(off, 0.0)), off
 
 
 def _size(picture: NDArray[np.uint8]) -> str:
@@ -153,17 +174,26 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
     return -float(right), -float(down)
 
 
-def circle_lens(lens: Lens, image_circle: Circle, full_angle_deg: float) -> Lens:
-    """Return the lens with the circle's centre and radius, and with `full_angle_deg`.
+def circle_lens(lens: Lens, image_circle: Circle, source: Path | str = "circle") -> Lens:
+    """Return the lens with the circle's centre and radius; its mapping and pose do not change.
 
-    Its mapping and pose do not change.
+    source : the file, for errors. Raises InputError for a circle whose centre or radius differs
+    from that of `lens` by over 15 % of the radius.
     """
-    return replace(
-        lens,
-        centre_px=(round(image_circle.centre_px[0], 2), round(image_circle.centre_px[1], 2)),
-        radius_px=round(image_circle.radius_px, 2),
-        full_angle_deg=full_angle_deg,
+    (x, y), radius = image_circle.centre_px, image_circle.radius_px
+    change = max(
+        np.hypot(x - lens.centre_px[0], y - lens.centre_px[1]), abs(radius - lens.radius_px)
     )
+    if change > _MAX_CHANGE * lens.radius_px:
+        raise InputError(
+            source,
+            f"a circle around {x:.0f}, {y:.0f} px of radius {radius:.0f} px; the profile has "
+            f"{lens.centre_px[0]:.0f}, {lens.centre_px[1]:.0f} px and {lens.radius_px:.0f} px",
+            f"a circle within {100 * _MAX_CHANGE:.0f} % of the profile's radius",
+            f"{_PHOTOGRAPH}; if the profile's numbers are only a guess, first write numbers near "
+            "the new ones into it",
+        )
+    return replace(lens, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius, 2))
 
 
 def trimmed(lens: Lens, width_deg: float) -> Lens:

@@ -134,7 +134,7 @@ def _edge(
             f"lens: shifted by {right:+.2f}, {down:+.2f} px",
             {"shift_px": [right, down]},
         )
-    image_circle = lens_circle.circle(grey)
+    image_circle = lens_circle.circle(grey, sources[0])
     refit.draw(lambda: pictures.of_circle(grey, image_circle))
     radius_px, u_px = image_circle.radius_px, image_circle.u_px
     line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {u_px:.2f} px"
@@ -143,7 +143,7 @@ def _edge(
         "radius_px": image_circle.radius_px,
         "u_px": image_circle.u_px,
     }
-    return lens_circle.circle_lens(start, image_circle, start.full_angle_deg), line, figures
+    return lens_circle.circle_lens(start, image_circle, sources[0]), line, figures
 
 
 def _mapping(
