@@ -34,7 +34,6 @@ VERDICT_MODULES = (
     "plan/texts",
     "models/alignment",
     "calibrate/",
-    "campaign/drift",
 )
 LEAST_WORDS = 12  # of a verdict: shorter strings are labels or parts
 

@@ -1,19 +1,17 @@
-"""A campaign of rooms: independent, the broken one named, drift found, one table of all hours."""
+"""A campaign of rooms: independent, the broken one named, one page, one table of all hours."""
 
 import csv
 import json
 import shutil
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from learning_room import dataset, write_pairs
 
 from fieldlum.campaign import read_campaign, run_stage
-from fieldlum.campaign.drift import FEWEST, series
-from fieldlum.campaign.overview import RoomOverview, overview_of
+from fieldlum.campaign.overview import overview_of
 from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.models import read_config
@@ -21,9 +19,7 @@ from fieldlum.models.data import load_pairs
 from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Slot
 from fieldlum.scene_fit.scene_file import Scene, write_scene
 from fieldlum.session import create_session
-from fieldlum.session.files.predict_json import DirectionYear
 
-T0 = datetime(2027, 3, 1, 12, tzinfo=UTC)
 DATA = dataset(("2027-03-20", "2027-06-21"), height=8)
 
 
@@ -69,31 +65,6 @@ def test_a_stated_zero_is_not_replaced_by_common(tmp_path: Path) -> None:
 def test_a_wrong_campaign_file_is_one_line(tmp_path: Path, text: str, found: str) -> None:
     with pytest.raises(InputError, match=found):
         read_campaign(campaign_file(tmp_path, text))
-
-
-@pytest.mark.analytic
-def test_a_camera_that_drifts_is_told_from_clouds() -> None:
-    # analytic: 12 % from the first to the last capture, scatter 5 %: the slope's error is
-    # 5 sqrt(12 / 240) / 60 a day
-    rng = np.random.default_rng(0)
-    times = [T0 + timedelta(hours=6 * k) for k in range(240)]
-    days = np.array([(t - T0).total_seconds() / 86400 for t in times])
-    clouds = rng.normal(0.0, 5.0, len(times))
-    steady, moving = series("k", times, clouds), series("k", times, clouds + 12.0 * days / 60)
-    assert moving.drifts and moving.change == pytest.approx(12.0, abs=4.5)  # 4 standard errors
-    assert not steady.drifts
-    # five outliers of a factor of ten at the end move the robust line less than its interval
-    spoilt = clouds.copy()
-    spoilt[-5:] = 900.0
-    assert abs(series("k", times, spoilt).change - steady.change) < 2.5
-    # the interval comes from the scatter of days: equal captures of a day add nothing
-    hourly = [t + timedelta(minutes=k) for t in times[::4] for k in range(8)]
-    doubled = series("k", hourly, np.repeat(clouds[::4], 8))
-    single = series("k", times[::4], clouds[::4])
-    assert doubled.high - doubled.low == pytest.approx(single.high - single.low, rel=0.01)
-    few = series("k", times[: FEWEST - 1], clouds[: FEWEST - 1])
-    assert not few.drifts and np.isnan(few.change)
-    assert series("k", [], []).text == "–"
 
 
 @pytest.fixture
@@ -164,20 +135,6 @@ def test_a_room_is_trained_with_the_scene_of_its_session(three_rooms: Path, tmp_
     assert trained.scene is not None and trained.scene["chosen"] == "none"
 
 
-@pytest.mark.slow
-@pytest.mark.contract
-def test_a_sweep_scores_every_room_that_can_be_read(three_rooms: Path, tmp_path: Path) -> None:
-    words = ["campaign", "bench", str(three_rooms), "--models", "mean,nearest", "--seeds", "2"]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == 3, result.output
-    assert "missing failed: " in result.stderr and "no pairs.csv" in result.stderr
-    assert "broken failed: broken score mean 0: " in result.stderr
-    with (tmp_path / "campaign" / "sweep.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["room"], row["name"]) for row in rows] == [("good", "mean"), ("good", "nearest")]
-    assert "| good | nearest |" in result.stdout
-
-
 @pytest.mark.contract
 def test_the_command_exits_with_3_when_a_room_was_passed_over(tmp_path: Path) -> None:
     path = campaign_file(tmp_path, '[[room]]\nsession = "missing"\n')
@@ -186,21 +143,6 @@ def test_the_command_exits_with_3_when_a_room_was_passed_over(tmp_path: Path) ->
     assert result.stdout.startswith("missing failed: ") and "no session.toml" in result.stdout
     result = CliRunner().invoke(main, ["campaign", "report", str(path), "--table", "hours.txt"])
     assert result.exit_code == 2
-
-
-@pytest.mark.contract
-def test_parquet_without_pyarrow_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import sys
-
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    path = campaign_file(tmp_path, '[[room]]\nsession = "missing"\n')
-    table = str(tmp_path / "hours.parquet")
-    result = CliRunner().invoke(main, ["campaign", "report", str(path), "--table", table])
-    assert result.exit_code == 3 and "pip install '.[parquet]'" in result.output
-    # An error of the table must not hide which rooms were skipped, and why.
-    assert "skipped: missing: " in result.stderr and "no session.toml" in result.stderr
 
 
 @pytest.mark.slow
@@ -214,12 +156,3 @@ def test_a_room_without_a_session_is_planned(tmp_path: Path) -> None:
     first, again = (next(run_stage(read_campaign(path), "plan")).text for _ in range(2))
     assert "slots planned (4-day)" in first and "already planned" in again
     assert (tmp_path / "a" / "plan.csv").is_file()
-
-
-@pytest.mark.property
-def test_a_half_seen_direction_is_no_recommendation() -> None:
-    seen = DirectionYear(0.0, "medium", dgp_exceeded=0.36, low=0.35, high=0.37)
-    half = DirectionYear(90.0, "high", seen="partly", dgp_exceeded=0.20, low=0.20, high=0.80)
-    room = RoomOverview("office", protection=(half, seen))
-    assert room.best == seen
-    assert room.worst == seen

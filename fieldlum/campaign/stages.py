@@ -146,23 +146,12 @@ def _train(
     units = []
     for room in campaign.rooms:
         folder = campaign.session_folder(room)
-        if (failed := without_pairs(room, folder)) is not None:
-            yield failed
-            continue
+        names = ("session.toml", "pairs.csv", "scene/scene.toml")
+        files = tuple(name for name in names if (folder / name).is_file())
         job = _TrainJob(room.model, room.seed, room.budget_min)
-        scene = "scene/scene.toml"
-        files = ("session.toml", "pairs.csv", *([scene] if (folder / scene).is_file() else []))
         units.append(WorkUnit(room.session, train_room, folder, job, files=files))
     for outcome in run_units(units, scheduler, progress=progress):
         yield guarded(outcome.unit.name, outcome.result)
-
-
-def without_pairs(room: CampaignRoom, folder: Path) -> RoomResult | None:
-    """Return the failed result of a room without pairs.csv in its session `folder`, else None."""
-    if (folder / "pairs.csv").is_file():
-        return None
-    text = f"{folder}: no pairs.csv; run fieldlum campaign merge first"
-    return RoomResult(room.session, "failed", text)
 
 
 def train_room(folder: Path, job: _TrainJob) -> str:

@@ -10,13 +10,11 @@ import click
 from fieldlum.cli.options import (
     PATH,
     Decorator,
-    budget_option,
     force_option,
     json_option,
     out_option,
     scheduler_of,
     scheduler_option,
-    seeds_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.errors import InputError
@@ -99,80 +97,30 @@ _add_stage(
 )
 
 
-@command.command("bench")
-@campaign_argument
-@click.option(
-    "--models",
-    default="transport",
-    show_default=True,
-    help="Models as in fieldlum bench, separated by commas.",
-)
-@seeds_option
-@budget_option(5.0, "Minutes of training for each model and seed.")
-@scheduler_option
-@out_option("Folder of sweep.csv and sweep.md", default="campaign/ next to CAMPAIGN.toml")
-def bench_command(
-    campaign_file: Path,
-    models: str,
-    seeds: int,
-    budget: float,
-    scheduler_text: str,
-    out: Path | None,
-) -> None:
-    """Compare models and seeds on held-out days of every room.
-
-    \b
-    Example:
-      fieldlum campaign bench rooms/CAMPAIGN.toml --models transport,nearest --seeds 3
-    """
-    from fieldlum.campaign import read_campaign
-    from fieldlum.campaign.sweep import run_sweep
-
-    names = [name.strip() for name in models.split(",") if name.strip()]
-    with progress("campaign bench") as show:
-        failed, table = run_sweep(
-            read_campaign(campaign_file),
-            names,
-            out or campaign_file.parent / "campaign",
-            seeds=seeds,
-            budget_min=budget,
-            scheduler=scheduler_of(scheduler_text),
-            progress=show,
-        )
-    click.echo(table)
-    for result in failed:
-        say(f"{result.session} failed: {result.text}")
-    if failed:
-        raise SystemExit(InputError.exit_code)
-
-
 @command.command("report")
 @campaign_argument
 @out_option("Folder of the overview", default="campaign/ next to CAMPAIGN.toml")
 @click.option(
     "--table",
     type=PATH,
-    help="Also write all hourly figures: FILE.csv, or FILE.parquet (fieldlum[parquet]).",
+    help="Also write all hourly figures of all rooms, as FILE.csv.",
 )
 @json_option
 def report_command(
     campaign_file: Path, out: Path | None, table: Path | None, as_json: bool
 ) -> None:
-    """Write the overview: glare, drift, failed slots, next steps.
+    """Write the overview: glare, failed slots, next steps.
 
     \b
     Example:
       fieldlum campaign report rooms/CAMPAIGN.toml --table hours.csv
     """
     from fieldlum.campaign import read_campaign
-    from fieldlum.campaign.hour_table import write_csv, write_parquet
-    from fieldlum.campaign.overview import write_overview
+    from fieldlum.campaign.overview import write_hours, write_overview
     from fieldlum.records import counted
 
-    if table is not None and table.suffix.lower() not in (".csv", ".parquet"):
-        raise click.UsageError(
-            f"--table {table}: suffix '{table.suffix}'; name a .csv or a .parquet file"
-        )
+    if table is not None and table.suffix.lower() != ".csv":
+        raise click.UsageError(f"--table {table}: suffix '{table.suffix}'; name a .csv file")
     campaign = read_campaign(campaign_file)
     with progress("campaign report") as show:
         page, rooms = write_overview(
@@ -183,7 +131,7 @@ def report_command(
         say(f"skipped: {room.session}: {room.broken}")
     rows = None
     if table is not None:
-        rows = (write_parquet if table.suffix.lower() == ".parquet" else write_csv)(campaign, table)
+        rows = write_hours(campaign, table)
         say(f"{table}: {counted(rows, 'row')}")
     if as_json:
         names = [room.session for room in broken]
