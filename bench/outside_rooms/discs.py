@@ -49,6 +49,14 @@ def disc_counts(true_lx: Array, own_lx: Array, direct_lx: Array) -> dict[str, An
     }
 
 
+def own_disc_lx(asked: Truth) -> Array:
+    """Return the disc by the sky view, or by the stated room where fieldlum has no sky view yet."""
+    for name in ("own_disc_lx", "room_disc_lx"):
+        if (lux := getattr(asked, name, None)) is not None:
+            return lux
+    raise SystemExit("discs.py: this fieldlum guesses the disc from maps; state a [room]")
+
+
 def dgp(maps: Array, part: Dataset, asked: Truth, disc_lx: Array) -> Array:
     """Return the DGP [n, views] of maps with a sun's disc."""
     sun = part.light.shown_sun_direction
@@ -82,7 +90,7 @@ def main() -> None:
     fitted, _ = fit_timed(
         spec.name, data, patch=patch_mode(data, spec.patch), seed=0, budget_s=None
     )
-    own_lx = asked.own_disc_lx
+    own_lx = own_disc_lx(asked)
     counts = disc_counts(asked.data.disc_lx, own_lx, asked.data.light.direct_lx)
     print(json.dumps({**counts, **wrong_classes(fitted, asked, own_lx)}))
 

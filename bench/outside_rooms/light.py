@@ -374,9 +374,10 @@ class Renderer:
                 share = sunlight(self.world, self.place, start[facing], suns)
                 lit = facing[share > 0]
                 k = on[lit]
-                value = self.world.reflected(origin[k], view.rays[k], suns[share > 0])
-                value *= share[share > 0] * glass[lit] * hour.normal_lx
-                light = np.bincount(view.pixel[k], value, self.pixels).astype(np.float32)
+                if len(k):  # Dr.Jit stops the program at an empty array
+                    value = self.world.reflected(origin[k], view.rays[k], suns[share > 0])
+                    value *= share[share > 0] * glass[lit] * hour.normal_lx
+                    light = np.bincount(view.pixel[k], value, self.pixels).astype(np.float32)
             out.append(light)
         return out
 
