@@ -32,7 +32,7 @@ from fieldlum.demo import troubles_named
 from fieldlum.glare import glare_directions, view_azimuths_deg
 from fieldlum.models import fit
 from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.disc_in_view import stated_disc_lx
+from fieldlum.models.disc_in_view import disc_lx
 from fieldlum.models.scores import evaluate, summary, truth
 from fieldlum.profiles import shipped
 from fieldlum.records import Slot
@@ -218,7 +218,7 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     over = [
         int((_dgp(test, maps, disc) > 0.40).sum())
         for maps, disc in (
-            (predicted, stated_disc_lx(test.setup, test.light)),
+            (predicted, disc_lx(test.sky_view, test.setup, test.light)),
             (test.luminance_cdm2, None),
         )
     ]

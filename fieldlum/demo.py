@@ -12,7 +12,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,8 @@ from fieldlum.session.files.scores_json import TrainAnswer
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.simulate import Troubles
 from fieldlum.site_toml import load_site
+from fieldlum.sky_view import SkyView
+from fieldlum.sky_view.view import NAME as SKY_VIEW
 from fieldlum.weather import Weather
 
 MODEL = "auto"
@@ -194,7 +196,8 @@ def _troubled_figures(
     simulate.run(
         test, year, height=how.height, quality=how.quality, troubles=lasting, cache=session.truth
     )
-    scores = summary(evaluate(models.load(model), truth(load_pairs(test))))
+    hours = replace(load_pairs(test), sky_view=SkyView.find(model / SKY_VIEW))
+    scores = summary(evaluate(models.load(model), truth(hours)))
     return (
         (
             "its error",

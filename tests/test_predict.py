@@ -20,7 +20,6 @@ from fieldlum import models
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.glare import standards
-from fieldlum.models.disc_in_view import guessed_disc_lx
 from fieldlum.predict import Annual, read_annual, read_pictures, run
 from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import ModelRoom, blocks
@@ -242,17 +241,6 @@ def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> 
 @pytest.mark.contract
 def test_it_says_that_hourly_means_are_not_instants(year: Annual) -> None:
     assert any("one value of the weather" in note for note in year.about["notes"])
-
-
-@pytest.mark.analytic
-def test_the_disc_is_guessed_from_sky_in_its_pixel() -> None:
-    light = DATA.light[np.flatnonzero(DATA.light.sun_altitude_deg > 20)[:3]]
-    maps = np.full((3, 16, 32), 1.0, np.float32)
-    assert guessed_disc_lx(maps, light, DATA.heading_deg) == pytest.approx(0.0)
-    sky = np.array([light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(3)])
-    bright = np.ones_like(maps) * (0.6 * sky)[:, None, None].astype(np.float32)
-    seen = guessed_disc_lx(bright, light, DATA.heading_deg)
-    np.testing.assert_allclose(seen, 0.6 * light.direct_lx, rtol=1e-3)
 
 
 @pytest.mark.property

@@ -5,25 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from learning_room import SEATTLE, dataset, write_pairs
 
 import fieldlum
-from fieldlum import models, sun
+from fieldlum import models
 from fieldlum.cli import main
 from fieldlum.errors import InputError
-from fieldlum.light import light_at
 from fieldlum.models.baselines import fit_mean
 from fieldlum.models.data import Dataset
-from fieldlum.models.disc_in_view import drawn_discs_lx
 from fieldlum.predict.blocks import room_of
-from fieldlum.predict.checks import fitted_uncertainty
 from fieldlum.records import CameraSetup, Room, SiteFile, Window
-from fieldlum.scene import uncertainty_of_draws
-from fieldlum.scene.drawn_rooms import SEARCH_ANGLE_DEG, SEARCH_LENGTH_M, room_parameters
-from fieldlum.scene_fit.apply import in_scene, with_scene
+from fieldlum.scene.room_parameters import room_parameters
+from fieldlum.scene_fit.apply import in_scene
 from fieldlum.scene_fit.scene_file import Scene, read_scene, write_scene
 
 ROOM = Room(
@@ -50,43 +45,13 @@ def _scene(room: Room, draws: dict[str, tuple[float, ...]]) -> Scene:
     return Scene(1.0, 0.0, turned, "fitted", "tested", 180.0, room, room_draws=draws)
 
 
-@pytest.mark.analytic
-def test_draws_give_their_covariance_across_north() -> None:
-    draws = _draws(ROOM, (2.3, 2.4, 2.5))
-    draws["wall_azimuth_deg"] = (359.9, 0.1, 0.3)
-    draws["of another room"] = (1.0, 2.0, 3.0)
-    known = uncertainty_of_draws(ROOM, draws)
-    u = dict(zip(known.names, np.sqrt(np.diag(known.covariance)), strict=True))
-    assert u["camera_x_m"] == pytest.approx(np.hypot(0.1, SEARCH_LENGTH_M))
-    assert u["wall_azimuth_deg"] == pytest.approx(np.hypot(0.2, SEARCH_ANGLE_DEG))
-    assert u["window.0.left_m"] == pytest.approx(SEARCH_LENGTH_M)
-    assert "window.0.transom_m" not in known.names and "of another room" not in known.names
-    pair = [known.names.index(name) for name in ("camera_x_m", "wall_azimuth_deg")]
-    assert known.covariance[*pair] == pytest.approx(0.1 * 0.2)
-
-
-@pytest.mark.property
-def test_a_fitted_room_has_narrower_discs_than_a_stated_one() -> None:
-    room = replace(ROOM, wall_azimuth_deg=180.0)
-    setup = replace(SETUP, room=room)
-    hours = dataset(DAYS).light.t_utc
-    clear = sun.clearsky(hours, SEATTLE)
-    light = light_at(hours, SEATTLE, clear.dni_wm2, clear.dhi_wm2)
-    fitted = uncertainty_of_draws(room, _draws(room, (2.39, 2.4, 2.41)))
-    rng = np.random.default_rng(0)
-    narrow = drawn_discs_lx(setup, light, rng, uncertainty=fitted)
-    wide = drawn_discs_lx(setup, light, rng)
-    assert narrow is not None and wide is not None
-    assert narrow.std(axis=0).sum() < 0.5 * wide.std(axis=0).sum()
-
-
 def _captures(room: Room) -> Dataset:
     data = dataset(DAYS)
     return replace(data, patch_cdm2=None, setup=replace(SETUP, room=room))
 
 
 @pytest.mark.contract
-def test_the_fitted_room_and_its_uncertainty_reach_the_prediction(tmp_path: Path) -> None:
+def test_the_fitted_room_reaches_the_prediction(tmp_path: Path) -> None:
     room = replace(ROOM, wall_azimuth_deg=180.0)
     scene = _scene(room, _draws(room, (2.4, 2.5, 2.6)))
     write_scene(tmp_path / "scene", scene)
@@ -98,14 +63,7 @@ def test_the_fitted_room_and_its_uncertainty_reach_the_prediction(tmp_path: Path
     config = models.read_config(tmp_path / "model")
     made_with = room_of(config, tmp_path / "model")
     assert made_with.setup.room == scene.room
-    known = fitted_uncertainty(config, made_with)
-    assert known is not None and "camera_x_m" in known.names
     assert made_with.heading_deg == pytest.approx(181.0)
-    # The stated room keeps the uncertainty of a tape measure.
-    stated = with_scene(captures, replace(scene, chosen="stated"))
-    models.save(tmp_path / "stated", fit_mean(stated), stated, patch=patch)
-    config = models.read_config(tmp_path / "stated")
-    assert fitted_uncertainty(config, room_of(config, tmp_path / "stated")) is None
 
 
 @pytest.mark.slow

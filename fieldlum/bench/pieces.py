@@ -20,7 +20,7 @@ from fieldlum.bench.cost import radiance_row
 from fieldlum.bench.rows import Spec, parse_specs, score_row, without_training_hours
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS
-from fieldlum.models.data import Dataset, load_pairs
+from fieldlum.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.models.scores import Truth, truth
 from fieldlum.records import Progress, counted, quiet
 from fieldlum.scene_fit.apply import in_scene
@@ -37,7 +37,8 @@ class BenchFiles:
 
     pairs, test, pool: sessions or csv files with the hours to train on, to test on, and to draw
     seasons from. models: names, or folders of trained models. site: SITE.toml. scene: "", "none" or
-    the folder of a scene, as in the option --scene.
+    the folder of a scene, as in the option --scene. sky_view: a sky_view.exr, "" for that of the
+    pairs.
     """
 
     folder: Path
@@ -47,6 +48,7 @@ class BenchFiles:
     pool: str = ""
     site: str = ""
     scene: str = ""
+    sky_view: str = ""
 
     def hashed(self) -> tuple[str, ...]:
         """Return the pairs.csv files that a worker must have with the same content.
@@ -66,12 +68,14 @@ def bench_files(
     pool: Path | None = None,
     site: Path | None = None,
     scene: str = "",
+    sky_view: Path | None = None,
 ) -> BenchFiles:
     """Return the files of a benchmark, relative to the deepest folder that contains all of them."""
     texts = [text.strip() for text in models if text.strip()]
     trained = [Path(text) for text in texts if (Path(text) / "config.json").is_file()]
     scene_folder = Path(scene) if scene not in ("", "none") else None
-    paths = [p for p in (pairs, test, pool, site, scene_folder, *trained) if p is not None]
+    stated = (pairs, test, pool, site, scene_folder, sky_view, *trained)
+    paths = [p for p in stated if p is not None]
     full = [path.resolve() for path in paths]
     common = os.path.commonpath([p if p.is_dir() else p.parent for p in full])
     shown = os.path.relpath(common)  # tables name the pairs as the user stated them
@@ -88,6 +92,7 @@ def bench_files(
         name(pool),
         name(site),
         name(scene_folder) if scene_folder is not None else scene,
+        name(sky_view),
     )
 
 
@@ -130,11 +135,13 @@ def load(files: BenchFiles, progress: Progress = quiet) -> BenchData:
     pairs = at / files.pairs
     captures = load_pairs(pairs, site, progress=progress)
     data, _ = training_captures(captures, pairs, scene, "absolute", progress=progress)
+    data = with_sky_view(data, at / files.sky_view if files.sky_view else None, progress=progress)
 
     def read(name: str) -> Dataset:
         others = load_pairs(at / name, site, progress=progress)
         others, _ = in_scene(others, pairs, scene, "absolute", progress=progress)
-        return with_same_box(others, data, progress=progress)
+        others = with_same_box(others, data, progress=progress)
+        return replace(others, sky_view=data.sky_view)
 
     test = read(files.test) if files.test else None
     pool = read(files.pool) if files.pool else None

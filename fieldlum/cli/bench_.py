@@ -19,6 +19,7 @@ from fieldlum.cli.options import (
     scheduler_option,
     seeds_option,
     site_option,
+    sky_view_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.model_registry import MODELS
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     help="Number of hours to render with Radiance, to compare the cost; needs a [room].",
 )
 @scene_option
+@sky_view_option
 @scheduler_option
 @out_option("Folder of tables and charts", required=True)
 @json_option
@@ -68,6 +70,7 @@ def command(
     stress: bool,
     render: int,
     scene: str,
+    sky_view: Path | None,
     scheduler_text: str,
     out: Path,
     as_json: bool,
@@ -88,7 +91,15 @@ def command(
     from fieldlum.bench.pieces import bench_files, load
 
     scheduler = scheduler_of(scheduler_text)
-    files = bench_files(pairs, models.split(","), test=test, pool=pool, site=site, scene=scene)
+    files = bench_files(
+        pairs,
+        models.split(","),
+        test=test,
+        pool=pool,
+        site=site,
+        scene=scene,
+        sky_view=sky_view,
+    )
     with progress("reading pictures") as show:
         loaded = load(files, show)
     for note in loaded.data.notes:

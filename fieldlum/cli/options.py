@@ -158,6 +158,14 @@ scene_option = click.option(
     "exists]",
 )
 
+sky_view_option = click.option(
+    "--sky-view",
+    type=FILE_PATH,
+    metavar="FILE",
+    help="sky_view.exr that decides when the sun's disc is seen. [default: that of the session, "
+    "else estimated from the panoramas]",
+)
+
 
 def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:
     """Return the click option --out; its help is `content` "to write", such as "Plan to write"."""

@@ -17,6 +17,7 @@ from fieldlum.cli.options import (
     out_option,
     scene_option,
     site_option,
+    sky_view_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.model_registry import MODELS
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     "--seed", default=0, show_default=True, help="Seed of all random numbers in training."
 )
 @scene_option
+@sky_view_option
 @out_option("Model folder", default="models/MODEL in the folder of the pairs")
 @force_option
 @json_option
@@ -58,6 +60,7 @@ def command(
     budget: float,
     seed: int,
     scene: str,
+    sky_view: Path | None,
     out: Path | None,
     force: bool,
     as_json: bool,
@@ -75,7 +78,7 @@ def command(
       fieldlum train my-session --budget 10
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
     """
-    from fieldlum.models.data import load_pairs
+    from fieldlum.models.data import load_pairs, with_sky_view
     from fieldlum.models.pairs_bucket import read_pairs
     from fieldlum.scene_fit.stated_box import training_captures
     from fieldlum.train import default_folder, run
@@ -94,6 +97,7 @@ def command(
             read_pairs(pairs) if isinstance(pairs, str) else load_pairs(pairs, site, progress=show)
         )
         data, patch = training_captures(data, place, scene, patch, progress=show)
+        data = with_sky_view(data, sky_view, progress=show)
     pixels = data.shape[0] * data.shape[1]
     say_if(estimate_text(train_s(model, len(data), pixels, budget)))
     with progress("training") as show:

@@ -25,6 +25,7 @@ from fieldlum.models.mirrors import arrays_of, table_of
 from fieldlum.session import replacing
 from fieldlum.session.files.arrays_npz import NPZ_ERRORS, read_arrays
 from fieldlum.session.files.model_config import ModelConfig, write_config
+from fieldlum.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def fit(name: str, data: Dataset, **options: Any) -> Fitted:
 def save(
     folder: Path, fitted: Fitted, data: Dataset, *, mirrors: Sequence[Mirror] = (), **more: Any
 ) -> None:
-    """Write weights.npz, then config.json, each atomically, into a folder.
+    """Write weights.npz, sky_view.exr, then config.json, each atomically, into a folder.
 
     data: the training data; config.json describes them, and weights.npz has their seen pixels.
     mirrors: plane mirrors of the sun. more: further keys of config.json.
@@ -145,6 +146,10 @@ def save(
         **more,
         **state.config,
     }
+    if data.sky_view is not None:
+        data.sky_view.write(folder / SKY_VIEW)
+    else:
+        (folder / SKY_VIEW).unlink(missing_ok=True)
     write_config(folder, table)
 
 

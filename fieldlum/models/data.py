@@ -19,7 +19,7 @@ from fieldlum.models.pair_pictures import fill_gaps, read_pictures
 from fieldlum.models.teaching import joined_counts
 from fieldlum.models.turns_by_light import DirectLight
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Progress, SiteFile, counted, quiet, slot_id
+from fieldlum.records import Panorama, Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.alignment_csv import alignment_path
@@ -27,6 +27,15 @@ from fieldlum.session.files.model_config import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.provenance import data_digest
 from fieldlum.site_toml import load_site, site_table
+from fieldlum.sky_view import (
+    Captured,
+    SkyPicture,
+    SkyView,
+    cut_panorama,
+    estimate,
+    usual_rows,
+)
+from fieldlum.sky_view.view import NAME as SKY_VIEW
 
 _NAMED = 3  # number of slots that a note names; chosen
 
@@ -43,7 +52,8 @@ class Dataset:
     pixels that the camera saw [H, W]; steadiness: range of the irradiance during the bracket over
     its mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user;
     counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
-    fitted scene, None without one.
+    fitted scene, None without one; sky_view: where the camera sees the sky, None if it was not
+    estimated (`with_sky_view`).
     """
 
     light: Light
@@ -60,6 +70,7 @@ class Dataset:
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
     scene: UsedScene | None = None
+    sky_view: SkyView | None = field(default=None, metadata={"digest": False})
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -76,7 +87,7 @@ class Dataset:
         return weights / weights[self.seen].mean()
 
     def digest(self) -> str:
-        """Return the SHA-256 of all fields except `source`, in hex."""
+        """Return the SHA-256 of all fields except `source` and `sky_view`, in hex."""
         return data_digest(replace(self, source=""))
 
     def take(self, index: Array | Sequence[int]) -> Dataset:
@@ -216,6 +227,30 @@ def load_pairs(
     return _assemble(path, rows, setup, notes, progress)
 
 
+def with_sky_view(
+    data: Dataset, file: Path | None = None, *, progress: Progress = quiet
+) -> Dataset:
+    """Return the captures with a sky view: of `file`, else their own, else from their maps.
+
+    Captures with blinds or snow are not used for it, unless all have the same. Raises InputError
+    for a file that is not a sky view.
+    """
+    if file is not None:
+        return replace(data, sky_view=SkyView.read(file))
+    if data.sky_view is not None:
+        return data
+    light = data.light
+    measured = data.disc_lx / np.maximum(light.direct_lx, 1.0)
+
+    def read(k: int) -> SkyPicture:
+        shown = np.where(data.seen, data.luminance_cdm2[k], np.nan)
+        return cut_panorama(Panorama(shown, data.heading_deg, t_utc=light.t_utc[k]))
+
+    captured = Captured(light, read, measured)
+    usual = usual_rows(light.states, len(light))
+    return replace(data, sky_view=estimate(captured.take(usual), progress=progress))
+
+
 def _assemble(
     path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
 ) -> Dataset:
@@ -278,6 +313,7 @@ def _assemble(
         source=str(path),
         notes=tuple(notes),
         counts=counts,
+        sky_view=SkyView.find(path.parent / SKY_VIEW),
     )
     return data if turns.aligned.all() else data.take(turns.aligned)
 

@@ -1,8 +1,7 @@
 """Compare predicted maps with the truth, as Liu, Colburn and Inanici (2020), and by solid angle.
 
 Luminance errors and `dgp_mse` use the true sun disc in truth and prediction, so they judge only the
-map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from the stated room,
-or, without a room, guessed from the map.
+map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from the sky view.
 
 That paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
 e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
@@ -25,7 +24,7 @@ from fieldlum.glare.contrast import RAMMG_LEVELS, contrast_levels
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
 from fieldlum.models import Fitted, Prediction, trusted_hours
 from fieldlum.models.data import Dataset
-from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
+from fieldlum.models.disc_in_view import disc_lx
 from fieldlum.records import Progress, quiet
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreFigures
@@ -51,8 +50,8 @@ class Scores:
     squared and absolute error of DGP, of true DGP and of its square; rammg_error: RAMMG
     predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
     expected; trusted: whether the model trusts the hour; slots: names of the hours. dgp_mse has
-    the true sun's disc in the prediction; dgp_mse_own_disc the disc by the stated room, as a
-    user gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
+    the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
+    gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
     pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting, by the
     clock and by the processor. maps: those whose glare was computed, if `evaluate` has
     keep_maps, otherwise None.
@@ -110,7 +109,7 @@ class Truth:
     data: n test captures; weights: of the pixels, by solid angle [H, W]; views: ten view
     directions; glare_maps: mask [n] of the maps for which glare is computed; dgp: true DGP of the
     views [n, 10]; contrast: true contrast [n, levels], whose mean is RAMMG (both NaN where not
-    computed); room_disc_lx: the sun disc's illuminance by the stated room [n], None without a room.
+    computed); own_disc_lx: the sun disc's illuminance by the sky view [n], None without glare.
     """
 
     data: Dataset
@@ -119,14 +118,14 @@ class Truth:
     glare_maps: Mask
     dgp: Floats
     contrast: Floats
-    room_disc_lx: Floats | None = None
+    own_disc_lx: Floats | None = None
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
     """Compute what `evaluate` needs of a test set and what does not depend on the model.
 
     glare: also compute DGP and contrast of at most 150 true maps, spread evenly over `data`, and
-    the sun discs by the stated room; if False, glare is scored for no map.
+    the sun discs by the sky view; if False, glare is scored for no map.
     """
     n = len(data)
     asked = np.zeros(n, bool)
@@ -138,8 +137,8 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         part = data.take(rows)
         dgp[rows] = _glare(part.luminance_cdm2, part, views)["dgp"]
         contrast[rows] = _contrast(part.luminance_cdm2, part)
-    room_disc = stated_disc_lx(data.setup, data.light) if glare else None
-    return Truth(data, data.weights, views, asked, dgp, contrast, room_disc)
+    own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
+    return Truth(data, data.weights, views, asked, dgp, contrast, own_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -238,11 +237,8 @@ def _glare_errors(
     some, maps = part.take(asked), prediction.luminance_cdm2[asked]
     glare = _glare(maps, some, test.views)
     difference = glare["dgp"] - test.dgp[rows[asked]]
-    own_lx = (
-        guessed_disc_lx(maps, some.light, some.heading_deg)
-        if test.room_disc_lx is None
-        else test.room_disc_lx[rows[asked]]
-    )
+    assert test.own_disc_lx is not None
+    own_lx = test.own_disc_lx[rows[asked]]
     in_use = dgp_with_disc(glare, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
     scores.dgp_mse_own_disc[asked] = ((in_use - test.dgp[rows[asked]]) ** 2).mean(axis=1)
     scores.dgp_mse[asked] = (difference**2).mean(axis=1)

@@ -12,12 +12,14 @@ from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.models import Fitted, Prediction, seen_of, trusted_hours
-from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
+from fieldlum.models.disc_in_view import disc_lx, disc_source
 from fieldlum.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.records import Progress, SiteFile, quiet
 from fieldlum.scene import iter_sun_patches
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.site_toml import site_from_table
+from fieldlum.sky_view import SkyView
+from fieldlum.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sun_disc import add_source
 
 BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
@@ -67,7 +69,8 @@ class ModelRoom:
     """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
     heading_deg: azimuth of the maps' centre column, clockwise from true north; needs_patch: whether
-    the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw.
+    the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw; sky_view: of
+    the model's captures.
     """
 
     setup: SiteFile
@@ -78,15 +81,12 @@ class ModelRoom:
     # [H, W]; None if all pixels were seen, or for a model of 0.1.0
     seen: Mask | None = None
     mirrors: tuple[Mirror, ...] = ()
+    sky_view: SkyView | None = None  # None for a model of an earlier version
 
     @property
     def disc_from(self) -> str:
-        """Text on whether the disc's visibility is from the room's geometry or guessed."""
-        return (
-            "the room's geometry"
-            if self.setup.room
-            else "guessed: by whether the map shows sky at the sun's position"
-        )
+        """Text on how the disc's visibility is known."""
+        return disc_source(self.sky_view, self.setup)
 
 
 def wants_patch(config: ModelConfig) -> bool:
@@ -130,7 +130,8 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     if seen_mask is not None and seen_mask.shape != (height, width):
         seen_mask = None  # `blocks` rejects the maps of such a model
     mirrors = read_mirrors(folder, config)
-    return ModelRoom(setup, height, width, heading, wants_patch(config), seen_mask, mirrors)
+    view = SkyView.find(folder / SKY_VIEW)
+    return ModelRoom(setup, height, width, heading, wants_patch(config), seen_mask, mirrors, view)
 
 
 def blocks(
@@ -142,7 +143,8 @@ def blocks(
     for luminances that are not finite.
     """
     count = len(light)
-    for patch, known_disc_lx, rows in _patches(room, light):
+    disc = disc_lx(room.sky_view, room.setup, light)  # [n]
+    for patch, rows in _patches(room, light):
         part = light[np.arange(rows.start, rows.stop)]
         prediction = fitted.predict(part, patch if room.needs_patch else None)
         maps = prediction.luminance_cdm2
@@ -158,29 +160,17 @@ def blocks(
             raise FloatingPointError(
                 f"hours {rows.start} to {rows.stop - 1}: predicted values that are not finite"
             )
-        disc = known_disc_lx
-        if disc is None:
-            disc = guessed_disc_lx(maps, part, room.heading_deg)
         progress(rows.stop, count, "hours predicted")
         images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
-        yield HourBlock(rows, part, prediction, disc, images)
+        yield HourBlock(rows, part, prediction, disc[rows], images)
 
 
-def _patches(
-    room: ModelRoom, light: Light
-) -> Iterator[tuple[Floats32 | None, Floats | None, slice]]:
-    """Yield the sun patches, the visible disc [lx], and the rows of each block.
-
-    Patches are None if the model needs none, discs are None without a known room.
-    """
+def _patches(room: ModelRoom, light: Light) -> Iterator[tuple[Floats32 | None, slice]]:
+    """Yield the sun patches (None if the model needs none) and the rows of each block."""
     count, space = len(light), room.setup.room
     starts = [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
-    if space is None:
-        yield from ((None, None, rows) for rows in starts)
-    elif not room.needs_patch and space.kind == "box":
-        disc = stated_disc_lx(room.setup, light)
-        assert disc is not None
-        yield from ((None, disc[rows], rows) for rows in starts)
+    if space is None or not room.needs_patch:
+        yield from ((None, rows) for rows in starts)
     else:
         patches = iter_sun_patches(
             space,
@@ -192,4 +182,4 @@ def _patches(
             chunk=BLOCK,
         )
         for part, rows in zip(patches, starts, strict=True):
-            yield part.luminance_cdm2, part.disc_lx, rows
+            yield part.luminance_cdm2, rows

@@ -13,11 +13,11 @@ from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.maps_bucket import is_complete
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.projection import signed_angle_deg
-from fieldlum.scene import RoomUncertainty, uncertainty_of_draws
 from fieldlum.session import open_session, sha256
-from fieldlum.session.files.model_config import ModelConfig, UsedScene
+from fieldlum.session.files.model_config import UsedScene
 from fieldlum.session.provenance import made_from
 from fieldlum.site_toml import site_table
+from fieldlum.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
 from fieldlum.weather import SYNTHETIC
 
@@ -96,17 +96,6 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
             )
 
 
-def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
-    """Return the uncertainty of a fitted room, from the random draws stored by its scene fit.
-
-    None without a room or without such draws: then use the uncertainty of a tape measure.
-    """
-    draws = config.scene.get("room_draws") if config.scene else None
-    if not draws or room.setup.room is None:
-        return None
-    return uncertainty_of_draws(room.setup.room, draws)
-
-
 def _changes(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> tuple[str, str] | None:
     """Return the first difference of camera and room between model and session; None if equal.
 
@@ -139,11 +128,12 @@ def inputs_of(
         raise InputError(
             weather, "no such file", "a weather file, or the word synthetic", "check the path"
         )
-    weights = model / "weights.npz"
+    weights, view = model / "weights.npz", model / SKY_VIEW
     return {
         "model": model.resolve().name,
         "model_sha256": sha256(model / "config.json"),
         "weights_sha256": sha256(weights) if weights.is_file() else "",
+        "sky_view_sha256": sha256(view) if view.is_file() else "",
         "weather": weather.name,
         "weather_sha256": "" if synthetic else sha256(weather),
         **({"label_shift_min": label_shift_min} if label_shift_min else {}),

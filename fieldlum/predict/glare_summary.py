@@ -188,7 +188,7 @@ def _unseen_notes(protection: Protection) -> list[str]:
 
 
 def _disc_note(annual: Annual) -> list[str]:
-    """Return a note if the room is often too uncertain to decide whether the sun is seen.
+    """Return a note if it is often undecided whether the sun is seen.
 
     The list is empty if this is rare.
     """
@@ -202,8 +202,9 @@ def _disc_note(annual: Annual) -> list[str]:
         return []
     return [
         f"In {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
-        f"wider than {_WIDE_DGP:g} in some direction: often the room is too uncertain to decide "
-        f"whether the sun's disc is seen; measure the window, its bars and the camera's position."
+        f"wider than {_WIDE_DGP:g} in some direction: often the sky view does not decide whether "
+        f"the sun's disc is seen; capture clear hours with the sun in a window, which also "
+        f"give the camera's heading."
     ]
 
 
@@ -215,11 +216,7 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
         )
     if weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
-    if not room.setup.room:
-        notes.append(
-            "the site has no [room]: the sun's disc counts as in view if the predicted map shows "
-            "sky at the sun's position"
-        )
+    notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
     if untrusted > NOISY_TRUST:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         notes.append(

@@ -17,12 +17,12 @@ from fieldlum.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
 from fieldlum.glare.unseen import ViewCoverage, view_coverage
 from fieldlum.light import Light
 from fieldlum.models import Fitted, load, read_config
-from fieldlum.models.disc_in_view import guessed_disc_lx
 from fieldlum.predict.block_figures import hour_figures, unseen_bounds, view_figures
 from fieldlum.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
 from fieldlum.predict.maps import write_maps
 from fieldlum.scheduler import WorkUnit
 from fieldlum.session import sha256
+from fieldlum.sky_view.view import NAME as SKY_VIEW
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,7 @@ class _HoursJob:
     start: int
     light: Light  # of the block
     azimuths_deg: tuple[float, ...]
-    discs_lx: Floats | None  # [k, n]
-    turns_deg: Floats  # [k, 2]
+    discs_lx: Floats  # [k, n]
     maps: str
 
 
@@ -48,8 +47,8 @@ class HourFigures:
 
     rows: index in the year of the first hour, from 0, and of the hour after the last; hours: as
     `hour_figures` returns them, [n] each; views: as `view_figures`, [n, d] each; least, most:
-    bounds of DGP by unseen parts of the view [n, d]; drawn: DGP with the sun's disc as k randomly
-    drawn rooms show it [k, n, d].
+    bounds of DGP by unseen parts of the view [n, d]; drawn: DGP with the sun's disc as k random
+    draws of its visibility show it [k, n, d].
     """
 
     rows: tuple[int, int]
@@ -73,15 +72,13 @@ def hour_units(
     model_folder: Path,
     light: Light,
     azimuths_deg: Sequence[float] | Floats,
-    discs_lx: Floats | None,
-    turns_deg: Floats,
+    discs_lx: Floats,
     maps: str,
 ) -> list[WorkUnit]:
     """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
 
     azimuths_deg: view directions, clockwise from true north; discs_lx: illuminance of the sun's
-    disc in k randomly drawn rooms [k, n], None without a room; turns_deg: k random shifts of the
-    sun in azimuth and altitude, used only without a room [k, 2]; maps: folder or URL of the Zarr
+    disc in k random draws of its visibility [k, n]; maps: folder or URL of the Zarr
     store of maps, "" to write none.
     """
     model = model_folder.resolve()
@@ -90,7 +87,7 @@ def hour_units(
     name = model.relative_to(folder).as_posix()
     inputs = tuple(
         (f"{name}/{file}", sha256(model / file))
-        for file in ("config.json", "weights.npz")
+        for file in ("config.json", "weights.npz", SKY_VIEW)
         if (model / file).is_file()
     )
     digest = " ".join(text for _, text in inputs)
@@ -99,8 +96,7 @@ def hour_units(
     units = []
     for start in range(0, len(light), BLOCK):
         rows = slice(start, min(start + BLOCK, len(light)))
-        discs = None if discs_lx is None else discs_lx[:, rows]
-        job = _HoursJob(name, digest, start, light[rows], azimuths, discs, turns_deg, where)
+        job = _HoursJob(name, digest, start, light[rows], azimuths, discs_lx[:, rows], where)
         text = f"hours-{rows.start}-{rows.stop}"
         units.append(WorkUnit(text, predict_hours, folder, job, recorded=inputs))
     return units
@@ -116,10 +112,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     (block,) = blocks(ready.fitted, room, job.light)
     figures = view_figures(block, room, ready.views, ready.regions)
     least, most = unseen_bounds(block, room, ready.coverage, figures)
-    maps = block.prediction.luminance_cdm2
     discs = job.discs_lx
-    if discs is None:
-        discs = guessed_disc_lx(maps, block.light, room.heading_deg, job.turns_deg)
     per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)
     drawn = dgp_with_disc(figures, per_lx, discs, drawn_images(block, ready.views, len(discs)))
     if job.maps:

@@ -15,7 +15,7 @@ from fieldlum.glare.standards import GlareDoubt, disturbed_share
 from fieldlum.glare.unseen import view_coverage
 from fieldlum.light import Light, light_at
 from fieldlum.models import load, read_config
-from fieldlum.models.disc_in_view import DRAWN_ROOMS, EDGE_SD_DEG, drawn_discs_lx
+from fieldlum.models.disc_in_view import drawn_discs_lx
 from fieldlum.predict.annual import Annual, write_pictures
 from fieldlum.predict.blocks import ModelRoom, room_of
 from fieldlum.predict.checks import (
@@ -23,7 +23,6 @@ from fieldlum.predict.checks import (
     check_session,
     default_folder,
     delete_earlier_year,
-    fitted_uncertainty,
     inputs_of,
 )
 from fieldlum.predict.glare_summary import judge, poor, summary_of_year
@@ -34,7 +33,6 @@ from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_o
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
-from fieldlum.scene import RoomUncertainty
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session import check_writable
 from fieldlum.session.bucket import check_url
@@ -113,7 +111,6 @@ def run(
         light,
         azimuths,
         folder,
-        uncertainty=fitted_uncertainty(config, room),
         none_trusted=poor(config),
         maps=maps,
         bucket=BucketMapStore(maps_to, inputs, folder / ".maps.zarr.tmp") if maps_to else None,
@@ -169,7 +166,6 @@ def measure(
     azimuths_deg: Floats,
     folder: Path,
     *,
-    uncertainty: RoomUncertainty | None = None,
     none_trusted: bool = False,
     maps: bool = False,
     bucket: BucketMapStore | None = None,
@@ -180,12 +176,12 @@ def measure(
     """Predict every hour, and return the figures, the doubt about unseen parts, and u of the maps.
 
     The first result has an empty `summary`, `occupied` 0, and NaN in directions of which lenses saw
-    less than half. The second is the range of DGP due to the sun's disc (drawn rooms) and to unseen
-    parts of views. The third is the standard uncertainty of DGP due to the maps, [n, d]; `u_dgp` of
+    less than half. The second is the range of DGP due to the sun's disc and to unseen parts of
+    views. The third is the standard uncertainty of DGP due to the maps, [n, d]; `u_dgp` of
     the first includes the disc, too.
 
     none_trusted: mark no hour as trusted, because `train` warned of the model's single maps.
-    uncertainty: of a fitted room; None: of a tape measure. The maps are written to maps.zarr in
+    The maps are written to maps.zarr in
     `folder` with `maps`, or to `bucket`.
     """
     count, d = len(light), len(azimuths_deg)
@@ -195,9 +191,8 @@ def measure(
     hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
     figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
     rng = np.random.default_rng([seed, 2])
-    discs_lx = drawn_discs_lx(room.setup, light, rng, uncertainty=uncertainty)  # [k, n]
-    turns_deg = rng.normal(0.0, EDGE_SD_DEG, (DRAWN_ROOMS, 2))
-    drawn = np.empty((DRAWN_ROOMS, count, d), np.float32)
+    discs_lx = drawn_discs_lx(room.sky_view, room.setup, light, rng)  # [k, n]
+    drawn = np.empty((len(discs_lx), count, d), np.float32)
     least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
     folder.mkdir(parents=True, exist_ok=True)
     store: MapStore | None = bucket
@@ -205,9 +200,7 @@ def measure(
         store = FolderMapStore(folder / "maps.zarr")
     if store is not None:
         store.create(light.t_utc, room, room.setup.site.name)
-    units = hour_units(
-        model_folder, light, azimuths_deg, discs_lx, turns_deg, store.target if store else ""
-    )
+    units = hour_units(model_folder, light, azimuths_deg, discs_lx, store.target if store else "")
 
     def take(outcome: UnitOutcome) -> None:
         block: HourFigures = outcome.result()

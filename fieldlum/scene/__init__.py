@@ -3,13 +3,6 @@
 Export rooms to Radiance.
 """
 
-from fieldlum.scene.drawn_rooms import (
-    RoomUncertainty,
-    draw_rooms,
-    drawn_disc_shares,
-    stated_uncertainty,
-    uncertainty_of_draws,
-)
 from fieldlum.scene.geometry import build
 from fieldlum.scene.patches import disc_visibility, iter_sun_patches, sun_patches, window_fraction
 from fieldlum.scene.view import look

@@ -31,6 +31,7 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
         light=earlier(data.light, clock_min, data),
         heading_deg=(data.heading_deg + north_deg) % 360.0,
         setup=replace(data.setup, camera=camera, room=room),
+        sky_view=None if data.sky_view is None else data.sky_view.turned(north_deg),
     )
 
 

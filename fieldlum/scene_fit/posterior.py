@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.records import Room
-from fieldlum.scene.drawn_rooms import room_parameters
+from fieldlum.scene.room_parameters import room_parameters
 from fieldlum.scene_fit.guess import Guess, room_of
 from fieldlum.scene_fit.search import Objective, pattern_search
 
@@ -23,8 +23,8 @@ class Posterior:
     """Result of the repeated searches.
 
     u: standard uncertainty of each parameter, by name, in its unit. room_draws: by name of
-    `fieldlum.scene.drawn_rooms.room_parameters`, the value that each search found [6]; the walls'
-    azimuth is relative to true north.
+    `fieldlum.scene.room_parameters.room_parameters`, the value that each search found [6]; the
+    walls' azimuth is relative to true north.
     """
 
     u: dict[str, float]

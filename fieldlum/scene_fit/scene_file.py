@@ -30,7 +30,7 @@ class Scene:
     by the model trained with the chosen geometry; None: unknown. stated_heading_deg, stated_room:
     the start of the fit. A scene is used only with captures that state the same, otherwise a
     correction would be applied twice. room_draws: the numbers of the room in repeated searches, by
-    the names of `scene.drawn_rooms.room_parameters`.
+    the names of `scene.room_parameters.room_parameters`.
     """
 
     north_deg: float

@@ -41,7 +41,10 @@ def digest(value: object) -> str:
 
 
 def data_digest(*values: object) -> str:
-    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists."""
+    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists.
+
+    Fields of a dataclass with `digest` False in their metadata do not count.
+    """
     total = hashlib.sha256()
     for value in values:
         _feed(total, value)
@@ -55,7 +58,8 @@ def _feed(total: Any, value: object) -> None:
     elif is_dataclass(value):
         total.update(type(value).__name__.encode())
         for field in fields(value):
-            _feed(total, getattr(value, field.name))
+            if field.metadata.get("digest", True):
+                _feed(total, getattr(value, field.name))
     elif isinstance(value, dict):
         for key in sorted(value, key=str):
             total.update(f"{key}:".encode())

@@ -1,5 +1,7 @@
 """Estimate where the camera sees the sky, and how much of the sun's beam arrives from there."""
 
+from fieldlum.sky_view.disc import DRAWS, DiscOfHours, disc_of_hours, drawn_shares
+from fieldlum.sky_view.estimate import Captured, estimate, usual_rows
 from fieldlum.sky_view.picture import (
     LOWEST_ALTITUDE_DEG,
     SUFFIX,
@@ -10,3 +12,4 @@ from fieldlum.sky_view.picture import (
     sky_picture,
     write_sky_picture,
 )
+from fieldlum.sky_view.view import PoseDoubt, SkyView

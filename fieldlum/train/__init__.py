@@ -19,7 +19,7 @@ from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
-from fieldlum.models.data import Dataset
+from fieldlum.models.data import Dataset, with_sky_view
 from fieldlum.models.mirror_labels import split_images
 from fieldlum.models.mirrors import Mirror
 from fieldlum.models.scores import summary
@@ -29,7 +29,7 @@ from fieldlum.records import Progress, counted, quiet
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
-from fieldlum.session.provenance import digest, made_from
+from fieldlum.session.provenance import data_digest, digest, made_from
 from fieldlum.train.captures import how_many
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
@@ -131,7 +131,7 @@ def fit_and_score(
     budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
     captures = len(data)
-    data, mirrors = split_images(data)
+    data, mirrors = split_images(with_sky_view(data, progress=progress))
     data, setting, changed = usable_captures(data, patch, progress)
     folds = day_folds(data)
     if not folds:
@@ -270,6 +270,7 @@ def run(
     mode = patch_mode(data, patch)
     inputs = {
         "data": data.digest(),
+        "sky_view": "" if data.sky_view is None else data_digest(data.sky_view),
         "model": model,
         "patch": mode,
         "budget_min": budget_min,

@@ -15,7 +15,7 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.models.transport.misalignment import SUB, Evidence
 from fieldlum.records import Progress, Room, quiet
-from fieldlum.scene.drawn_rooms import room_parameters, with_parameters
+from fieldlum.scene.room_parameters import room_parameters, with_parameters
 from fieldlum.scene.view import look
 
 # Errors of a tape measure over furniture. A larger one is a writing error, which one step shows.

@@ -1,0 +1,230 @@
+"""The sky view: what follows the sky is open, with its share; what does not is shut or doubtful."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum.arrays import Floats
+from fieldlum.errors import InputError
+from fieldlum.light import Light, light_at
+from fieldlum.models.disc_in_view import disc_lx, disc_source
+from fieldlum.records import Room, Site, SiteFile, Window
+from fieldlum.sky_view import (
+    Captured,
+    PoseDoubt,
+    SkyGrid,
+    SkyPicture,
+    SkyView,
+    disc_of_hours,
+    drawn_shares,
+    estimate,
+)
+
+SITE = Site("place", 45.0, 8.0)
+GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south
+
+
+def _light(days: int = 9) -> Light:
+    """Nine days, each hour from 6 to 18; overcast, broken and clear."""
+    start = datetime(2027, 1, 10, tzinfo=UTC)
+    times = [
+        start + timedelta(days=40 * d, hours=h, minutes=30)
+        for d in range(days)
+        for h in range(6, 18)
+    ]
+    light = light_at(times, SITE, np.zeros(len(times)), np.full(len(times), 100.0))
+    up = np.flatnonzero(light.sun_altitude_deg > 4.0)
+    dni = np.array([(0.0, 300.0, 750.0)[(k // 12 + k // 5) % 3] for k in up])
+    dhi = np.where(dni > 0, 110.0, 180.0) * (0.3 + np.sin(np.radians(light.sun_altitude_deg[up])))
+    return light_at([times[k] for k in up], SITE, dni, dhi)
+
+
+LIGHT = _light()
+RAYS = GRID.rays()
+SKY = LIGHT.sky_at(RAYS.reshape(-1, 3)).reshape(-1, 32, 32)
+
+
+def _clouds(seed: int = 0) -> Floats:
+    """Real skies over Perez's: 25 % in each hour, the same in all of the window, and 3 % noise."""
+    rng = np.random.default_rng(seed)
+    common = rng.lognormal(0.0, 0.25, (len(LIGHT), 1, 1))
+    return common * rng.lognormal(0.0, 0.03, SKY.shape)
+
+
+def _shade() -> Floats:
+    return LIGHT.diffuse_lx[:, None, None] / np.pi
+
+
+def _view(pictures: Floats, disc_share: Floats | None = None) -> SkyView:
+    shares = np.full(len(LIGHT), np.nan) if disc_share is None else disc_share
+    clipped = np.zeros((32, 32), bool)
+
+    def read(k: int) -> SkyPicture:
+        return SkyPicture(pictures[k].astype(np.float32), clipped, GRID, LIGHT.t_utc[k])
+
+    return estimate(Captured(LIGHT, read, shares))
+
+
+def _pictures(openness: Floats, tau: float | Floats = 0.8, foreground: Floats | None = None):
+    front = 0.08 * _shade() if foreground is None else foreground
+    return openness * tau * SKY * _clouds() + (1.0 - openness) * front
+
+
+@pytest.mark.analytic
+def test_a_uniform_sky_through_tinted_and_clear_glass() -> None:
+    """Open sky has the openness 1 behind either pane, and the pane's own transmittance."""
+    openness, tau = np.zeros((32, 32)), np.full((32, 32), 0.8)
+    openness[4:28, 2:14] = openness[4:28, 18:30] = 1.0
+    tau[:, 16:] = 0.15
+    view = _view(_pictures(openness, tau))
+    assert (view.openness[openness == 0] == 0.0).all()
+    assert np.median(view.openness[openness == 1]) > 0.95
+    for columns, true in ((slice(2, 14), 0.8), (slice(18, 30), 0.15)):
+        assert np.median(view.transmittance[4:28, columns]) == pytest.approx(true, rel=0.12)
+        inside = (view.low <= true) & (view.high >= true)
+        assert inside[4:28, columns].mean() > 0.95
+
+
+@pytest.mark.analytic
+def test_slats_have_their_share_although_they_are_not_black() -> None:
+    """Mixed pixels are separated into sky and foreground."""
+    openness = np.zeros((32, 32))
+    openness[2:12, 4:28], openness[12:28, 4:28] = 1.0, 0.3
+    view = _view(_pictures(openness, foreground=0.15 * _shade()))
+    slats = view.openness[13:27, 5:27]
+    assert slats.mean() == pytest.approx(0.3, abs=0.05)
+    assert (view.low[13:27, 5:27] <= 0.24).mean() > 0.95
+    assert (view.high[13:27, 5:27] >= 0.24).mean() > 0.95
+
+
+@pytest.mark.analytic
+def test_a_white_facade_brighter_than_the_sky_gives_no_disc() -> None:
+    """It faces the camera and shines in the sun, but it does not follow the sky behind it."""
+    openness = np.zeros((32, 32))
+    openness[2:14, 4:28] = 1.0
+    facing = np.maximum(LIGHT.shown_sun_direction @ np.array([0.0, 1.0, 0.0]), 0.0)
+    beam = (LIGHT.direct_lx * facing / np.pi)[:, None, None]
+    facade = 0.8 * (0.8 * (0.5 * _shade() + beam))
+    view = _view(_pictures(openness, foreground=np.broadcast_to(facade, SKY.shape)))
+    assert np.median((facade / SKY)[LIGHT.direct_lx > 3e4].max(axis=0)) > 1.0
+    assert (view.openness[15:] == 0.0).mean() > 0.98
+    assert (view.openness[3:13, 5:27] > 0.9).mean() > 0.95
+
+
+@pytest.mark.analytic
+def test_a_curtain_has_bounds_until_captures_show_its_disc() -> None:
+    """Its luminance says nothing of the direct disc: low is 0; captured hours without one decide."""
+    openness = np.zeros((32, 32))
+    openness[2:30, 2:12] = 1.0
+    through = np.maximum(LIGHT.shown_sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
+    glow = 0.25 * (0.5 * _shade() + (LIGHT.direct_lx * through / np.pi)[:, None, None])
+    front = np.broadcast_to(glow, SKY.shape)
+    view = _view(_pictures(openness, foreground=front))
+    cloth = (slice(4, 28), slice(16, 30))
+    assert (view.low[cloth] == 0.0).all()
+    assert np.median(view.high[cloth]) > 0.1
+    row, column = GRID.pixels(LIGHT.shown_sun_direction)
+    behind = (row > 0) & (row < 32) & (column >= 14) & (column < 32) & (LIGHT.direct_lx > 1e3)
+    assert behind.sum() >= 3
+    settled = _view(_pictures(openness, foreground=front), np.where(behind, 0.0, np.nan))
+    assert np.median(settled.high[cloth]) == 0.0
+
+
+@pytest.mark.analytic
+def test_directions_that_no_lens_saw_are_nan_and_not_zero() -> None:
+    pictures = _pictures(np.ones((32, 32)))
+    pictures[:, :, :8] = np.nan
+    view = _view(pictures)
+    for channel in (view.openness, view.low, view.high):
+        assert np.isnan(channel[:, :8]).all() and np.isfinite(channel[:, 8:]).all()
+    light = _at(view, 10, 3)
+    disc = disc_of_hours(view, light)
+    assert disc.not_seen.all()
+    room = Room(window=(Window("south", 0.1, 5.8, 0.1, 4.2, 0.88, 1, 0.0, 0.0),))
+    filled = disc_lx(view, SiteFile(SITE, room=room), light)
+    assert filled[0] > 0.5 * light.direct_lx[0]
+    assert "stated room where no lens saw" in disc_source(view, SiteFile(SITE, room=room))
+
+
+def _at(view: SkyView, row: float, column: float) -> Light:
+    """Return a sunny hour whose sun is shown at a pixel of the view."""
+    altitude = view.grid.first_altitude_deg - row * view.grid.step_deg
+    azimuth = view.grid.heading_deg + view.grid.first_azimuth_deg + column * view.grid.step_deg
+    one = LIGHT[[int(np.argmax(LIGHT.dni_wm2))]]
+    at = np.array([altitude]), np.array([azimuth])
+    return Light(one.t_utc, one.dni_wm2, one.dhi_wm2, *at, refraction=False)
+
+
+def _edge_view(heading_sd_deg: float) -> SkyView:
+    """An open right half with sharp edges at 0.1 degrees."""
+    grid = SkyGrid(30.0, -10.0, 0.1, 180.0, 200, 200)
+    openness = np.zeros((200, 200), np.float32)
+    openness[:, 100:] = 1.0
+    full = np.full_like(openness, 0.8)
+    through = openness * 0.8
+    pose = PoseDoubt(heading_sd_deg=heading_sd_deg)
+    return SkyView(grid, openness, 0 * full, full, full, through, through, 50, pose)
+
+
+@pytest.mark.analytic
+def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
+    """At the edge half of the disc is seen; with 1 degree of doubt it is anything there."""
+    view = _edge_view(1.0)
+    for column, share in ((50, 0.0), (100, 0.4), (150, 0.8)):
+        light = _at(view, 100, column)
+        assert disc_of_hours(view, light).best_lx / light.direct_lx == pytest.approx(
+            share, abs=0.03
+        )
+    near = _at(view, 100, 108)
+    drawn = drawn_shares(view, near, np.random.default_rng(0), 64)[:, 0]
+    assert (drawn == 0.0).any() and (drawn > 0.79).any()
+    sure = drawn_shares(_edge_view(0.0), near, np.random.default_rng(0), 64)[:, 0]
+    assert (sure > 0.75).all()
+    turned = replace(view, pose=PoseDoubt(heading_deg=2.0))  # true heading is 2 degrees more
+    assert disc_of_hours(turned, near).best_lx[0] == 0.0
+
+
+@pytest.mark.analytic
+def test_captures_that_contradict_the_view_correct_it() -> None:
+    """A blind that the ratio cannot show: captures without a disc shut the sky there, by name."""
+    pictures = _pictures(np.ones((32, 32)))
+    row, column = GRID.pixels(LIGHT.shown_sun_direction)
+    inside = (row > 4) & (row < 28) & (column > 4) & (column < 28) & (LIGHT.direct_lx > 1e3)
+    assert inside.any()
+    k = int(np.flatnonzero(inside)[0])
+    shares = np.full(len(LIGHT), np.nan)
+    shares[k] = 0.0
+    view = _view(pictures, shares)
+    assert disc_of_hours(view, LIGHT[[k]]).best_lx[0] < 0.4 * LIGHT.direct_lx[k]
+    assert any("contradict" in note for note in view.notes)
+
+
+@pytest.mark.analytic
+def test_few_captures_give_bounds_and_say_what_to_capture() -> None:
+    light, pictures = LIGHT[[0, 5, 9]], _pictures(np.ones((32, 32)))[[0, 5, 9]]
+    clipped = np.zeros((32, 32), bool)
+
+    def read(k: int) -> SkyPicture:
+        return SkyPicture(pictures[k].astype(np.float32), clipped, GRID)
+
+    view = estimate(Captured(light, read, np.full(3, np.nan)))
+    assert (view.low == 0.0).all() and (view.high > 0.3).mean() > 0.9
+    assert any("capture overcast" in note for note in view.notes)
+
+
+@pytest.mark.contract
+def test_a_view_is_read_as_it_was_written(tmp_path: Path) -> None:
+    view = replace(_edge_view(2.0), notes=("a note",), inputs={"pairs": "abc"})
+    view.write(tmp_path / "sky_view.exr")
+    back = SkyView.read(tmp_path / "sky_view.exr")
+    assert (back.grid, back.pose, back.notes) == (view.grid, view.pose, view.notes)
+    np.testing.assert_array_equal(back.through, view.through)
+    (tmp_path / "other.exr").write_bytes(b"no exr")
+    with pytest.raises(InputError, match=r"other\.exr.*run fieldlum pair"):
+        SkyView.read(tmp_path / "other.exr")
+    assert SkyView.find(tmp_path / "none.exr") is None
