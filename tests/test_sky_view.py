@@ -95,7 +95,10 @@ def test_slats_have_their_share_although_they_are_not_black() -> None:
     """Mixed pixels are separated into sky and foreground."""
     openness = np.zeros((32, 32))
     openness[2:12, 4:28], openness[12:28, 4:28] = 1.0, 0.3
-    view = _view(_pictures(openness, foreground=0.15 * _shade()))
+    upwards = np.maximum(LIGHT.shown_sun_direction[:, 2], 0.0)
+    lit = 0.1 * (LIGHT.direct_lx * upwards / np.pi)[:, None, None]
+    front = np.broadcast_to(0.1 * _shade() + lit, SKY.shape)
+    view = _view(_pictures(openness, foreground=front))
     slats = view.openness[13:27, 5:27]
     assert slats.mean() == pytest.approx(0.3, abs=0.05)
     assert (view.low[13:27, 5:27] <= 0.24).mean() > 0.95
@@ -107,7 +110,7 @@ def test_a_white_facade_brighter_than_the_sky_gives_no_disc() -> None:
     """It faces the camera and shines in the sun, but it does not follow the sky behind it."""
     openness = np.zeros((32, 32))
     openness[2:14, 4:28] = 1.0
-    facing = np.maximum(LIGHT.shown_sun_direction @ np.array([0.0, 1.0, 0.0]), 0.0)
+    facing = np.maximum(LIGHT.shown_sun_direction @ np.array([0.94, 0.34, 0.0]), 0.0)
     beam = (LIGHT.direct_lx * facing / np.pi)[:, None, None]
     facade = 0.8 * (0.8 * (0.5 * _shade() + beam))
     view = _view(_pictures(openness, foreground=np.broadcast_to(facade, SKY.shape)))
@@ -118,7 +121,7 @@ def test_a_white_facade_brighter_than_the_sky_gives_no_disc() -> None:
 
 @pytest.mark.analytic
 def test_a_curtain_has_bounds_until_captures_show_its_disc() -> None:
-    """Its luminance says nothing of the direct disc: low is 0; captured hours without one decide."""
+    """Its luminance does not show the direct disc: low is 0; captures without a disc decide."""
     openness = np.zeros((32, 32))
     openness[2:30, 2:12] = 1.0
     through = np.maximum(LIGHT.shown_sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
@@ -177,9 +180,8 @@ def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
     view = _edge_view(1.0)
     for column, share in ((50, 0.0), (100, 0.4), (150, 0.8)):
         light = _at(view, 100, column)
-        assert disc_of_hours(view, light).best_lx / light.direct_lx == pytest.approx(
-            share, abs=0.03
-        )
+        got = disc_of_hours(view, light).best_lx / light.direct_lx
+        assert got == pytest.approx(share, abs=0.06)
     near = _at(view, 100, 108)
     drawn = drawn_shares(view, near, np.random.default_rng(0), 64)[:, 0]
     assert (drawn == 0.0).any() and (drawn > 0.79).any()

@@ -131,7 +131,7 @@ def _show(answer: TrainAnswer) -> None:
         "                 by solid angle, held-out days       DGP MSE, disc of     paper mode"
     )
     click.echo(
-        "model          log10 MSE      RER    worst  the room the truth  log10 MSE      RER"
+        "model          log10 MSE      RER    worst  sky view the truth  log10 MSE      RER"
         "  fit [s]  maps"
     )
     for row in answer["models"]:

@@ -108,7 +108,7 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
         "log10 MSE",
         "RER",
         "log10 MSE (paper mode)",
-        "DGP MSE, disc of the room",
+        "DGP MSE, own disc",
         "DGP MSE, true disc",
         "trained on",
         "tested on",

@@ -59,7 +59,7 @@ class SkyFactor:
 
 
 def sky_factor(
-    luminance_cdm2: Floats32, usable: Mask, light: Light, rays: Floats, seen: SeenSky
+    luminance_cdm2: Floats32, usable: Mask, light: Light, rays: Floats, seen: SkyReference
 ) -> SkyFactor:
     """Fit the factor of the sky in p directions `rays` [p, 3] to n captures.
 
@@ -77,7 +77,7 @@ _NAMES = tuple(field.name for field in fields(SkyFactor))
 
 
 @dataclass(frozen=True, slots=True)
-class SeenSky:
+class SkyReference:
     """The sky in m directions that show it: logarithm of its luminance over Perez's, [n, m].
 
     rays [m, 3]. It is NaN where not usable; each direction's median is 0.
@@ -98,12 +98,12 @@ class SeenSky:
         return np.exp(total / np.maximum(weight, 1e-12)).astype(np.float32)
 
 
-def seen_sky(luminance: Floats32, usable: Mask, light: Light, rays: Floats) -> SeenSky:
+def seen_sky(luminance: Floats32, usable: Mask, light: Light, rays: Floats) -> SkyReference:
     """Return the directions of `rays` [p, 3] that follow the sky better than all other light.
 
     luminance, usable: as of `sky_factor`.
     """
-    none = SeenSky(np.empty((0, 3)), np.empty((len(light), 0)))
+    none = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)))
     first, _ = _fit(luminance, usable, light, rays, none)
     _, rest = _fit(luminance, usable, light, rays, none, with_sky=False)
     usable = usable & ~_near_sun(light, rays)
@@ -117,7 +117,7 @@ def seen_sky(luminance: Floats32, usable: Mask, light: Light, rays: Floats) -> S
     if not len(index):
         return none
     index = index[:: max(1, len(index) // _SKY_DIRECTIONS)]
-    return SeenSky(rays[index], off[:, index])
+    return SkyReference(rays[index], off[:, index])
 
 
 def _fit(
@@ -125,7 +125,7 @@ def _fit(
     usable: Mask,
     light: Light,
     rays: Floats,
-    seen: SeenSky,
+    seen: SkyReference,
     *,
     with_sky: bool = True,
 ) -> tuple[SkyFactor, Floats]:
