@@ -306,22 +306,10 @@ def _units(
 
 
 def _unit(session: Session, job: _MergeJob) -> WorkUnit:
-    """Return the merge of one bracket as a unit of work, with the sha256 of its frames."""
+    """Return the merge of one bracket as a unit of work; it compares the frames' sha256 itself."""
     note = session.capture_file(job.slot)
-    try:
-        capture = CaptureFile.find(note)
-    except InputError:  # merge_slot reports it as the unit's verdict
-        capture = None
-    folder = note.parent.relative_to(session.root).as_posix()
-    frames = capture.frames if capture else ()
-    return WorkUnit(
-        job.slot,
-        merge_slot,
-        session.root,
-        job,
-        files=(f"{folder}/{note.name}",) if note.is_file() else (),
-        recorded=tuple((f"{folder}/{f.file}", f.sha256) for f in frames if f.sha256),
-    )
+    files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
+    return WorkUnit(job.slot, merge_slot, session.root, job, files=files)
 
 
 def _verdict(outcome: UnitOutcome) -> Verdict:

@@ -85,12 +85,12 @@ def hour_units(
     local = Path(maps).resolve() if maps and "://" not in maps else None
     folder = model if local is None else Path(os.path.commonpath([model, local]))
     name = model.relative_to(folder).as_posix()
-    inputs = tuple(
-        (f"{name}/{file}", sha256(model / file))
+    files = tuple(
+        f"{name}/{file}"
         for file in ("config.json", "weights.npz", SKY_VIEW)
         if (model / file).is_file()
     )
-    digest = " ".join(text for _, text in inputs)
+    digest = " ".join(sha256(folder / file) for file in files)
     where = maps if local is None else local.relative_to(folder).as_posix()
     azimuths = tuple(float(a) for a in azimuths_deg)
     units = []
@@ -98,7 +98,7 @@ def hour_units(
         rows = slice(start, min(start + BLOCK, len(light)))
         job = _HoursJob(name, digest, start, light[rows], azimuths, discs_lx[:, rows], where)
         text = f"hours-{rows.start}-{rows.stop}"
-        units.append(WorkUnit(text, predict_hours, folder, job, recorded=inputs))
+        units.append(WorkUnit(text, predict_hours, folder, job, files=files))
     return units
 
 

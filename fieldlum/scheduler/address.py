@@ -21,31 +21,20 @@ def _silent(text: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class TlsFiles:
-    """Certificate files of a cluster that uses TLS.
-
-    ca: of the authority; certificate, key: this computer's own.
-    """
-
-    ca: Path
-    certificate: Path
-    key: Path
-
-
-@dataclass(frozen=True, slots=True)
 class Scheduler:
     """Where units of work run, and how failures of workers are handled.
 
     processes: their number on this computer; address: tcp:// or tls:// address of a Dask scheduler.
-    unit_limit_s: seconds after which a unit counts as hanging; None derives it from completed
-    units. retries: number of further tries of a unit after its worker was lost. say: shows one
-    sentence to the user.
+    tls: certificate files by Dask's names (tls_ca_file, tls_client_cert, tls_client_key), empty
+    without TLS. unit_limit_s: seconds after which a unit counts as hanging; None derives it from
+    completed units. retries: number of further tries of a unit after its worker was lost. say:
+    shows one sentence to the user.
     """
 
     kind: Literal["local", "processes", "cluster"] = "local"
     processes: int = 1
     address: str = ""
-    tls: TlsFiles | None = None
+    tls: tuple[tuple[str, str], ...] = ()
     unit_limit_s: float | None = None
     retries: int = DEFAULT_RETRIES
     say: Callable[[str], None] = field(default=_silent, compare=False)
@@ -65,34 +54,37 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
     Raises InputError for any other text and for a FILE.json that cannot be used. Warns through
     `say` about an address that other computers can reach without TLS.
     """
+    count = text.removeprefix("processes:")
     if text == "local":
         return Scheduler(say=say)
-    if text.startswith("processes:") or text.isdigit():
-        count = text.removeprefix("processes:")
-        if not count.isdigit() or int(count) < 1:
-            raise InputError(
-                "--scheduler",
-                f"'{text}'",
-                "processes:N with N of 1 or more",
-                "write, for example, processes:2",
-            )
+    if count.isdigit() and int(count) > 0:
         return Scheduler("processes", int(count), say=say)
-    if text.startswith(("tcp://", "tls://")):
-        if text.startswith("tls://"):
-            raise InputError(
-                "--scheduler",
-                f"'{text}'",
-                "tcp://HOST:PORT or FILE.json",
-                "name the certificates in a FILE.json (docs/scale.md)",
-            )
-        return _cluster(_checked(text, "--scheduler"), None, say)
+    if text.startswith("tcp://"):
+        return _cluster(text, (), "--scheduler", say)
     if text.endswith(".json"):
-        return _from_file(Path(text), say)
-    raise InputError("--scheduler", f"'{text}'", FORMS, "correct the text, or omit --scheduler")
+        path = Path(text)
+        table = _table(path)
+        return _cluster(str(table.get("address")), _tls(path, table.get("tls")), path, say)
+    remedy = "correct the text, or omit --scheduler; TLS needs a FILE.json (docs/scale.md)"
+    raise InputError("--scheduler", f"'{text}'", FORMS, remedy)
 
 
-def _cluster(address: str, tls: TlsFiles | None, say: Callable[[str], None]) -> Scheduler:
-    if tls is None and not is_loopback(address):
+def _cluster(
+    address: str,
+    tls: tuple[tuple[str, str], ...],
+    where: str | Path,
+    say: Callable[[str], None],
+) -> Scheduler:
+    scheme = "tls" if tls else "tcp"
+    try:
+        parts = urlsplit(address)
+        usable = parts.scheme == scheme and bool(parts.hostname and parts.port)
+    except ValueError:
+        parts, usable = urlsplit(""), False
+    if not usable or parts.username or parts.password:
+        remedy = "write, for example, tcp://127.0.0.1:8786; tls:// needs a table tls in a FILE.json"
+        raise InputError(where, f"the address '{address}'", f"{scheme}://HOST:PORT", remedy)
+    if not tls and not is_loopback(parts.hostname or ""):
         say(
             f"WARNING: {address} has no TLS and is not on this computer: anyone who can "
             "reach that port can run programs on its workers. Use a FILE.json with "
@@ -101,80 +93,46 @@ def _cluster(address: str, tls: TlsFiles | None, say: Callable[[str], None]) -> 
     return Scheduler("cluster", address=address, tls=tls, say=say)
 
 
-def is_loopback(address: str) -> bool:
-    """Return whether the host of the URL `address` is localhost or a loopback address."""
-    host = urlsplit(address).hostname or ""
+def is_loopback(host: str) -> bool:
+    """Return whether a host is localhost or a loopback address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
 
 
-def _checked(address: str, where: str) -> str:
-    try:
-        parts = urlsplit(address)
-        usable = bool(parts.hostname and parts.port) and not (parts.username or parts.password)
-    except ValueError:
-        usable = False
-    if not usable:
-        raise InputError(
-            where, f"'{address}'", "tcp://HOST:PORT", "write, for example, tcp://127.0.0.1:8786"
-        )
-    return address
-
-
-def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
+def _table(path: Path) -> dict[str, Any]:
     """Read the file of `dask scheduler --scheduler-file`, or one with "address" and "tls"."""
-    start = "start one with: dask scheduler --scheduler-file FILE.json"
-    again = "let dask scheduler --scheduler-file write the file again"
-    with (
-        input_errors(path, "a scheduler file", start, OSError),
-        input_errors(path, "JSON", again, ValueError),
-    ):
+    remedy = "let dask scheduler --scheduler-file write the file"
+    with input_errors(path, "a JSON file of a scheduler", remedy, OSError, ValueError):
         table = json.loads(path.read_text(encoding="utf-8"))
-    address = table.get("address") if isinstance(table, dict) else None
-    if not isinstance(address, str) or not address.startswith(("tcp://", "tls://")):
-        raise InputError(
-            path,
-            f"address {address!r}",
-            'a key "address" with a value that begins with tcp:// or tls://',
-            again,
-        )
-    tls = _tls(path, table.get("tls"))
-    if address.startswith("tls://") != (tls is not None):
-        finding = f"{address} with{'' if tls else 'out'} a table 'tls'"
-        expected = "tls:// with a table tls of the files ca, certificate and key, or tcp:// without"
-        remedy = "remove the table or use tls://" if tls else "add the table or use tcp://"
-        raise InputError(path, finding, expected, remedy)
-    return _cluster(_checked(address, str(path)), tls, say)
+    if not isinstance(table, dict):
+        raise InputError(path, "no JSON object", 'a key "address"', remedy)
+    return table
 
 
-def _tls(path: Path, table: Any) -> TlsFiles | None:
+def _tls(path: Path, table: Any) -> tuple[tuple[str, str], ...]:
     """Return the certificate files; their paths are relative to the folder of FILE.json."""
     if table is None:
-        return None
-    names = ("ca", "certificate", "key")
-    if not isinstance(table, dict) or set(table) != set(names):
+        return ()
+    names = {"ca": "tls_ca_file", "certificate": "tls_client_cert", "key": "tls_client_key"}
+    if not isinstance(table, dict) or table.keys() != names.keys():
         raise InputError(
             path,
             f'the table "tls" is {table!r}',
             "the keys ca, certificate and key, each with the path of a file",
             "correct the table",
         )
-    files = [path.parent / str(table[name]) for name in names]
-    for file in files:
+    files = {name: path.parent / str(table[name]) for name in names}
+    for file in files.values():
         if not file.is_file():
-            raise InputError(
-                file,
-                "no such file",
-                f"a certificate or key file, as the table tls of {path.name} names it",
-                "check the path in the table tls",
-            )
-    if files[2].stat().st_mode & 0o077:
+            expected = f"a certificate or key file, as the table tls of {path.name} names it"
+            raise InputError(file, "no such file", expected, "check the path in the table tls")
+    if files["key"].stat().st_mode & 0o077:
         raise InputError(
-            files[2],
+            files["key"],
             "a private key that other users can read",
             "a key that only its owner can read",
             "run chmod 600 on it",
         )
-    return TlsFiles(*files)
+    return tuple((names[name], str(file)) for name, file in files.items())

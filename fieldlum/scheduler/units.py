@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from fieldlum.errors import InputError
+from fieldlum.profiles import shipped
 from fieldlum.session import sha256
 
 SHARED_VARIABLE = "FIELDLUM_SHARED"
@@ -64,8 +69,8 @@ class WorkUnit:
 
     name: unique in the run. call: a function of a module. argument: plain values without paths.
     files: input files, relative to `folder`, whose content must be the same for a worker as for
-    this computer. recorded: further files with their recorded sha256. outputs: files, relative to
-    `folder`, that exist when the unit has ended; the call writes them by rename.
+    this computer. outputs: files, relative to `folder`, that exist when the unit has ended; the
+    call writes them by rename.
     """
 
     name: str
@@ -73,7 +78,6 @@ class WorkUnit:
     folder: Path
     argument: Any
     files: tuple[str, ...] = ()
-    recorded: tuple[tuple[str, str], ...] = ()
     outputs: tuple[str, ...] = ()
 
 
@@ -104,33 +108,21 @@ class UnitOutcome:
 
 
 # ----------------------------------------------------------------------------------------------
-# over the wire
+# workers of a cluster
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a worker of a cluster receives; it contains no absolute path of this computer."""
+    """What a worker of a cluster receives; it contains no absolute path of this computer.
 
-    name: str
+    inputs: names and sha256 of input files, relative to `folder`; software: that of the client.
+    """
+
     call: Callable[[Path, Any], Any]
     folder: str
     argument: Any
     inputs: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a worker returns for a unit.
-
-    kind "value": the result is `value`. "stale": the input file `text` does not have the expected
-    content; `seen` is the hash that the worker found. "worker": the worker's computer has a fault,
-    which `text` describes.
-    """
-
-    value: Any = None
-    kind: Literal["value", "stale", "worker"] = "value"
-    text: str = ""
-    seen: str = ""
+    software: dict[str, str]
 
 
 def shared_folder() -> Path:
@@ -158,58 +150,50 @@ def task_of(unit: WorkUnit) -> Task:
 
     Raises InputError if its folder is outside the shared folder.
     """
-    files = tuple((name, sha256(unit.folder / name)) for name in unit.files)
-    folder = relative_folder(unit.folder)
-    return Task(unit.name, unit.call, folder, unit.argument, files + unit.recorded)
+    inputs = tuple((name, _digest(unit.folder / name)) for name in unit.files)
+    return Task(unit.call, relative_folder(unit.folder), unit.argument, inputs, software())
 
 
-def perform(task: Task) -> Answer:
-    """Run a task on a worker: check its inputs, call it, and report trouble of this computer.
+def perform(task: Task) -> tuple[Any, str]:
+    """Run a task on a worker; return the call's value, and what is wrong with this computer or "".
 
-    Raises the call's other errors, and ValueError for a path that leads out of its folder.
+    A computer is wrong if it has other software or other input files than the client, a full disk
+    or no memory. Raises the call's other errors.
     """
-    folder = shared_folder() / _inside(task.folder)
+    folder = shared_folder() / task.folder
+    mine = software()
+    other = [f"{k} {mine[k]} (here {v})" for k, v in task.software.items() if mine[k] != v]
+    if other:
+        return None, f"rejected: {', '.join(other)}; install the versions of this computer there"
     try:
         for name, digest in task.inputs:
-            content_digest = _digest(folder / _inside(name))
-            if content_digest != digest:
-                return Answer(kind="stale", text=name, seen=content_digest)
-        return Answer(task.call(folder, task.argument))
+            if _digest(folder / name) != digest:
+                return None, f"its {name} differs from that of the command: file system out of date"
+        return task.call(folder, task.argument), ""
     except (OSError, MemoryError) as error:
         if is_worker_trouble(error):
-            return Answer(kind="worker", text=trouble_text(error))
+            return None, trouble_text(error)
         raise
 
 
 def _digest(path: Path) -> str:
-    try:
-        return sha256(path)
-    except FileNotFoundError:
-        return "absent"
+    return sha256(path) if path.is_file() else "absent"
 
 
-def _inside(name: str) -> PurePosixPath:
-    """Return a path that stays in its folder. Raises ValueError for any other path."""
-    path = PurePosixPath(name)
-    if path.is_absolute() or ".." in path.parts:
-        raise ValueError(f"path {name!r} of a task leads out of its folder")
-    return path
-
-
-def corrected(unit: WorkUnit, answer: Answer) -> WorkUnit | None:
-    """Return the unit with the recorded sha256 replaced, if this computer has the worker's content.
-
-    answer: of kind "stale". The file that it names must have the hash here that the worker found
-    (`answer.seen`); if it is absent on both, its record is removed. Return None for any other
-    content, and for a file without a recorded sha256: then the worker's file system is out of date.
-    A frame that was damaged after its capture differs from what capture.json records; `merge_slot`
-    then refuses the bracket by the frame's name, on a worker as on this computer.
-    """
-    recorded = dict(unit.recorded)
-    if answer.text not in recorded or _digest(unit.folder / answer.text) != answer.seen:
-        return None
-    if answer.seen == "absent":
-        recorded.pop(answer.text)
-    else:
-        recorded[answer.text] = answer.seen
-    return replace(unit, recorded=tuple(recorded.items()))
+@cache
+def software() -> dict[str, str]:
+    """Return the versions of Python and numeric packages, and digests of fieldlum's files."""
+    facts = {"python": f"{sys.version_info[0]}.{sys.version_info[1]}"}
+    for name in ("fieldlum", "numpy", "scipy", "opencv-contrib-python-headless", "torch", "pvlib"):
+        try:
+            facts[name] = version(name).split("+")[0]
+        except PackageNotFoundError:
+            facts[name] = "none"
+    package = Path(__file__).parents[1]
+    for key, folder, pattern in (
+        ("source", package, "*.py"),
+        ("profiles", shipped("calibration"), "*.toml"),
+    ):
+        digests = "".join(sha256(path) for path in sorted(folder.rglob(pattern)))
+        facts[key] = hashlib.sha256(digests.encode()).hexdigest()[:12]
+    return facts

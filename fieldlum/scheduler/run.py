@@ -6,15 +6,15 @@ import statistics
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import chain
+from typing import Any
 
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler.address import Scheduler
-from fieldlum.scheduler.cluster import ClusterCrew
-from fieldlum.scheduler.crew import Crew, Ended, LocalCrew, ProcessCrew, RemoteCrew
 from fieldlum.scheduler.units import UnitOutcome, WorkUnit
+from fieldlum.scheduler.workers import POLL_S, Cluster, Here, Processes
 
 # A unit counts as hanging after this many times the median time of completed units, but never
 # before SHORTEST_LIMIT_S. Until FEW units have ended, FIRST_LIMIT_S applies.
@@ -72,34 +72,60 @@ def run_units(
     With other processes, a unit whose worker is killed, hangs, has a full disk or an outdated file
     system is tried again, at most `scheduler.retries` times; then its outcome names the trouble,
     and other units continue. Raises InputError if no scheduler answers or no worker with this
-    software is left, NotEnoughDataError if there is no usable worker for ten minutes.
+    software is left, NotEnoughDataError if there is no worker for ten minutes.
     """
     waiting = deque(_Attempt(unit) for unit in units)
     total = len(waiting)
     if not total:
         return
-    running: dict[int, _Attempt] = {}
+    running: dict[Future[Any], _Attempt] = {}
     pace = _Pace(scheduler, total)
-    key = 0
-    with _crew(scheduler, total) as crew:
+    with _workers(scheduler, total) as workers:
         while waiting or running:
-            for _ in range(min(crew.free(), len(waiting))):
+            for _ in range(min(workers.free(len(running)), len(waiting))):
                 attempt = waiting.popleft()
-                key += 1
+                future = workers.submit(attempt.unit)
                 attempt.started_s = time.monotonic()
-                running[key] = attempt
-                crew.submit(key, attempt.unit)
-            for ended in chain(crew.ended(), _hanging(crew, running, pace)):
-                attempt = running.pop(ended.key)
-                outcome = _settle(attempt, ended, scheduler)
-                if outcome is None:
-                    waiting.append(attempt)
-                    continue
+                running[future] = attempt
+            for future, ended in _ended(workers, running, pace):
+                attempt = running.pop(future)
+                if isinstance(ended, str):
+                    attempt.tries += 1
+                    if attempt.tries <= scheduler.retries:
+                        waiting.append(attempt)
+                        continue
+                    trouble = f"given up after {attempt.tries} tries, the last: {ended}"
+                    ended = UnitOutcome(attempt.unit, trouble=trouble)
                 pace.count(time.monotonic() - attempt.started_s)
-                status = crew.status()
-                text = f"{status}, {pace.text()}" if status else attempt.unit.name
-                progress(pace.done, total, text)
-                yield outcome
+                status = workers.status()
+                progress(
+                    pace.done, total, f"{status}, {pace.text()}" if status else attempt.unit.name
+                )
+                yield ended
+
+
+def _ended(
+    workers: Here, running: dict[Future[Any], _Attempt], pace: _Pace
+) -> Iterator[tuple[Future[Any], UnitOutcome | str]]:
+    """Wait up to 0.5 s; yield futures that ended, were lost or hang, with outcome or trouble."""
+    done = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED).done
+    if not running:
+        time.sleep(POLL_S)  # no worker is free yet
+    for future in done:
+        yield future, workers.settle(running[future].unit, future)
+    limit_s = pace.limit_s()
+    oldest_s = time.monotonic() - limit_s
+    for future in [f for f in workers.lost() if f in running]:
+        yield future, workers.give_up(future)
+    for future in [f for f, attempt in running.items() if attempt.started_s < oldest_s]:
+        yield future, f"not complete after {limit_s:.0f} s: {workers.give_up(future)}"
+
+
+def _workers(scheduler: Scheduler, total: int) -> Here:
+    if scheduler.kind == "cluster":
+        return Cluster(scheduler)
+    count = min(scheduler.processes, total)
+    return Processes(count) if scheduler.kind == "processes" and count > 1 else Here()
 
 
 def run_each(
@@ -115,42 +141,3 @@ def run_each(
     with closing(run_units(units, scheduler, progress=progress)) as outcomes:
         for outcome in outcomes:
             take(outcome)
-
-
-def _crew(scheduler: Scheduler, total: int) -> Crew:
-    if scheduler.kind == "cluster":
-        return ClusterCrew(scheduler)
-    count = min(scheduler.processes, total)
-    return ProcessCrew(count) if scheduler.kind == "processes" and count > 1 else LocalCrew()
-
-
-def _hanging(crew: Crew, running: dict[int, _Attempt], pace: _Pace) -> Iterator[Ended]:
-    """Give up units that run too long.
-
-    Units of this process end before anyone can check them. This is a generator, so that it reads
-    `running` only after the units that ended have been removed.
-    """
-    if not isinstance(crew, RemoteCrew):
-        return
-    limit_s = pace.limit_s()
-    oldest_s = time.monotonic() - limit_s
-    for key in [key for key, attempt in running.items() if attempt.started_s < oldest_s]:
-        yield Ended(key, "lost", text=f"not complete after {limit_s:.0f} s: {crew.give_up(key)}")
-
-
-def _settle(attempt: _Attempt, ended: Ended, scheduler: Scheduler) -> UnitOutcome | None:
-    """Return the outcome of a unit; None if it must be tried again."""
-    unit = attempt.unit
-    if ended.kind == "value":
-        return UnitOutcome(unit, ended.value)
-    if ended.kind == "error":
-        return UnitOutcome(unit, error=ended.error)
-    if ended.kind == "changed":
-        attempt.unit = ended.value
-        return None
-    attempt.tries += 1
-    if attempt.tries <= scheduler.retries:
-        return None
-    return UnitOutcome(
-        unit, trouble=f"given up after {attempt.tries} tries, the last: {ended.text}"
-    )
