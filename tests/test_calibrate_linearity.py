@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.calibrate import linearity
-from fieldlum.cli.calibrate_linearity import command
+from fieldlum.cli.calibrate_ import linearity as command
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import curve_u_rel, linear_counts, true_shutter_s
 from fieldlum.merge.frames import Crop, load_raw

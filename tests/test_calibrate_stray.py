@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.calibrate import stray
-from fieldlum.cli.calibrate_stray import command
+from fieldlum.cli.calibrate_ import stray as command
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.project import _stray_of_lens
