@@ -15,7 +15,7 @@ import numpy as np
 from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
 from fieldlum.calibrate.frames import LinearFrame, linear_frame, transmission
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, held_out_errors
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import CameraProfile
@@ -174,25 +174,20 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
         )
     every = colours
     colours, slips = _without_slips(colours, profile)
-    n = len(colours.y)
-    rows, each = np.arange(n), range(n)
+    each = np.arange(len(colours.y))
 
-    def candidate(prior: Floats, pull: float, name: str, size: int) -> Candidate:
-        errors = [
-            (_predict(_solve(colours, prior, pull, rows != i), colours, i) - 1.0) ** 2 for i in each
-        ]
-        return Candidate(name, size, np.array(errors))
+    def solve(model: tuple[Floats, float], rows: Mask) -> Floats:
+        return _solve(colours, *model, rows)
+
+    def squares(_: tuple[Floats, float], a: Floats, held: Mask) -> Floats:
+        return (colours.rgb[held] @ a / colours.y[held] - 1.0) ** 2
 
     starts = priors(colours, profile)
-    candidates = [candidate(start, np.inf, name, 0) for start, name in starts]
-    prior = starts[int(np.argmin([c.errors.mean() for c in candidates]))][0]
-    models = [(start, np.inf) for start, _ in starts] + [(prior, pull) for pull, _ in PULLS]
-    candidates += [
-        candidate(prior, pull, name, size) for size, (pull, name) in enumerate(PULLS, start=1)
-    ]
-    choice = choose("colour", candidates)
-    prior, pull = models[choice.index]
-    raw = _solve(colours, prior, pull, rows >= 0)
+    means = [held_out_errors((s, np.inf), each, solve, squares).mean() for s, _ in starts]
+    prior = starts[int(np.argmin(means))][0]
+    models = [(name, 0, (start, np.inf)) for start, name in starts]
+    models += [(name, size, (prior, pull)) for size, (pull, name) in enumerate(PULLS, start=1)]
+    (prior, _), raw, choice = fit_and_choose("colour", models, each, solve, squares)
     grey = (colours.rgb / (colours.rgb @ prior)[:, None]).mean(axis=0)
     scale = float(raw @ grey) / float(prior @ grey)
     a = raw / scale
@@ -258,7 +253,3 @@ def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
     share = np.diag((rgb / y[:, None]).mean(axis=0) * np.sqrt(len(y) * pull) / np.median(u))
     stacked = np.concatenate([design, share]), np.concatenate([target, share @ (s * prior)])
     return np.linalg.lstsq(*stacked, rcond=None)[0]
-
-
-def _predict(a: Floats, colours: Colours, i: int) -> float:
-    return float(colours.rgb[i] @ a / colours.y[i])

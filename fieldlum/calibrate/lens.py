@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Array, Mask
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
@@ -160,13 +160,21 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     kept = replace(
         targets, x_px=targets.x_px[near], y_px=targets.y_px[near], rays=targets.rays[near]
     )
-    candidates = [
-        Candidate(name, max(len(powers) - 1, 0), _held_out(kept, start, mapping, powers))
-        for name, mapping, powers in models
-    ]
-    choice = choose("lens", candidates, "px", 1.0)
-    _, mapping, powers = models[choice.index]
-    figures = _solve(kept, np.ones(len(kept.x_px), bool), start, mapping, powers)
+
+    def squares(model: tuple[str, tuple[int, ...]], figures: Array, held: Mask) -> Array:
+        shown = geometry_of_figures(start, figures, *model, not targets.pose_known)
+        x, y, _ = lens_pixels(shown, kept.rays[held])
+        return (x - kept.x_px[held]) ** 2 + (y - kept.y_px[held]) ** 2
+
+    (mapping, powers), figures, choice = fit_and_choose(
+        "lens",
+        [(name, max(len(powers) - 1, 0), (mapping, powers)) for name, mapping, powers in models],
+        np.arange(len(kept.x_px)),
+        lambda model, rows: _solve(kept, rows, start, *model),
+        squares,
+        unit="px",
+        scale=1.0,
+    )
     geometry = geometry_of_figures(start, figures, mapping, powers, not targets.pose_known)
     residual, angle = _misses(geometry, targets)
     _check(geometry, residual[near], angle[near], targets)
@@ -314,16 +322,3 @@ def _turn(directions: Array, true: Array) -> tuple[float, Array]:
         off = np.linalg.norm(true - directions @ turn.T, axis=1)
         weight = 1.0 / np.maximum(off, 0.02)
     return float(np.median(off)), turn
-
-
-def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...]) -> Array:
-    n = len(targets.x_px)
-    errors = np.zeros(n)
-    for held in folds(np.arange(n), 6):
-        figures = _solve(targets, ~held, lens, mapping, powers)
-        x, y, _ = lens_pixels(
-            geometry_of_figures(lens, figures, mapping, powers, not targets.pose_known),
-            targets.rays[held],
-        )
-        errors[held] = (x - targets.x_px[held]) ** 2 + (y - targets.y_px[held]) ** 2
-    return errors

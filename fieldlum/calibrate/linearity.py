@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import black_dn, check_frame, full_dn, true_shutter_s
 from fieldlum.photometry import linearity_factor
@@ -139,9 +139,15 @@ def fit(levels: Levels) -> LinearityFit:
             f"{100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
         raise NotEnoughDataError(f"{finding}; {wanted}")
-    candidates = [Candidate(f"order {order}", order, _held_out(levels, order)) for order in ORDERS]
-    choice = choose("linearity", candidates, "% of light", negligible=_NEGLIGIBLE)
-    solution, covariance = _solve(levels, np.ones(len(levels.seconds), bool), choice.index)
+    _, (solution, covariance), choice = fit_and_choose(
+        "linearity",
+        [(f"order {order}", order, order) for order in ORDERS],
+        np.searchsorted(times, levels.seconds),
+        lambda order, rows: _solve(levels, rows, order),
+        lambda order, solved, held: _held_out(levels, solved[0], held),
+        unit="% of light",
+        negligible=_NEGLIGIBLE,
+    )
     coefficients = tuple(round(float(a), 7) for a in solution[1:])
     u_offset = float(np.sqrt(covariance[0, 0]))
     sure = abs(solution[0]) > _OFFSET_SIGMA * u_offset
@@ -195,19 +201,15 @@ def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
     return solution, covariance
 
 
-def _held_out(levels: Levels, order: int) -> Floats:
+def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:
     """Return the squared relative error of predicting each frame from the other exposure times.
 
-    The shortest and the longest time are not predicted, because that would be extrapolation.
-    Blocks count by their weights, so that noise in dark frames does not decide.
+    The shortest and the longest time are NaN, because that would be extrapolation. Blocks count by
+    their weights, so that noise in dark frames does not decide.
     """
-    out = np.full(len(levels.seconds), np.nan)
-    for seconds in np.unique(levels.seconds)[1:-1]:
-        held = levels.seconds == seconds
-        solution, _ = _solve(levels, ~held, order)
-        residuals = _residuals(solution, levels, ~held, held)
-        weight = np.where(np.isfinite(residuals), levels.weight[held], 0.0)
-        total = weight.sum(axis=1)
-        square = (np.nan_to_num(residuals) ** 2 * weight).sum(axis=1)
-        out[held] = np.divide(square, total, out=np.full(len(total), np.nan), where=total > 0)
-    return out[np.isfinite(out)]
+    residuals = _residuals(solution, levels, ~held, held)
+    weight = np.where(np.isfinite(residuals), levels.weight[held], 0.0)
+    total, seconds = weight.sum(axis=1), levels.seconds[held]
+    square = (np.nan_to_num(residuals) ** 2 * weight).sum(axis=1)
+    within = (seconds > levels.seconds.min()) & (seconds < levels.seconds.max()) & (total > 0)
+    return np.divide(square, total, out=np.full(len(total), np.nan), where=within)

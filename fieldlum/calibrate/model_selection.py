@@ -5,14 +5,18 @@ Errors are those on held-out data.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Mask
 from fieldlum.statistics import is_no_worse
+
+Model = TypeVar("Model")
+Parameters = TypeVar("Parameters")
 
 # up to this number of groups each group is held out separately; chosen, limits the time
 LEAVE_ONE_OUT = 24
@@ -76,6 +80,46 @@ def choose(
     )
     line = f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}"
     return OrderSelection(chosen, float(np.sqrt(means[chosen])), line)
+
+
+def fit_and_choose(
+    what: str,
+    models: Sequence[tuple[str, int, Model]],
+    groups: NDArray[np.integer],
+    solve: Callable[[Model, Mask], Parameters],
+    errors: Callable[[Model, Parameters, Mask], Floats],
+    *,
+    unit: str = "%",
+    scale: float = 100.0,
+    negligible: float = 0.0,
+) -> tuple[Model, Parameters, OrderSelection]:
+    """Return the model that held-out data choose, its parameters by all data, and the choice.
+
+    models : each with its name and size, as in `Candidate`. groups [n] : of the data, see `folds`.
+    solve : fits a model to the data of a mask. errors : squared errors of the data of a mask by a
+    model's parameters, NaN for a datum that cannot be predicted. what, unit, scale, negligible : as
+    in `choose`.
+    """
+    candidates = [
+        Candidate(name, size, held_out_errors(model, groups, solve, errors))
+        for name, size, model in models
+    ]
+    choice = choose(what, candidates, unit, scale, negligible)
+    chosen = models[choice.index][2]
+    return chosen, solve(chosen, np.ones(len(groups), bool)), choice
+
+
+def held_out_errors(
+    model: Model,
+    groups: NDArray[np.integer],
+    solve: Callable[[Model, Mask], Parameters],
+    errors: Callable[[Model, Parameters, Mask], Floats],
+) -> Floats:
+    """Return the squared errors of held-out data [m], without NaN; see `fit_and_choose`."""
+    out = np.full(len(groups), np.nan)
+    for held in folds(groups):
+        out[held] = errors(model, solve(model, ~held), held)
+    return out[np.isfinite(out)]
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[Mask]:

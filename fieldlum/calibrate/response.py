@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Floats, Indices, Mask
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.steps import Steps, labelled_steps, steps_by_overlap
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import check_frame, true_shutter_s
@@ -39,7 +39,6 @@ DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 _LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
 _LAW_SIGMA = 4.0  # least difference between two laws, in standard errors over the places; chosen
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
-TablesOf = Callable[[Mask], list[Floats]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,11 +280,12 @@ def residuals(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int =
     return np.divide(square, n - 1, out=np.full(len(n), np.nan), where=n >= 2)
 
 
-def _tables(places: Places, rows: Mask, smooth: float) -> list[Floats]:
-    return [
-        fit_response(places.codes[rows, :, c], places.log_exposure, smooth=smooth)[0]
-        for c in range(3)
-    ]
+def _tables(places: Places, rows: Mask, model: str | float) -> list[Floats]:
+    """Return the tables of R, G, B: a standard curve by its name, or fitted with a stiffness."""
+    if isinstance(model, str):
+        return [response_table(model)] * 3
+    codes = places.codes[rows]
+    return [fit_response(codes[..., c], places.log_exposure, smooth=model)[0] for c in range(3)]
 
 
 def fit(places: Places) -> ResponseFit:
@@ -298,22 +298,21 @@ def fit(places: Places) -> ResponseFit:
     """
     low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8
-    simple = {"linear": response_table("linear"), "srgb": response_table("srgb")}
-    candidates = [
-        Candidate(name, 0, _pooled(places, lambda rows, t=t: [t] * 3, groups, low))
-        for name, t in simple.items()
-    ]
-    for size, smooth in enumerate(SMOOTH, start=1):
-        errors = _pooled(places, lambda rows, s=smooth: _tables(places, rows, s), groups, low)
-        candidates.append(Candidate(f"table of stiffness {smooth:g}", size, errors))
-    choice = choose("response", candidates, "% of light", negligible=NEGLIGIBLE)
-    if choice.index < len(simple):
-        response = Response(kind=("linear", "srgb")[choice.index])
-        tables = [list(simple.values())[choice.index]] * 3
+    models: list[tuple[str, int, str | float]] = [("linear", 0, "linear"), ("srgb", 0, "srgb")]
+    models += [(f"table of stiffness {s:g}", n, s) for n, s in enumerate(SMOOTH, start=1)]
+    _check_overlap(places, low)
+    model, tables, choice = fit_and_choose(
+        "response",
+        models,
+        groups,
+        lambda model, rows: _tables(places, rows, model),
+        lambda _, tables, held: _misfit(places, tables, held, low),
+        unit="% of light",
+        negligible=NEGLIGIBLE,
+    )
+    if isinstance(model, str):
+        response = Response(kind=model)  # type: ignore[arg-type]
     else:
-        tables = _tables(
-            places, np.ones(len(places.codes), bool), SMOOTH[choice.index - len(simple)]
-        )
         red, green, blue = (tuple(round(float(z), 7) for z in t) for t in tables)
         response = Response("table", red, green, blue)
     rms = [
@@ -332,26 +331,24 @@ def fit(places: Places) -> ResponseFit:
     return ResponseFit(response, (rms[0], rms[1], rms[2]), choice)
 
 
-def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int) -> Floats:
-    """Return held-out squared errors, averaged over colours, of places that two frames see."""
-    errors = np.full(len(places.codes), np.nan)
-    for held in folds(groups):
-        tables = tables_of(~held)
-        by_colour = [
-            residuals(t, places.codes[held, :, c], places.log_exposure, low)
-            for c, t in enumerate(tables)
+def _misfit(places: Places, tables: list[Floats], held: Mask, low: int) -> Floats:
+    """Return squared errors of places, averaged over colours; NaN unless two frames see a place."""
+    by_colour = np.stack(
+        [
+            residuals(table, places.codes[held, :, c], places.log_exposure, low)
+            for c, table in enumerate(tables)
         ]
-        stacked = np.stack(by_colour)
-        finite = np.isfinite(stacked)
-        errors[held] = np.where(
-            finite.any(axis=0),
-            np.where(finite, stacked, 0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1),
-            np.nan,
-        )
-    valid = errors[np.isfinite(errors)]
-    if len(valid) < 20:
+    )
+    seen = np.isfinite(by_colour)
+    total, count = np.where(seen, by_colour, 0).sum(axis=0), seen.sum(axis=0)
+    return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
+
+
+def _check_overlap(places: Places, low: int) -> None:
+    """Raise NotEnoughDataError for fewer than 20 places that are well exposed in two frames."""
+    good = ((places.codes >= low) & (places.codes <= HIGH)).sum(axis=1) >= 2  # [places, 3]
+    if (count := int(good.any(axis=1).sum())) < 20:
         raise NotEnoughDataError(
-            f"places that are well exposed in two frames: {len(valid)}; expected at least 20 to "
+            f"places that are well exposed in two frames: {count}; expected at least 20 to "
             "fit a response; take more frames"
         )
-    return valid

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark
@@ -195,18 +195,15 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     groups = np.unique([str(r.picture) for r in readings], return_inverse=True)[1]
     if groups.max() < 3:  # with fewer pictures each reading is its own group
         groups = np.arange(len(readings))
-    candidates = []
-    for nodes in NODE_SETS:
-        design = _design(readings, nodes)
-        off = np.zeros(len(readings))
-        for held in folds(groups):
-            values = _falling(design[~held], stray[~held])
-            off[held] = (design[held] @ values - stray[held]) / stray[held]
-        candidates.append(Candidate(f"{len(nodes)} angles", len(nodes), off**2))
-    choice = choose("stray light", candidates, "% of it")
-    nodes = NODE_SETS[choice.index]
-    design = _design(readings, nodes)
-    values = _falling(design, stray)
+    designs = {nodes: _design(readings, nodes) for nodes in NODE_SETS}
+    nodes, values, choice = fit_and_choose(
+        "stray light",
+        [(f"{len(nodes)} angles", len(nodes), nodes) for nodes in NODE_SETS],
+        groups,
+        lambda nodes, rows: _falling(designs[nodes][rows], stray[rows]),
+        lambda nodes, k, held: (designs[nodes][held] @ k / stray[held] - 1.0) ** 2,
+        unit="% of it",
+    )
     share = total_share(nodes, values)
     if share > MOST_SHARE:
         raise InputError(
@@ -218,7 +215,7 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
         )
     u_rel = max(choice.rms, LEAST_U_REL)
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
-    return StrayFit(kernel, design @ values, share, choice)
+    return StrayFit(kernel, designs[nodes] @ values, share, choice)
 
 
 def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Floats:

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.arrays import Array, Mask
 from fieldlum.calibrate.frames import linear_frame, nearest_lens, relative_angle
-from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import check_vignetting, vignetting_at
@@ -249,12 +248,13 @@ def fit(samples: Samples) -> VignettingFit:
     _refuse_rising(replace(samples, r=r, value=value, u_rel=u))
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
-    candidates = [
-        Candidate(f"order {o}" if o else "no loss", o // 2, _held_out(r, value, u, groups, o))
-        for o in orders
-    ]
-    choice = choose(f"vignetting f/{samples.f_number:g}", candidates)
-    theta = _falling(r, value, u, orders[choice.index])
+    _, theta, choice = fit_and_choose(
+        f"vignetting f/{samples.f_number:g}",
+        [(f"order {o}" if o else "no loss", o // 2, o) for o in orders],
+        groups,
+        lambda order, rows: _falling(r[rows], value[rows], u[rows], order),
+        lambda order, t, held: (value[held] / (_design(r[held], order) @ t) - 1.0) ** 2,
+    )
     even = theta / theta[0]
     coefficients = [0.0] * (2 * len(even) - 1)
     coefficients[::2] = even.tolist()
@@ -299,14 +299,6 @@ def _slips(samples: Samples) -> Mask:
         between = len(same) > 0 or r[i] < r.max()
         slips[i] = len(judged) > 0 and between and np.median(np.abs(judged)) < limit / 2
     return slips if slips.mean() < 0.25 else np.zeros(len(r), bool)
-
-
-def _held_out(r: Array, value: Array, u: Array, groups: NDArray[np.integer], order: int) -> Array:
-    errors = np.zeros(len(r))
-    for held in folds(groups):
-        theta = _falling(r[~held], value[~held], u[~held], order)
-        errors[held] = (value[held] / (_design(r[held], order) @ theta) - 1.0) ** 2
-    return errors
 
 
 def _refuse_rising(samples: Samples) -> None:
