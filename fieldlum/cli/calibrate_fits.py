@@ -23,7 +23,7 @@ from fieldlum.calibrate import (
     stray,
     vignette,
 )
-from fieldlum.cli.calibrate_lens import Fitted, Paths, lens_index, say_time, with_lens
+from fieldlum.cli.calibrate_lens import FittedPart, Paths, lens_index, say_time, with_lens
 from fieldlum.photometry import illuminance_verdict
 from fieldlum.profiles import CameraProfile, find_camera_profile
 from fieldlum.records import JsonTable
@@ -33,7 +33,7 @@ from fieldlum.session import open_session, sha256
 # light
 
 
-def fit_response(profile: CameraProfile, sources: Paths) -> Fitted:
+def fit_response(profile: CameraProfile, sources: Paths) -> FittedPart:
     """Fit the response of a JPEG camera, and its shutter law if the frames show it."""
     say_time(sources, profile)
     brackets = response.brackets_in(sources)
@@ -53,10 +53,12 @@ def fit_response(profile: CameraProfile, sources: Paths) -> Fitted:
     if places.law.decided_by == "frames" or profile.shutter_law != "auto":
         changed["shutter_law"] = places.law.law
     lines = [text for text in (fit.choice.line, places.steps.text) if text]
-    return Fitted(changed, lines, places.frames, figures, lambda: pictures.of_response(places, fit))
+    return FittedPart(
+        changed, lines, places.frames, figures, lambda: pictures.of_response(places, fit)
+    )
 
 
-def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> Fitted:
+def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> FittedPart:
     """Fit the loss of light towards the edge of a lens, for one aperture."""
     index = lens_index(profile, lens_number)
     if len(sources) == 1 and sources[0].suffix.lower() == ".csv":
@@ -72,7 +74,7 @@ def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> Fi
         "u_rel": fit.u_rel,
     }
     changed = {"lens": with_lens(profile, samples.lens, new)}
-    return Fitted(
+    return FittedPart(
         changed,
         [fit.choice.line],
         samples.frames,
@@ -81,7 +83,7 @@ def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> Fi
     )
 
 
-def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> Fitted:
+def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> FittedPart:
     """Fit luminance from camera R, G, B."""
     is_table = sources.suffix.lower() == ".csv"
     if is_table:
@@ -101,7 +103,7 @@ def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> Fi
     }
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
     frames = [sources, *colours.frames]
-    return Fitted(
+    return FittedPart(
         {"colour": new},
         [fit.choice.line],
         frames,
@@ -121,7 +123,7 @@ def _numbers(text: str, count: int) -> tuple[float, ...]:
     return numbers
 
 
-def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> Fitted:
+def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> FittedPart:
     """Fit the absolute factor k to meter readings."""
     readings, frames, notes = scale.from_table(sources, profile)
     fit = scale.fit(readings, meter_u, sources)
@@ -157,7 +159,7 @@ def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> Fitted:
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {doubt}" if doubt else ""
-    return Fitted(
+    return FittedPart(
         {"scale": replace(profile.scale, k=k, u_rel=u)},
         [line],
         [sources, *frames],
@@ -169,7 +171,7 @@ def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> Fitted:
     )
 
 
-def fit_stray(profile: CameraProfile, sources: Path) -> Fitted:
+def fit_stray(profile: CameraProfile, sources: Path) -> FittedPart:
     """Fit the lens's stray light to readings of dark places."""
     readings = stray.from_table(sources, profile)
     fit = stray.fit(readings, sources)
@@ -181,7 +183,7 @@ def fit_stray(profile: CameraProfile, sources: Path) -> Fitted:
     }
     changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor
     frames = [sources, *dict.fromkeys(r.picture for r in readings)]
-    return Fitted(
+    return FittedPart(
         changed, [fit.choice.line], frames, figures, lambda: pictures.of_stray(readings, fit)
     )
 
@@ -190,7 +192,7 @@ def fit_stray(profile: CameraProfile, sources: Path) -> Fitted:
 # raw cameras
 
 
-def fit_shutter(profile: CameraProfile, sources: Paths, camera: str) -> Fitted:
+def fit_shutter(profile: CameraProfile, sources: Paths, camera: str) -> FittedPart:
     """Fit the shutter's true times; camera : the text of --camera."""
     digest = sha256(find_camera_profile(camera))
     read = [shutter.from_session(open_session(path), digest) for path in sources]
@@ -208,7 +210,7 @@ def fit_shutter(profile: CameraProfile, sources: Paths, camera: str) -> Fitted:
             f"{100 * (t.true_s / assumed_s - 1):+6.2f} % from the profile, "
             f"u {100 * t.u_rel:.2f} %, {n} brackets"
         )
-    return Fitted(
+    return FittedPart(
         {"shutter": shutter.with_times(profile, fit)},
         [fit.line],
         files,
@@ -221,7 +223,7 @@ def fit_shutter(profile: CameraProfile, sources: Paths, camera: str) -> Fitted:
     )
 
 
-def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> Fitted:
+def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> FittedPart:
     """List bad pixels; those that the profile already lists remain."""
     say_time(sources, profile)
     defects = pixels.find(sources, profile, dark=dark)
@@ -232,7 +234,7 @@ def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> Fitted:
         "views": defects.views,
         "by_chance": defects.by_chance,
     }
-    return Fitted(
+    return FittedPart(
         {"sensor": replace(profile.sensor, bad_px=bad_px)},
         [defects.line],
         defects.frames,
@@ -242,7 +244,7 @@ def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> Fitted:
     )
 
 
-def fit_linearity(profile: CameraProfile, sources: Paths) -> Fitted:
+def fit_linearity(profile: CameraProfile, sources: Paths) -> FittedPart:
     """Fit how far raw counts are from proportional to light, and the shutter's offset."""
     say_time(sources, profile)
     folders = {path: sorted(p for p in path.glob("*") if p.is_file()) for path in sources}
@@ -262,7 +264,7 @@ def fit_linearity(profile: CameraProfile, sources: Paths) -> Fitted:
         "exposure_offset_s": fit.offset_s,
         "u_exposure_offset_s": fit.u_offset_s,
     }
-    return Fitted(
+    return FittedPart(
         {"sensor": sensor},
         [fit.choice.line],
         levels.frames,

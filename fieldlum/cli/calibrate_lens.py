@@ -23,7 +23,7 @@ Paths = tuple[Path, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class FittedPart:
     """What a fit changes in the profile, and what is printed about it.
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
@@ -74,7 +74,7 @@ def fit_lens(
     chessboard: str | None,
     against: Path | None,
     trim_deg: float | None,
-) -> Fitted:
+) -> FittedPart:
     """Fit the lens by targets, boards or its circle, or move or trim it."""
     if sum((circle, chessboard is not None, against is not None, trim_deg is not None)) > 1:
         raise click.UsageError(
@@ -101,7 +101,7 @@ def fit_lens(
     return replace(fitted, changed={"lens": with_lens(profile, index, new)})
 
 
-def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, Fitted]:
+def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
     half_deg = start.full_angle_deg / 2
     if trim_deg >= half_deg:
         raise click.UsageError(
@@ -114,19 +114,19 @@ def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, Fitted]:
         f"(before: {start.full_angle_deg:g} degrees, {start.radius_px:.2f} px)"
     )
     figures = {"full_angle_deg": new.full_angle_deg, "radius_px": new.radius_px}
-    return new, Fitted({}, [line], [], figures)
+    return new, FittedPart({}, [line], [], figures)
 
 
-def _moved(frame: Path, start: Lens, against: Path) -> tuple[Lens, Fitted]:
+def _moved(frame: Path, start: Lens, against: Path) -> tuple[Lens, FittedPart]:
     before, after = (lens_circle.grey_picture(path) for path in (against, frame))
     right, down = lens_circle.shift_px(before, after)
     at = (round(start.centre_px[0] + right, 2), round(start.centre_px[1] + down, 2))
     line = f"lens: shifted by {right:+.2f}, {down:+.2f} px"
     figures = {"shift_px": [right, down]}
-    return replace(start, centre_px=at), Fitted({}, [line], [frame, against], figures)
+    return replace(start, centre_px=at), FittedPart({}, [line], [frame, against], figures)
 
 
-def _by_circle(frame: Path, start: Lens) -> tuple[Lens, Fitted]:
+def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     grey = lens_circle.grey_picture(frame)
     found = lens_circle.circle(grey, frame)
     new = lens_circle.circle_lens(start, found, frame)
@@ -136,12 +136,12 @@ def _by_circle(frame: Path, start: Lens) -> tuple[Lens, Fitted]:
         "radius_px": found.radius_px,
         "u_px": found.u_px,
     }
-    return new, Fitted({}, [line], [frame], figures, lambda: pictures.of_circle(grey, found))
+    return new, FittedPart({}, [line], [frame], figures, lambda: pictures.of_circle(grey, found))
 
 
 def _by_targets(
     sources: Paths, start: Lens, chessboard: str | None, profile: CameraProfile
-) -> tuple[Lens, Fitted]:
+) -> tuple[Lens, FittedPart]:
     if chessboard:
         corners, notes = _boards(sources, chessboard, profile)
         targets, fit = corners.targets, boards.fit(corners, start)
@@ -159,7 +159,7 @@ def _by_targets(
     figures = {n: list(v) if isinstance(v, tuple) else v for n, v in figures.items()}
     figures |= {name: getattr(fit, name) for name in ("rms_px", "rms_deg", "widest_deg")}
     line = "; CAUTION: ".join([fit.choice.line, *fit.doubts])
-    return fit.lens, Fitted(
+    return fit.lens, FittedPart(
         {}, [line], sources, figures, lambda: pictures.of_lens(targets, fit), [*notes, *fit.doubts]
     )
 
