@@ -1,7 +1,6 @@
 """A real Dask scheduler and its workers over TCP: the files of one process, none twice."""
 
 import shutil
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,15 +56,6 @@ def session_of(root: Path, profile_path: Path) -> Session:
 
 def files(session: Session) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in session.panoramas.iterdir()}
-
-
-def text_of(path: Path) -> str:
-    """Return the text of a file that another process is about to write."""
-    for _ in range(300):
-        if path.is_file() and (text := path.read_text()):
-            return text
-        time.sleep(0.1)
-    raise TimeoutError(path)
 
 
 def test_workers_write_the_files_of_one_process(running: Cluster, scheduler: Scheduler) -> None:
@@ -144,9 +134,9 @@ def weather_file(running: Cluster) -> None:
 def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
     running: Cluster, scheduler: Scheduler
 ) -> None:
-    """Twenty units write a file each; one worker is killed and one unit hangs in its worker."""
+    """Forty units write a file each; one worker is killed and one unit hangs in its worker."""
     notes: list[str] = []
-    names = [f"n{k}.txt" for k in range(20)]
+    names = [f"n{k}.txt" for k in range(40)]
     folder = running.shared
     some = [  # the hanging unit starts first, so that its worker is known when another is killed
         WorkUnit(how, units.troubled, folder, {"name": how, "how": how, "times": 1})
@@ -161,12 +151,14 @@ def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
     running.worker("third")
     running.worker("fourth")
     limited = replace(scheduler, unit_limit_s=12.0, say=notes.append)
-    outcomes = []
+    outcomes, started, killed = [], folder / "hang.try0", ""
     for outcome in run_units(some, limited):
         outcomes.append(outcome)
-        if len(outcomes) == 4:
-            here = text_of(folder / "hang.try0") == str(running.processes["first"].pid)
-            running.signal("second" if here else "first")  # a killed worker cannot hang
+        pid = started.read_text() if started.is_file() else ""
+        if pid and not killed and len(outcomes) >= 4:  # a killed worker cannot hang
+            killed = "second" if pid == str(running.processes["first"].pid) else "first"
+            running.signal(killed)
+    assert killed
     assert sorted(o.unit.name for o in outcomes) == sorted([*names, "hang", "full"]), "none twice"
     assert not [o.trouble for o in outcomes if o.trouble or o.error]
     remove_scraps(folder / "out")  # of the killed worker

@@ -92,7 +92,7 @@ def run_units(
                 if isinstance(ended, str):
                     attempt.tries += 1
                     if attempt.tries <= scheduler.retries:
-                        waiting.append(attempt)
+                        waiting.appendleft(attempt)
                         continue
                     trouble = f"given up after {attempt.tries} tries, the last: {ended}"
                     ended = UnitOutcome(attempt.unit, trouble=trouble)
