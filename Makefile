@@ -1,5 +1,7 @@
 # Each target alone sets up .venv and does its job; only Python 3.11 or newer and a package index are needed.
-PYTHON ?= python3.11
+# The oldest Python that fits comes first, because its wheels exist; PYTHON=... chooses another.
+PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3.14 python3 python,\
+  $(shell $(name) -c "import sys; sys.version_info >= (3, 11) and print('$(name)')" 2>/dev/null)))
 unexport PYTHONDONTWRITEBYTECODE  # pytest's rewritten test files are kept between runs
 
 .PHONY: demo check test matrix matrix-short golden docs clean
@@ -19,6 +21,8 @@ test: .venv/ready
 	@.venv/bin/pyright & types=$$!; .venv/bin/pytest -q -n 2; tests=$$?; wait $$types && exit $$tests
 
 .venv/ready: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "no Python 3.11 or newer: install one, for example with" \
+	  "'apt install python3 python3-venv', 'brew install python' or from python.org"; exit 1; }
 	$(PYTHON) -m venv .venv
 	.venv/bin/python -m pip install -q --upgrade "pip>=25.1"
 	.venv/bin/python -m pip install -q -c constraints.txt -e . --group dev

@@ -106,13 +106,15 @@ class CameraSetup:
     profile: name of a profile in calibration/, or a path; "" for the default simulated camera;
     heading_deg: azimuth of the panorama's centre column, clockwise from true north; headings:
     azimuths to which a head turns a single fisheye for each bracket, empty for a fixed camera;
-    height_m: of the lens above the floor.
+    height_m: of the lens above the floor; assumed: keys that SITE.toml did not state, although
+    they turn the results.
     """
 
     profile: str = ""
     heading_deg: float = 180.0
     headings: tuple[float, ...] = ()
     height_m: float = 1.6
+    assumed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -343,7 +343,7 @@ def test_sun_in_view_without_a_filter(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
     profile = CameraProfile(
-        CameraBody("cam", "raw", 9, 9),
+        CameraBody("cam", "raw", 9, 9, date="2026-06-01"),
         (Lens((4.0, 4.0), 4.0, 180.0),),
         Bracket(5.6, 100.0, (0.5,)),
         nd=(NeutralDensity("nd3", (1000.0, 1000.0, 1000.0)),),
@@ -351,6 +351,8 @@ def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
     slot = Slot(NOW, 30.0, 180.0, (Exposure(0.5, 5.6, nd="nd4"), Exposure(0.5, 5.6, nd="nd3")))
     assert ["nd4" in f.text for f in planned.judge_calibration(profile, [slot])] == [True]
     assert planned.judge_age(profile, date(2027, 1, 1)).verdict == "ok"
+    never = replace(profile, camera=replace(profile.camera, date=""))
+    assert planned.judge_age(never, date(2027, 1, 1)).verdict == "warn"
 
 
 @pytest.mark.contract

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from places import SEATTLE
@@ -19,8 +20,10 @@ from places import SEATTLE
 from fieldlum.capture.status import next_step
 from fieldlum.cli import main, new_
 from fieldlum.cli.site_text import site_text
-from fieldlum.records import CameraSetup, Room, SiteFile, Window
-from fieldlum.scene.drawing import room_svg, wind
+from fieldlum.profiles import load_camera_profile
+from fieldlum.raw import write_jpeg
+from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Window
+from fieldlum.scene.drawing import compass_walls, room_svg, wind
 from fieldlum.site_toml import load_site
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
@@ -54,7 +57,8 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
         ("sign of the longitude", "Europe/Rome"),
         ("Altitude", ""),
         ("Camera: a number", "nothing"),
-        ("nothing", "sim-fisheye"),
+        ("nothing", "fisheye"),
+        ("is it", "sim-fisheye"),
         ("Azimuth", "215"),
         ("Height of the lens", "1.2"),
         ("Headings", "-"),
@@ -67,7 +71,7 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
         ("distance from that wall", "2"),
         ("How many windows", "1"),
         ("wall", "front"),
-        ("own directions", "south"),
+        ("expected SW, NW, NE, SE", "SW"),
         ("left edge", "0.5"),
         ("width", "9"),
         ("expected 0.05 to 4.5", "3"),
@@ -124,8 +128,10 @@ def test_the_text_reads_back_as_the_same_site(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_every_edge_of_a_window_leaves_a_possible_size() -> None:
     """An edge at the end of the wall and a sill at the ceiling are asked again at once."""
-    answers = ("south", "4", "3.9", "0.05", "3", "2.9", "0.05", "0.8", "1")
-    asked = click.Command("window", callback=lambda: click.echo(new_._window(1, 4.0, 5.0, 3.0)))
+    answers = ("south", "n", "4", "3.9", "0.05", "3", "2.9", "0.05", "0.8", "1")
+    asked = click.Command(
+        "window", callback=lambda: click.echo(new_._window(1, 4.0, 5.0, 3.0, 0.0))
+    )
     shown = CliRunner().invoke(asked, input="\n".join(answers) + "\n")
     assert shown.exit_code == 0 and "4: expected 0 to 3.9" in shown.output
     assert "left_m=3.9, width_m=0.05, sill_m=2.9, height_m=0.05" in shown.output
@@ -190,3 +196,64 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
         steps.append(next_step(answer))
     words = ["doctor", "capture", "merge", "pair", "train", "predict", "report", "open"]
     assert [word in step for word, step in zip(words, steps, strict=True)] == [True] * 8
+
+
+def _answers(*more: str) -> str:
+    place = ("office", "-33.9", "18.4", "Africa/Johannesburg", "0")
+    return "\n".join((*place, *more)) + "\n"
+
+
+@pytest.mark.contract
+def test_no_camera_and_no_heading_yet_is_an_answer(tmp_path: Path) -> None:
+    """The file says what is not known, and the site knows that its defaults are no statements."""
+    path = tmp_path / "office.toml"
+    shown = CliRunner().invoke(main, ["new", str(path)], _answers("none yet", "-", "", "-", "n"))
+    assert shown.exit_code == 0, shown.output
+    assert "no heading of the camera is stated" in shown.output
+    assert load_site(path).camera.assumed == ("heading_deg", "profile")
+    assert "# heading_deg = ... # not known yet" in path.read_text("utf-8")
+
+
+@pytest.mark.contract
+def test_an_interrupted_dialogue_continues(tmp_path: Path) -> None:
+    path = tmp_path / "office.toml"
+    shown = CliRunner().invoke(main, ["new", str(path)], _answers("theta z1"))
+    assert shown.exit_code == 1 and not path.exists()
+    shown = CliRunner().invoke(main, ["new", str(path)], "30\n1.5\n-\nn\n")
+    assert shown.exit_code == 0 and "continuing with the answers" in shown.output, shown.output
+    setup = load_site(path)
+    assert (setup.site.name, setup.camera.heading_deg) == ("office", 30.0)
+    assert setup.camera.profile == "ricoh-theta-z1-uncalibrated"
+    assert "standard uncertainties are scale 50 %" in shown.output
+    assert [file.name for file in tmp_path.iterdir()] == ["office.toml"]
+
+
+@pytest.mark.contract
+def test_a_wrong_sign_of_the_latitude_is_asked_again(tmp_path: Path) -> None:
+    answers = "office\n33.9\n18.4\nAfrica/Johannesburg\nAfrica/Tripoli\n0\nnone\n-\n\n-\nn\n"
+    shown = CliRunner().invoke(main, ["new", str(tmp_path / "s.toml")], answers)
+    assert "with the other sign of the latitude 12" in shown.output, shown.output
+    assert shown.exit_code == 0
+
+
+@pytest.mark.contract
+def test_an_own_profile_has_the_size_and_camera_of_a_photo(tmp_path: Path) -> None:
+    """The image circle scales with the picture; a value that another camera measured is none."""
+    codes = np.zeros((1872, 2808, 3), np.uint8)
+    photo, out = tmp_path / "a.jpg", tmp_path / "mine.toml"
+    write_jpeg(photo, codes, Exposure(0.01, 4.0, 200.0), make="Canon", model="EOS X")
+    start = "canon-5d2-8mm-f5.6"
+    shown = CliRunner().invoke(main, ["new", str(out), "--camera", start, "--photo", str(photo)])
+    assert shown.exit_code == 0 and "no date of calibration" in shown.output, shown.output
+    profile = load_camera_profile(out)
+    assert profile.lens[0].radius_px == pytest.approx(1768.18 / 2)
+    assert (profile.camera.model, profile.camera.width_px) == ("EOS X", 2808)
+    assert (profile.bracket.f_number, profile.scale.u_rel, profile.camera.date) == (4.0, 0.5, "")
+    shown = CliRunner().invoke(main, ["info", start])
+    assert shown.exit_code == 0 and "camera profile" in shown.output, shown.output
+
+
+@pytest.mark.analytic
+def test_walls_are_named_by_compass_in_cape_town() -> None:
+    """The main wall faces north: the room's "south" is N, and its "west", 90 deg on, is E."""
+    assert compass_walls(0.0) == {"N": "south", "E": "west", "S": "north", "W": "east"}

@@ -16,7 +16,8 @@ from fieldlum.profiles import (
     save_profile,
     shipped,
 )
-from fieldlum.site_toml import load_site, site_from_table, site_table
+from fieldlum.records import Site
+from fieldlum.site_toml import load_site, site_from_table, site_table, wrong_sign_text
 
 PLACE = {
     "name": "here",
@@ -205,3 +206,51 @@ def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str,
     (tmp_path / "odd.toml").write_text(text.replace(line, new, 1), encoding="utf-8")
     with pytest.raises(InputError, match=said):
         load_camera_profile(tmp_path / "odd.toml")
+
+
+@pytest.mark.contract
+def test_a_site_without_heading_and_camera_is_planned_and_says_so(tmp_path: Path) -> None:
+    """Plan, sheet and doctor name each default that turns the answer; sizes are unknown."""
+    from datetime import date
+
+    from fieldlum.doctor.planned import check_profile
+    from fieldlum.plan import Request, run, sentences, summary, write_sheets
+
+    path = tmp_path / "s.toml"
+    text = (
+        '[site]\nname = "s"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\n'
+        'timezone = "America/Los_Angeles"\n'
+    )
+    path.write_text(text, encoding="utf-8")
+    session, made = run(load_site(path), Request("4-day", date(2027, 1, 1)), tmp_path / "p")
+    assert "no heading" in made.warnings[0] and "no camera" in made.warnings[1]
+    shown = "\n".join(sentences(summary(session, made)))
+    assert "the size of the files is unknown" in shown and "GB" not in shown
+    sheet = write_sheets(session).read_text("utf-8")
+    assert "no heading of the camera" in sheet and "view direction</title>" not in sheet
+    warned = [f.text for f in check_profile(session, date(2027, 1, 1)) if f.verdict == "warn"]
+    assert warned[:2] == list(made.warnings[:2])
+    path.write_text(text + "[camera]\nheading_deg = 90\nprofile = 'sim-fisheye'\n", "utf-8")
+    assert load_site(path).camera.assumed == ()
+
+
+@pytest.mark.authority
+def test_signs_are_checked_by_the_place_of_the_time_zone(tmp_path: Path) -> None:
+    """zone.tab of tzdata: Cape Town's zone is in the south and east; Leticia is Bogota's."""
+    for lat, lon, zone, wrong in (
+        (-33.9, 18.4, "Africa/Johannesburg", ""),
+        (33.9, 18.4, "Africa/Johannesburg", "sign of the latitude"),
+        (-33.9, -18.4, "Africa/Johannesburg", "sign of the longitude"),
+        (47.6, 122.3, "America/Los_Angeles", "sign of the longitude"),
+        (-4.2, -69.9, "America/Bogota", ""),
+        (5.5, 95.3, "Asia/Jakarta", ""),
+        (39.5, 76.0, "Asia/Shanghai", ""),
+        (45.0, 100.0, "UTC", ""),
+    ):
+        text = wrong_sign_text(Site("s", lat, lon, zone))
+        assert (wrong in text) if wrong else not text, (lat, lon, zone, text)
+    path = tmp_path / "s.toml"
+    place = 'latitude_deg = 33.9\nlongitude_deg = 18.4\ntimezone = "Africa/Johannesburg"\n'
+    path.write_text(f'[site]\nname = "s"\n{place}', encoding="utf-8")
+    with pytest.raises(InputError, match="other sign of the latitude"):
+        load_site(path)

@@ -24,10 +24,11 @@ def command(files: tuple[Path, ...], part: str, as_json: bool) -> None:
 
     \b
     Example:
+      fieldlum info canon-5d2-8mm-f5.6
       fieldlum info raw/20270320T193000Z/f00.dng panoramas/20270320T193000Z.exr plan.csv
     """
     bad = 0
-    for path in files:
+    for path in map(_shipped_profile, files):
         try:
             facts = {"file": str(path), **describe(path, part)}
         except InputError as error:
@@ -45,6 +46,15 @@ def command(files: tuple[Path, ...], part: str, as_json: bool) -> None:
                     click.echo(f"  {name:24} {_short(value)}")
     if bad:
         raise SystemExit(InputError.exit_code)
+
+
+def _shipped_profile(path: Path) -> Path:
+    """Return the path of a shipped camera profile for its name, else the path unchanged."""
+    from fieldlum.profiles import camera_names, find_camera_profile
+
+    if not path.exists() and path.name == str(path) and path.name in camera_names():
+        return find_camera_profile(path.name)
+    return path
 
 
 def _short(value: object) -> str:
@@ -155,6 +165,7 @@ def _toml(path: Path) -> Facts:
             "frames": len(profile.bracket.shutter_s),
             "k": profile.scale.k,
             "u_k_percent": 100 * profile.scale.u_rel,
+            "calibrated": profile.camera.date or "never",
             "source": profile.provenance.source,
         }
     if "entry" in table:

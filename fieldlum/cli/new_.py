@@ -1,9 +1,11 @@
-"""`fieldlum new`: ask questions about a site and write its SITE.toml."""
+"""`fieldlum new`: ask questions about a site and write its SITE.toml, or an own camera profile."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,33 +23,62 @@ _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 
 
 @click.command("new")
-@click.argument("site_file", metavar="SITE.toml", type=PATH)
-def command(site_file: Path) -> None:
-    """Ask questions about a site and write its SITE.toml.
+@click.argument("site_file", metavar="SITE.toml|CAMERA.toml", type=PATH)
+@click.option(
+    "--camera",
+    "start",
+    metavar="PROFILE",
+    help="Write an own camera profile instead, which starts from this one.",
+)
+@click.option(
+    "--photo", type=PATH, metavar="FRAME", help="With --camera: frame with size and camera."
+)
+def command(site_file: Path, start: str | None, photo: Path | None) -> None:
+    """Ask about a site and write its SITE.toml, or write a camera profile.
 
-    Each answer is checked at once. If you describe the room, it is drawn as SITE.svg: check the
-    windows and azimuths there. An existing SITE.toml is not overwritten.
+    Each answer is checked and stored at once: after an interruption, the same command continues.
+    If you describe the room, it is drawn as SITE.svg: check the windows and azimuths there. An
+    existing file is not overwritten.
 
     \b
     Example:
       fieldlum new office.toml
+      fieldlum new my-z1.toml --camera ricoh-theta-z1-uncalibrated --photo R0010001.DNG
     """
     from fieldlum.cli.site_text import site_text
-    from fieldlum.profiles import coverage_text, load_camera_profile
+    from fieldlum.profiles import (
+        assumed_texts,
+        coverage_text,
+        load_camera_profile,
+        uncalibrated_text,
+    )
     from fieldlum.scene.drawing import room_svg
     from fieldlum.site_toml import load_site
 
     if site_file.exists():
         raise InputError(site_file, "the file exists already", "a new file", "choose another name")
+    if start is not None:
+        from fieldlum.cli.new_camera import write_own_camera
+
+        write_own_camera(site_file, start, photo)
+        return
+    if photo is not None:
+        raise click.UsageError("--photo describes an own camera: name a profile with --camera")
+    answers = _Answers.read(site_file.with_name(f"{site_file.name}.answers"))
+    click.get_current_context().meta[_ANSWERS] = answers
     site = _site()
-    camera = _camera()
+    camera = _camera(site_file.parent)
     setup = SiteFile(site, camera)
-    if blind := coverage_text(load_camera_profile(camera.profile), camera):
-        click.echo(f"note: {blind}")
-    if click.confirm("Describe the room by tape measure? It allows sun patches", default=True):
+    profile = load_camera_profile(camera.profile)
+    blind = coverage_text(profile, camera)
+    for note in (*assumed_texts(camera), uncalibrated_text(profile), blind):
+        if note:
+            click.echo(f"note: {note}")
+    if _ask("Describe the room by tape measure? It allows sun patches (y, n)", _yes, default="y"):
         setup = _checked_room(site, camera)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
+    answers.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
     if drawing := room_svg(setup):
         picture = site_file.with_suffix(".svg")
@@ -62,6 +93,7 @@ def command(site_file: Path) -> None:
 
 
 def _site() -> Site:
+    from fieldlum.site_toml import wrong_sign_text
     from fieldlum.sun import zone_off_sun_h
 
     name = _ask("Name of the site", _name)
@@ -71,6 +103,8 @@ def _site() -> Site:
     def zone(text: str) -> Site:
         site = Site(name, latitude, longitude, _known_zone(text))
         off = zone_off_sun_h(site)
+        if wrong := wrong_sign_text(site):
+            raise ValueError(f"{wrong}; north and east are positive")
         if abs(off) > 4.0:
             raise ValueError(
                 f"the clock of this zone differs from the sun at longitude {longitude:g} by "
@@ -84,21 +118,54 @@ def _site() -> Site:
     return Site(name, latitude, longitude, site.timezone, altitude)
 
 
-def _camera() -> CameraSetup:
-    from fieldlum.profiles import find_camera_profile, load_camera_profile, shipped
+def _own_profiles(folder: Path) -> list[str]:
+    """Return the paths of the camera profiles in a folder."""
+    from fieldlum.profiles import load_camera_profile
 
-    names = sorted(path.stem for path in shipped("calibration").glob("*.toml"))
-    click.echo("Cameras with a shipped profile:")
+    own = []
+    for path in sorted(folder.glob("*.toml")):
+        try:
+            load_camera_profile(path)
+        except InputError:  # a site, or a profile that cannot be used
+            continue
+        own.append(str(path))
+    return own
+
+
+def _camera(folder: Path) -> CameraSetup:
+    """Ask for the camera; folder: where own profiles are listed from."""
+    from fieldlum.profiles import camera_names, find_camera_profile, load_camera_profile
+
+    names = [*_own_profiles(folder), *camera_names()]
+    click.echo("Cameras with a profile:")
     for k, name in enumerate(names, start=1):
         click.echo(f"  {k}  {name}")
+    click.echo("Another camera: fieldlum new CAMERA.toml --camera SIMILAR --photo FRAME")
 
     def profile(text: str) -> str:
+        if text.lower() in ("none", "none yet"):
+            return ""
+        words = text.lower().split()
+        similar = [name for name in names if all(word in name.lower() for word in words)]
         chosen = names[int(text) - 1] if text.isdigit() and 0 < int(text) <= len(names) else text
+        if chosen not in names and len(similar) == 1:
+            chosen = similar[0]
+        if not Path(chosen).is_file() and chosen not in names:
+            which = f"; is it {' or '.join(similar)}?" if similar and words else ""
+            raise ValueError(
+                f"'{text}' is no number, name or path of a profile{which}; without one answer none"
+            )
         load_camera_profile(find_camera_profile(chosen))
         return chosen
 
-    chosen = _ask("Camera: a number, or the path of your own profile", profile)
-    heading = _ask("Azimuth that the camera faces, clockwise from true north", _number(0.0, 360.0))
+    def azimuth(text: str) -> float | None:
+        return None if text == "-" else _number(0.0, 360.0)(text)
+
+    chosen = _ask("Camera: a number, a name, the path of your own profile, or none", profile)
+    facing = _ask("Azimuth that the camera faces, clockwise from true north (- unknown)", azimuth)
+    missing = {"heading_deg": facing is None, "profile": not chosen}
+    unknown = [name for name, is_missing in missing.items() if is_missing]
+    heading = CameraSetup().heading_deg if facing is None else facing
     height = _ask("Height of the lens above the floor in m", _number(0.05, 50.0), default="1.2")
 
     def turned(text: str) -> tuple[float, ...]:
@@ -109,7 +176,7 @@ def _camera() -> CameraSetup:
     headings = _ask(
         "Headings of a turned head, separated by commas (- for a fixed camera)", turned, default="-"
     )
-    return CameraSetup(chosen, heading, headings, height)
+    return CameraSetup(chosen, heading, headings, height, tuple(unknown))
 
 
 def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
@@ -127,16 +194,16 @@ def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
 
 
 def _room(camera: CameraSetup) -> Room:
-    click.echo('All lengths in m. The main window wall is called "south", wherever it faces.')
+    click.echo("All lengths in m. The first wall is the one with the main windows.")
     length = _number(0.3, 200.0)
     width = _ask("Width along that wall", length)
     depth = _ask("Depth away from it", length)
     height = _ask("Height", _number(1.0, 100.0))
-    azimuth = _ask("Azimuth that this wall faces (180: south)", _number(0.0, 360.0))
+    azimuth = _ask("Azimuth that this wall faces (0: north, 180: south)", _number(0.0, 360.0))
     from_left = _ask("Camera: from the wall's left end, seen from inside", _number(0.0, width))
     from_wall = _ask("Camera: distance from that wall", _number(0.0, depth))
     count = int(_ask("How many windows", _number(0, 20), default="1"))
-    windows = tuple(_window(k + 1, width, depth, height) for k in range(count))
+    windows = tuple(_window(k + 1, width, depth, height, azimuth) for k in range(count))
     # camera_x_m counts from the other end, because x grows to the right as seen from outside
     return Room(
         width_m=width,
@@ -150,16 +217,19 @@ def _room(camera: CameraSetup) -> Room:
     )
 
 
-def _window(number: int, width: float, depth: float, height: float) -> Window:
-    def wall(text: str) -> Any:
-        if text not in ("south", "west", "north", "east"):
-            raise ValueError(
-                "expected south, west, north or east, in the room's own "
-                "directions (the main window wall is south)"
-            )
-        return text
+def _window(number: int, width: float, depth: float, height: float, azimuth: float) -> Window:
+    """Ask for a window; azimuth: that the main wall faces, by which walls get compass names."""
+    from fieldlum.scene.drawing import compass_walls
 
-    name = _ask(f"Window {number}: wall (south, west, north, east)", wall, default="south")
+    walls = compass_walls(azimuth)
+
+    def wall(text: str) -> Any:
+        if text.upper() not in walls:
+            raise ValueError(f"expected {', '.join(walls)}: the direction that the wall faces")
+        return walls[text.upper()]
+
+    main = next(iter(walls))
+    name = _ask(f"Window {number}: wall that faces ({', '.join(walls)})", wall, default=main)
     length = width if name in ("south", "north") else depth
     left_m = _ask(
         "  left edge from the wall's left end, seen from inside",
@@ -177,16 +247,75 @@ def _window(number: int, width: float, depth: float, height: float) -> Window:
 # asking
 
 
+_ANSWERS = "fieldlum.cli.new_.answers"  # key in click's context
+
+
+@dataclass
+class _Answers:
+    """Answers of an interrupted dialogue, stored as pairs of question and text."""
+
+    path: Path
+    before: list[list[str]] = field(default_factory=list)
+    stored: list[list[str]] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, path: Path) -> _Answers:
+        """Return the stored answers; none if the file is missing or damaged."""
+        try:
+            before = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return cls(path)
+        pairs = isinstance(before, list) and all(
+            isinstance(p, list) and len(p) == 2 and all(isinstance(x, str) for x in p)
+            for p in before
+        )
+        if not pairs:
+            return cls(path)
+        click.echo(f"continuing with the answers in {path}; remove it to begin again")
+        return cls(path, before)
+
+    def next_text(self, question: str) -> str | None:
+        """Return the stored answer to the next question; None, from now on, without one."""
+        if self.before and self.before[0][0] == question:
+            return self.before.pop(0)[1]
+        self.before.clear()
+        return None
+
+    def store(self, question: str, text: str) -> None:
+        """Add an answer to the file; a folder that cannot be written ends the command."""
+        self.stored.append([question, text])
+        content = json.dumps([*self.stored, *self.before], ensure_ascii=False, indent=0)
+        self.path.write_text(content, encoding="utf-8")
+
+
 def _ask(question: str, reader: Callable[[str], T], default: str | None = None) -> T:
     """Ask a question until `reader` accepts the answer; return what `reader` returns."""
+    answers: _Answers | None = click.get_current_context().meta.get(_ANSWERS)
 
     def checked(text: str) -> T:
         try:
-            return reader(text.strip())
+            value = reader(text.strip())
         except (InputError, ValueError) as error:
             raise click.UsageError(str(error)) from None
+        if answers is not None:
+            answers.store(question, text)
+        return value
 
+    if answers is not None and (text := answers.next_text(question)) is not None:
+        try:
+            value = checked(text)
+        except click.UsageError:
+            answers.before.clear()
+        else:
+            click.echo(f"{question}: {text}")
+            return value
     return click.prompt(question, default=default, value_proc=checked)
+
+
+def _yes(text: str) -> bool:
+    if text.lower() not in ("y", "yes", "n", "no"):
+        raise ValueError(f"'{text}': expected y or n")
+    return text.lower().startswith("y")
 
 
 def _name(text: str) -> str:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 
 from fieldlum.records import Room, SiteFile, Window
+from fieldlum.scene.drawing import compass_walls
 
 
 def site_text(setup: SiteFile) -> str:
@@ -25,8 +26,15 @@ def site_text(setup: SiteFile) -> str:
         f"timezone = {_quoted(site.timezone)} # IANA name",
         "",
         "[camera]",
-        f"profile = {_quoted(camera.profile)} # a name in calibration/, or a path",
-        f"heading_deg = {camera.heading_deg:g} # the panorama's middle, clockwise from true north",
+        *_stated(
+            "profile" not in camera.assumed,
+            f"profile = {_quoted(camera.profile)} # a shipped name (fieldlum info NAME), or a path",
+        ),
+        *_stated(
+            "heading_deg" not in camera.assumed,
+            f"heading_deg = {camera.heading_deg:g} # the panorama's middle, clockwise from true "
+            "north",
+        ),
     ]
     if camera.headings:
         headings = ", ".join(f"{heading:g}" for heading in camera.headings)
@@ -37,13 +45,18 @@ def site_text(setup: SiteFile) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _stated(is_known: bool, line: str) -> list[str]:
+    """Return a line, or a comment in its place for a value that is not known yet."""
+    return [line] if is_known else [f"# {line.partition(' ')[0]} = ... # not known yet: state it"]
+
+
 def _room_lines(room: Room) -> Sequence[str]:
     lines = [
         "",
         "# By tape measure, along the floor. For sun patches, the sun in view, and simulation.",
         "[room]",
         'kind = "box"',
-        f"width_m = {room.width_m:g} # along the main window wall, called south",
+        f"width_m = {room.width_m:g} # along the main window wall, which the room calls south",
         f"depth_m = {room.depth_m:g} # perpendicular to it",
         f"height_m = {room.height_m:g}",
         f"camera_x_m = {room.camera_x_m:g} # from that wall's RIGHT end as seen from inside",
@@ -52,15 +65,16 @@ def _room_lines(room: Room) -> Sequence[str]:
         f"wall_azimuth_deg = {room.wall_azimuth_deg:g} # where that wall faces",
     ]
     for window in room.window:
-        lines += _window_lines(window)
+        lines += _window_lines(window, room.wall_azimuth_deg)
     return lines
 
 
-def _window_lines(window: Window) -> Sequence[str]:
+def _window_lines(window: Window, wall_azimuth_deg: float) -> Sequence[str]:
+    facing = {wall: name for name, wall in compass_walls(wall_azimuth_deg).items()}[window.wall]
     return [
         "",
         "[[room.window]]",
-        f"wall = {_quoted(window.wall)}",
+        f"wall = {_quoted(window.wall)} # the room's own word; this wall faces {facing}",
         f"left_m = {window.left_m:g} # from the wall's LEFT end as seen from inside",
         f"width_m = {window.width_m:g}",
         f"sill_m = {window.sill_m:g} # above the floor",

@@ -8,7 +8,13 @@ from zoneinfo import ZoneInfo
 
 from fieldlum import sun
 from fieldlum.doctor.findings import CALIBRATION_YEARS, Finding, iso_date, owed_slots
-from fieldlum.profiles import CameraProfile, coverage_text, load_camera_profile
+from fieldlum.profiles import (
+    CameraProfile,
+    assumed_texts,
+    coverage_text,
+    load_camera_profile,
+    uncalibrated_text,
+)
 from fieldlum.records import Slot
 from fieldlum.session import Session, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
@@ -71,14 +77,17 @@ def check_profile(session: Session, today: date) -> list[Finding]:
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
     coverage = [Finding("coverage", "warn", blind)] if blind else []
-    return [judge_age(profile, today), *judge_calibration(profile, session.slots()), *coverage]
+    assumed = [Finding("camera", "warn", text) for text in assumed_texts(setup.camera)]
+    return [
+        *assumed,
+        judge_age(profile, today),
+        *judge_calibration(profile, session.slots()),
+        *coverage,
+    ]
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:
-    """Return a finding on a profile: fail if expired, warn if calibrated long ago, else ok.
-
-    Long ago means over two years.
-    """
+    """Return a finding on a profile: fail if expired, warn if calibrated never or 2 years ago."""
     name = profile.camera.name
     expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
     if expires and expires < today:
@@ -87,8 +96,9 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
     if calibrated and (today - calibrated).days > CALIBRATION_YEARS * 365.25:
         text = f"{name} was calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago"
         return Finding("profile", "warn", f"{text}: calibrate again")
-    text = f", calibrated {calibrated}" if calibrated else ", no date of calibration"
-    return Finding("profile", "ok", f"{name}{text}")
+    if uncalibrated := uncalibrated_text(profile):
+        return Finding("profile", "warn", uncalibrated)
+    return Finding("profile", "ok", f"{name}, calibrated {calibrated}")
 
 
 def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:

@@ -21,7 +21,14 @@ from fieldlum.plan.sheet import Cost, html
 from fieldlum.plan.texts import plan_warnings, sentences, summary
 from fieldlum.plan.values import Months, Plan, Request
 from fieldlum.plan.window import sun_enters, sun_in_view
-from fieldlum.profiles import Bracket, bracket_exposures, coverage_text, load_camera_profile
+from fieldlum.profiles import (
+    Bracket,
+    assumed_texts,
+    bracket_exposures,
+    coverage_text,
+    load_camera_profile,
+    uncalibrated_text,
+)
 from fieldlum.records import Exposure, Progress, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session, replacing
 from fieldlum.weather import Weather
@@ -80,7 +87,8 @@ def make_plan(
         if task and variance_left and request.set == "month"
         else None,
         (
-            *([blind] if blind else []),
+            *assumed_texts(setup.camera),
+            *(text for text in (uncalibrated_text(profile), blind) if text),
             *plan_warnings(days, chosen, site, request),
             *(weather.repairs if weather else ()),
         ),

@@ -20,6 +20,7 @@ from fieldlum.arrays import Floats
 from fieldlum.plan.calendar import by_day
 from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
 from fieldlum.plan.days import SEASON_TAGS, hours_of
+from fieldlum.profiles import assumed_texts
 from fieldlum.records import SiteFile, Slot
 from fieldlum.scene.drawing import room_svg
 from fieldlum.session import exposure_text
@@ -68,6 +69,7 @@ def html(
         days=len(days),
         late=LATE_MINUTES,
         notes=notes,
+        assumed=assumed_texts(setup.camera),
         figures=_figures(slots, setup, weather),
     )
 
@@ -127,6 +129,7 @@ def _sheet(
         "each": f"{cost.seconds_per_slot:.0f} s"
         if cost.seconds_per_slot < 90
         else f"{cost.seconds_per_slot / 60:.1f} min",
+        "size_is_known": "profile" not in setup.camera.assumed,
         "gigabytes": f"{len(slots) * cost.megabytes_per_slot / 1000:.1f}",
         "gigabytes_so_far": f"{so_far * cost.megabytes_per_slot / 1000:.1f}",
         "sun_path": sun_path_svg(day, slots, setup),
@@ -209,6 +212,8 @@ def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
 def _looking(setup: SiteFile) -> str:
     """Return thin wedges in the directions of the camera's headings, as SVG."""
     parts = []
+    if "heading_deg" in setup.camera.assumed:
+        return ""
     for heading in setup.camera.headings or (setup.camera.heading_deg,):
         tip, left, right = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, left, right))

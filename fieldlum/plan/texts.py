@@ -21,8 +21,8 @@ class PlanSummary:
 
     session: path of its folder; slots, days: numbers of slots, and of days with slots; first, last:
     ids of slots; solar_noon: local time on the first day, "" if unknown; frames: of all slots, at
-    every heading; megabytes: of all slots; tags: number of slots with each tag;
-    variance_left_percent: of the prior variance over the year, None without weather; month:
+    every heading; megabytes: of all slots, only if size_is_known; tags: number of slots with each
+    tag; variance_left_percent: of the prior variance over the year, None without weather; month:
     comparison with other months, only for `--set month` with weather, else None.
     """
 
@@ -35,6 +35,7 @@ class PlanSummary:
     frames: int
     seconds_per_slot: float
     megabytes: float
+    size_is_known: bool
     tags: dict[str, int]
     coverage: Coverage
     variance_left_percent: float | None
@@ -125,6 +126,7 @@ def summary(session: Session, plan: Plan) -> PlanSummary:
         frames=turns * sum(len(slot.exposures) for slot in slots),
         seconds_per_slot=plan.seconds_per_slot,
         megabytes=round(plan.megabytes_per_slot * len(slots), 1),
+        size_is_known="profile" not in setup.camera.assumed,
         tags={tag: sum(tag in slot.tags for slot in slots) for tag in tags},
         coverage=plan.coverage,
         variance_left_percent=None if plan.variance_left is None else 100 * plan.variance_left,
@@ -149,8 +151,7 @@ def sentences(summary: PlanSummary) -> list[str]:
     texts = [
         f"{counted(slots, 'slot')} on {counted(summary.days, 'day')}, {summary.first} to "
         f"{summary.last}, in {summary.session}",
-        f"{counted(summary.frames, 'frame')}, {summary.seconds_per_slot:g} s and "
-        f"{summary.megabytes / slots:.0f} MB per slot, {summary.megabytes / 1000:.1f} GB in total",
+        _cost_text(summary),
         _covered_text(summary.coverage),
     ]
     if summary.solar_noon:
@@ -174,6 +175,14 @@ def sentences(summary: PlanSummary) -> list[str]:
             f"times that of the best month, {summary.month.best}"
         )
     return texts
+
+
+def _cost_text(summary: PlanSummary) -> str:
+    text = f"{counted(summary.frames, 'frame')}, {summary.seconds_per_slot:g} s"
+    if not summary.size_is_known:
+        return f"{text} per slot; the size of the files is unknown, because no camera is stated"
+    each, total = summary.megabytes / summary.slots, summary.megabytes / 1000
+    return f"{text} and {each:.0f} MB per slot, {total:.1f} GB in total"
 
 
 def _covered_text(coverage: Coverage) -> str:

@@ -57,6 +57,43 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
 DEFAULT_CAMERA = "sim-dual-fisheye"
 
 
+def camera_names() -> list[str]:
+    """Return the names of the shipped camera profiles, simulated cameras last."""
+    names = (path.stem for path in shipped("calibration").glob("*.toml"))
+    return sorted(names, key=lambda name: (name.startswith("sim-"), name))
+
+
+def assumed_texts(setup: CameraSetup) -> list[str]:
+    """Return a sentence for the heading and one for the camera that SITE.toml does not state."""
+    texts = []
+    if "heading_deg" in setup.assumed:
+        texts.append(
+            f"no heading of the camera is stated: {setup.heading_deg:g} deg is assumed, and a "
+            "wrong heading turns every result; measure it and state heading_deg under [camera]"
+        )
+    if "profile" in setup.assumed:
+        texts.append(
+            f"no camera is stated: times, exposures and directions are those of the simulated "
+            f"{DEFAULT_CAMERA}, and the size of the files is unknown; state profile under "
+            "[camera] (fieldlum new lists cameras)"
+        )
+    return texts
+
+
+def uncalibrated_text(profile: CameraProfile) -> str:
+    """Return one sentence on what a profile without a date of calibration costs; "" with a date."""
+    if profile.camera.date:
+        return ""
+    vignetting = max((v.u_rel for lens in profile.lens for v in lens.vignetting), default=0.0)
+    parts = (("scale", profile.scale.u_rel), ("colour", profile.colour.u_rel))
+    shares = [f"{name} {100 * u:.0f} %" for name, u in (*parts, ("vignetting", vignetting)) if u]
+    return (
+        f"{profile.camera.name} has no date of calibration: standard uncertainties are "
+        f"{', '.join(shares)}, and directions may be wrong by some degrees; calibrate lens, "
+        "vignette, colour and scale (fieldlum calibrate -h)"
+    )
+
+
 def find_camera_profile(name: str) -> Path:
     """Return the path of a profile: `name` as a path, or else a file that is shipped.
 
@@ -71,11 +108,10 @@ def find_camera_profile(name: str) -> Path:
     ):
         if candidate.is_file():
             return candidate
-    names = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
     raise InputError(
         name,
         "no such camera profile",
-        f"the path of a TOML file, or one of: {names}",
+        f"the path of a TOML file, or one of: {', '.join(camera_names())}",
         "correct --camera, or profile under [camera] in SITE.toml ([setup.camera] in the "
         "session.toml of a planned session)",
     )

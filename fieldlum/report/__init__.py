@@ -133,7 +133,7 @@ def _page(session: Session, artefacts: SessionArtefacts) -> Page:
         footer=f"Written by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
         "against evalglare; see docs/accuracy.md. This page needs no network.",
         polar=annual.polar(year) if year else None,
-        warnings=_warnings(year),
+        warnings=(*_assumed(session), *_warnings(year)),
     )
 
 
@@ -159,6 +159,14 @@ def _facts(
             ("hours trusted", f"{trusted:.0f} %"),
         ]
     return tuple(facts)
+
+
+def _assumed(session: Session) -> list[str]:
+    """Return the warnings of a heading or camera that SITE.toml did not state."""
+    from fieldlum.profiles import assumed_texts
+
+    texts = assumed_texts(session.site_file().camera)
+    return [f"{text[0].upper()}{text[1:]}." for text in texts]
 
 
 def _warnings(year: Annual | None) -> tuple[str, ...]:

@@ -28,6 +28,14 @@ def wind(azimuth_deg: float) -> str:
     return f"{compass_name(azimuth_deg)} {round(azimuth_deg) % 360}°"
 
 
+def compass_walls(wall_azimuth_deg: float) -> dict[str, str]:
+    """Return the room's word of each wall by the compass direction it faces, the main wall first.
+
+    wall_azimuth_deg: that the "south" wall faces.
+    """
+    return {compass_name(wall_azimuth_deg + turn): w for w, turn in _WALL_TURN_DEG.items()}
+
+
 def room_svg(setup: SiteFile) -> str:
     """Return a plan of the room as SVG text, seen from above with the "south" wall at the bottom.
 
