@@ -14,26 +14,23 @@ from dataclasses import dataclass
 class ModelKind:
     """Where the code of a kind of model is, and how `train` tries it.
 
-    module: import path. size: rank from small (0) to large; of models within one standard error of
-    the best, `train` chooses the one of least rank. fit: name of the fitting function in the
-    module. baseline: True if `train` always tries it, also if the user names another model; its fit
-    has nothing random. slow: True if it is trained step by step, within a time budget: its fit
-    takes budget_s and least_passes, can continue from a checkpoint, and is never repeated for a
-    report.
+    module: import path. fit: name of the fitting function in the module. baseline: True if `train`
+    always tries it, also if the user names another model; its fit has nothing random. slow: True if
+    it is trained step by step, within a time budget: its fit takes budget_s and least_passes, can
+    continue from a checkpoint, and is never repeated for a report.
     """
 
     module: str
-    size: int
     fit: str = "fit"
     baseline: bool = False
     slow: bool = False
 
 
 MODELS: dict[str, ModelKind] = {
-    "mean": ModelKind("fieldlum.models.baselines", 0, "fit_mean", baseline=True),
-    "nearest": ModelKind("fieldlum.models.baselines", 1, "fit_nearest", baseline=True),
-    "transport": ModelKind("fieldlum.models.transport", 2),
-    "dense": ModelKind("fieldlum.models.dense", 3, slow=True),
+    "mean": ModelKind("fieldlum.models.baselines", "fit_mean", baseline=True),
+    "nearest": ModelKind("fieldlum.models.baselines", "fit_nearest", baseline=True),
+    "transport": ModelKind("fieldlum.models.transport"),
+    "dense": ModelKind("fieldlum.models.dense", slow=True),
 }
 
 

@@ -16,6 +16,7 @@ from fieldlum import models
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, light_at
 from fieldlum.models.data import Dataset
+from fieldlum.models.held_out_choice import HeldOutErrors
 from fieldlum.models.transport import Transport, fit, selection
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.models.transport.physics import physics_of
@@ -456,12 +457,13 @@ def test_computed_light_is_judged_by_the_recipes_of_the_fit(
         error = 1.0 if arrays.computed is light else 2.0
         if arrays.computed is None and any(r.noise == 3e-3 for r in recipes):
             error = 0.5
-        return SimpleNamespace(held=SimpleNamespace(judged=np.array([error])))
+        one = np.full(1, error)
+        return SimpleNamespace(held=SimpleNamespace(errors=HeldOutErrors(one, one, one, one, one)))
 
     monkeypatch.setattr(selection, "_choose_kernel", choose)
     drawn = replace(arrays, computed=light)
     best, first = selection._with_better_mean(drawn, Kernel(arrays.facades), None)
-    assert best.computed is None and first is not None and first.held.judged[0] == 0.5
+    assert best.computed is None and first is not None and first.held.errors.log10[0] == 0.5
     assert asked == 2 * [recipes_for(True, False)]
 
 

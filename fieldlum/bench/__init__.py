@@ -19,10 +19,14 @@ from fieldlum.model_registry import MODELS
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, run_each
 from fieldlum.session import replacing, replacing_path
-from fieldlum.train.selection import Trial, choose
+from fieldlum.train.selection import Trial, choose_model
 
 TABLE = {
     "name": "model",
+    "judged_dgp_error": "DGP error*",
+    "judged_ev_error": "ln Ev error*",
+    "judged_log10_mse": "log10 MSE*",
+    "n_judged": "hours*",
     "log10_mse_weighted": "log10 MSE",
     "log10_mse_weighted_sd": "sd",
     "rer_weighted": "RER",
@@ -174,6 +178,7 @@ def run(
     *,
     seeds: int = 1,
     budget_min: float = 5.0,
+    with_curve: bool = False,
     with_stress: bool = False,
     render_hours: int = 1,
     out: Path,
@@ -183,16 +188,18 @@ def run(
 ) -> BenchAnswer:
     """Run all pieces of a benchmark, write tables and charts into `out`, and return the scores.
 
-    Files: bench.md, scores, learning curve and, with a year of data, collection periods; stress
-    tests with `with_stress`. loaded: hours to train on, hours to test on (by default held-out
-    days), and hours from which seasons are drawn. files: where other processes read these hours;
-    needed for a scheduler other than this process. render_hours: hours for which Radiance is timed.
+    Files: bench.md, scores and, with a year of data, collection periods; the learning curve with
+    `with_curve`, stress tests with `with_stress`. loaded: hours to train on, hours to test on (by
+    default held-out days), and hours from which seasons are drawn. files: where other processes
+    read these hours; needed for a scheduler other than this process. render_hours: hours for which
+    Radiance is timed.
     """
     pieces = pieces_of(
         loaded,
         models,
         seeds=seeds,
         budget_s=60.0 * budget_min,
+        with_curve=with_curve,
         with_stress=with_stress,
         render_hours=render_hours,
     )
@@ -211,7 +218,7 @@ def run(
     trials: dict[str, Trial] = {}
     for _, trial in of("score"):
         trials.setdefault(trial.name, trial)
-    chosen = choose(list(trials.values()), loaded.data if loaded.test is None else loaded.test)
+    chosen = choose_model(list(trials.values()))
     table = [*over_seeds(rows), *of("rendering")]
     rows += of("rendering")
     store(out, "scores", table, lambda path: charts.speed_accuracy(path, table, machine()))

@@ -182,10 +182,11 @@ def pieces_of(
     *,
     seeds: int,
     budget_s: float,
+    with_curve: bool,
     with_stress: bool,
     render_hours: int,
 ) -> list[Piece]:
-    """Return all pieces that the data allow: scores, rendering, curves, periods, stress."""
+    """Return the pieces that the data allow: scores, rendering, periods, and requested ones."""
     pieces = score_pieces(models, seeds, budget_s, loaded.folder)
     quick = [
         model
@@ -196,7 +197,7 @@ def pieces_of(
     if room is not None and room.kind == "box" and render_hours:
         pieces.append(Piece("rendering", hours=render_hours))
     for model in quick:
-        if curve_data(loaded) is not None:
+        if with_curve and curve_data(loaded) is not None:
             pieces += [Piece("random", model), Piece("greedy", model)]
         if year.is_year(loaded.data):
             pieces.append(Piece("periods", model))

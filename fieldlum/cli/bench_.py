@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 )
 @seeds_option
 @budget_option(5.0, "Minutes of training for the dense network.")
+@click.option(
+    "--curve", is_flag=True, help="Also draw the error by the number of captures: the longest part."
+)
 @click.option("--stress", is_flag=True, help="Also test conditions in which methods fail.")
 @click.option(
     "--render",
@@ -67,6 +70,7 @@ def command(
     models: str,
     seeds: int,
     budget: float,
+    curve: bool,
     stress: bool,
     render: int,
     scene: str,
@@ -77,10 +81,10 @@ def command(
 ) -> None:
     """Chart speed against accuracy of the models.
 
-    Writes bench.md, scores.csv and scores.png; with enough data also learning_curve and periods;
-    with --stress also stress. The fitted scene of PAIRS is used for --test and --pool too. Without
-    a scene, sun patches that a csv lacks are computed from the [room]; with few clear hours, PAIRS
-    decide first whether the [room] is used, as in train.
+    Writes bench.md, scores.csv and scores.png; with a year of data also periods; with --curve
+    learning_curve, with --stress stress. The fitted scene of PAIRS is used for --test and --pool
+    too. Without a scene, sun patches that a csv lacks are computed from the [room]; with few clear
+    hours, PAIRS decide first whether the [room] is used, as in train.
 
     \b
     Example:
@@ -104,7 +108,7 @@ def command(
         loaded = load(files, show)
     for note in loaded.data.notes:
         say(note)
-    needed_s = _needed_s(loaded, files.models, seeds, budget, render, stress)
+    needed_s = _needed_s(loaded, files.models, seeds, budget, render, curve, stress)
     say_if(estimate_text(needed_s, scheduler.processes))
     with progress("benchmark") as show:
         answer = run(
@@ -112,6 +116,7 @@ def command(
             files.models,
             seeds=seeds,
             budget_min=budget,
+            with_curve=curve,
             with_stress=stress,
             render_hours=render,
             out=out,
@@ -132,6 +137,7 @@ def _needed_s(
     seeds: int,
     budget_min: float,
     render_hours: int,
+    with_curve: bool,
     with_stress: bool,
 ) -> float:
     """Return how long the benchmark may take on one core [s]."""
@@ -141,7 +147,7 @@ def _needed_s(
     data = loaded.data
     specs = [spec for spec in map(loaded.spec, models) if spec.folder is None]
     chosen = pieces.curve_data(loaded)
-    curve = 0 if chosen is None else 2 * sum(year.curve_counts(len(chosen[0])))
+    curve = 0 if chosen is None or not with_curve else 2 * sum(year.curve_counts(len(chosen[0])))
     room = data.setup.room
     return bench_s(
         sum(spec.name == "transport" for spec in specs),

@@ -128,29 +128,31 @@ def command(
 def _show(answer: TrainAnswer) -> None:
     """Print the scores on which the choice is based."""
     click.echo(
-        "                 by solid angle, held-out days       DGP MSE, disc of     paper mode"
+        "             judged hours, without 5 % with the largest errors     all held-out hours"
     )
     click.echo(
-        "model          log10 MSE      RER    worst  sky view the truth  log10 MSE      RER"
-        "  fit [s]  maps"
+        "model        DGP error  ln Ev error  log10 MSE  hours  "
+        "DGP error  log10 MSE    worst  fit [s]  maps"
     )
     for row in answer["models"]:
         if row["not_judged_because"]:
             click.echo(f"{row['name']:12} {row['not_judged_because']}")
             continue
         click.echo(
-            f"{row['name']:12} {_short(row['log10_mse_weighted'])} {row['rer_weighted']:8.4f} "
-            f"{_short(row['worst'])}"
-            f" {_short(row['dgp_mse_own_disc'])} {_short(row['dgp_mse'])}"
-            f"  {_short(row['paper_log10_mse'])} {row['paper_rer']:8.4f}"
-            f" {row['fit_s']:8.1f} {row['n_test']:5d}"
+            f"{row['name']:12} {_short(row.get('judged_dgp_error'))}    "
+            f"{_short(row.get('judged_ev_error'))}  {_short(row.get('judged_log10_mse'))} "
+            f"{row.get('n_judged', 0):6d}  {_short(row['dgp_mae'])}  "
+            f"{_short(row['log10_mse_weighted'])}{_short(row['worst'])}"
+            f"{row['fit_s']:9.1f} {row['n_test']:5d}"
         )
     click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")
     click.echo(f"parameters: {answer['parameters']:,}")
     captures = answer["captures"]
     if captures:
-        enough, idle = captures.get("enough"), len(captures.get("added_nothing", []))
-        click.echo(f"captures: {enough} would have been enough; {idle} added nothing")
+        click.echo(
+            f"captures: with {captures.get('enough')} training captures the held-out log10 MSE is "
+            "already within a standard error of the smallest"
+        )
     if year := answer.get("year"):
         click.echo(
             f"over a year: expected log10 MSE {year['expected_log10_mse']:.2e}, "

@@ -59,6 +59,11 @@ class ViewCoverage:
         return np.array([word != NOT_SEEN for word in self.words])
 
     @property
+    def complete(self) -> Mask:
+        """Mask [d], True for directions that are completely seen."""
+        return np.array([word == SEEN for word in self.words])
+
+    @property
     def partly(self) -> Mask:
         """Mask [d], True for partly seen directions, whose DGP has bounds."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])

@@ -45,6 +45,8 @@ _TILES = (6, 12)  # independent parts of the picture, for the standard errors; n
 _HIGHEST_DEG = 70.0
 _EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
 _MOST_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
+# Most captures, evenly spaced, whose median shows the room's edges, to limit the memory. Chosen.
+_MOST_SHOWN = 200
 # Light from another direction moves edges a little. In clean captures of the office and of eight
 # simulated rooms at 116 x 58 pixels, medians over a day differ from zero by at most 0.03 px in
 # heading, 0.13 px in tilt and 0.07 px in roll; 95 % of the single captures by at most 0.06, 0.25
@@ -187,6 +189,14 @@ def _edges_of(logs: Array, smooth_px: float) -> Floats32:
     return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
 
 
+def _edges_turned_back(
+    logs: Array, heading_deg: float, angles_deg: Array, smooth_px: float
+) -> Floats32:
+    """Return `_edges_of` a map [H, W] that is first turned back by the angles [3]."""
+    turned = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
+    return _edges_of(turned, smooth_px)
+
+
 @dataclass(frozen=True, slots=True)
 class _Solved:
     """A solved comparison of edges.
@@ -263,16 +273,42 @@ class _RoomEdges:
         return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
 
 
-def _smaller(logs: Floats32, seen_mask: Mask) -> tuple[Floats32, Mask]:
-    """Return maps [n, h, w] and seen pixels [h, w] at the working size."""
-    step = max(1, logs.shape[1] // _WORKING_ROWS)
-    if step == 1:
-        return logs, seen_mask
-    height, width = logs.shape[1] // step, logs.shape[2] // step
-    if logs.shape[1] % step or logs.shape[2] % step:
-        return logs, seen_mask
-    blocks = logs.reshape(len(logs), height, step, width, step).mean(axis=(2, 4))
-    return blocks, np.asarray(seen_mask.reshape(height, step, width, step).all(axis=(1, 3)))
+def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
+    """Return ln L of maps [n, h, w] and seen pixels [h, w] at the working size."""
+    step = max(1, luminance_cdm2.shape[1] // _WORKING_ROWS)
+    if luminance_cdm2.shape[1] % step or luminance_cdm2.shape[2] % step:
+        step = 1
+    height, width = (size // step for size in seen_mask.shape)
+    logs = np.empty((len(luminance_cdm2), height, width), np.float32)
+    for k, image in enumerate(luminance_cdm2):
+        log = np.log(np.maximum(image, _FLOOR_CDM2))
+        logs[k] = log.reshape(height, step, width, step).mean(axis=(1, 3))
+    return logs, np.asarray(seen_mask.reshape(height, step, width, step).all(axis=(1, 3)))
+
+
+def _compared(
+    logs: Floats32, seen_mask: Mask, heading_deg: float, progress: Progress
+) -> tuple[Array, Array, Array]:
+    """Return the turns [n, 3] deg, their standard errors, and the correlations of the edges [n]."""
+    count = len(logs)
+    motion_px = _motion_px(seen_mask.shape, heading_deg)
+    angles, u_deg, likeness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_SHOWN)).round().astype(int))
+    for k, smooth_px in enumerate(_SMOOTH_PX):
+        progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
+        stored = {
+            int(i): _edges_turned_back(logs[i], heading_deg, angles[i], smooth_px) for i in shown
+        }
+        median = np.median(np.stack(list(stored.values())), axis=0)
+        room = _RoomEdges(median, seen_mask, motion_px)
+        for i in range(count):
+            edges = stored.get(i)
+            if edges is None:
+                edges = _edges_turned_back(logs[i], heading_deg, angles[i], smooth_px)
+            turn, u_deg[i], likeness[i] = room.turn(edges)
+            angles[i] += turn
+        angles -= np.median(angles, axis=0)
+    return angles, u_deg, likeness
 
 
 def camera_turns(
@@ -296,21 +332,8 @@ def camera_turns(
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))
     if count < LEAST_CAPTURES or height < LEAST_ROWS or not seen_mask.any():
         return still
-    logs = np.log(np.maximum(luminance_cdm2, _FLOOR_CDM2)).astype(np.float32)
-    logs, seen_mask = _smaller(logs, seen_mask)
-    motion_px = _motion_px(seen_mask.shape, heading_deg)
-    angles, u_deg, likeness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    for k, smooth_px in enumerate(_SMOOTH_PX):
-        progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
-        edges = [
-            _edges_of(turned_back(m, heading_deg, a) if a.any() else m, smooth_px)
-            for m, a in zip(logs, angles, strict=True)
-        ]
-        room = _RoomEdges(np.median(np.stack(edges), axis=0), seen_mask, motion_px)
-        for i, edge in enumerate(edges):
-            turn, u_deg[i], likeness[i] = room.turn(edge)
-            angles[i] += turn
-        angles -= np.median(angles, axis=0)
+    logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
+    angles, u_deg, likeness = _compared(logs, seen_mask, heading_deg, progress)
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     aligned = (likeness >= LEAST_LIKENESS) & (np.abs(angles).max(axis=1) < MOST_TURN_PX * pixel_deg)

@@ -18,6 +18,7 @@ from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.models.pair_pictures import fill_gaps, read_pictures
 from fieldlum.models.teaching import joined_counts
 from fieldlum.models.turns_by_light import DirectLight
+from fieldlum.pair.interval import is_doubted
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Panorama, Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
@@ -53,7 +54,8 @@ class Dataset:
     its mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user;
     counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
     fitted scene, None without one; sky_view: where the camera sees the sky, None if it was not
-    estimated (`with_sky_view`).
+    estimated (`with_sky_view`); doubted: True for hours whose irradiance `pair` marked [n], None
+    without any.
     """
 
     light: Light
@@ -71,6 +73,7 @@ class Dataset:
     counts: NDArray[np.float16] | None = None
     scene: UsedScene | None = None
     sky_view: SkyView | None = field(default=None, metadata={"digest": False})
+    doubted: Mask | None = field(default=None, metadata={"later": True})
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -107,6 +110,7 @@ class Dataset:
             slots=tuple(self.slots[i] for i in rows),
             steadiness=self.steadiness[rows],
             counts=None if self.counts is None else self.counts[rows],
+            doubted=None if self.doubted is None else self.doubted[rows],
         )
 
     def thin(self, height: int) -> Dataset:
@@ -291,6 +295,7 @@ def _assemble(
             f"{100 * (1 - seen_mask.mean()):.0f} % of the pixels were not seen by the camera"
         )
     times = [row.t_utc for row in rows]
+    doubted = np.array([is_doubted(row.why) for row in rows])
     data = Dataset(
         light=Light(
             t_utc=tuple(times),
@@ -314,6 +319,7 @@ def _assemble(
         notes=tuple(notes),
         counts=counts,
         sky_view=SkyView.find(path.parent / SKY_VIEW),
+        doubted=doubted if doubted.any() else None,
     )
     return data if turns.aligned.all() else data.take(turns.aligned)
 

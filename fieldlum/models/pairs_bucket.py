@@ -105,6 +105,7 @@ def _write_store(data: Dataset, folder: Path) -> None:
         "disc_lx": data.disc_lx,
         "steadiness": data.steadiness,
         "day": data.days.astype("datetime64[D]").astype(np.int64),
+        **({} if data.doubted is None else {"doubted": data.doubted.astype(np.int8)}),
     }
     frame = xr.Dataset(
         {
@@ -182,4 +183,5 @@ def _read_store(url: str, about: JsonTable) -> Dataset:
         source=url,
         notes=tuple(about["notes"]),
         counts=counts,
+        doubted=array("doubted").astype(bool) if "doubted" in frame else None,
     )

@@ -22,9 +22,12 @@ from fieldlum.arrays import Array, Floats, Floats32, Mask
 from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.glare.contrast import RAMMG_LEVELS, contrast_levels
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
+from fieldlum.glare.unseen import view_coverage
 from fieldlum.models import Fitted, Prediction, trusted_hours
 from fieldlum.models.data import Dataset
 from fieldlum.models.disc_in_view import disc_lx
+from fieldlum.models.held_out_choice import HeldOutErrors
+from fieldlum.models.hour_weights import choice_weights
 from fieldlum.records import Progress, quiet
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreFigures
@@ -49,7 +52,9 @@ class Scores:
     the pixels' weights; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the
     squared and absolute error of DGP, of true DGP and of its square; rammg_error: RAMMG
     predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
-    expected; trusted: whether the model trusts the hour; slots: names of the hours. dgp_mse has
+    expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
+    day: local date; weight: of the hour in choices (`hour_weights`); slots: names of the hours.
+    DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
     the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
     gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
     pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting, by the
@@ -74,6 +79,9 @@ class Scores:
     expected_mse: Floats
     trusted: Mask
     in_band: Floats
+    ev_error: Floats
+    day: NDArray[np.datetime64]
+    weight: Floats
     seconds: float = 0.0
     cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
@@ -81,6 +89,11 @@ class Scores:
 
     def __len__(self) -> int:
         return len(self.mse)
+
+    @property
+    def errors(self) -> HeldOutErrors:
+        """The errors by which models are chosen."""
+        return HeldOutErrors(self.dgp_mae, self.ev_error, self.mse_weighted, self.day, self.weight)
 
 
 def join(parts: Sequence[Scores]) -> Scores:
@@ -109,7 +122,9 @@ class Truth:
     data: n test captures; weights: of the pixels, by solid angle [H, W]; views: ten view
     directions; glare_maps: mask [n] of the maps for which glare is computed; dgp: true DGP of the
     views [n, 10]; contrast: true contrast [n, levels], whose mean is RAMMG (both NaN where not
-    computed); own_disc_lx: the sun disc's illuminance by the sky view [n], None without glare.
+    computed); ev_lx: true vertical illuminance [n, 10]; full: mask [10] of the views that a lens
+    saw completely, or all; weight: of the hours in choices [n]; own_disc_lx: the sun disc's
+    illuminance by the sky view [n], None without glare.
     """
 
     data: Dataset
@@ -118,6 +133,9 @@ class Truth:
     glare_maps: Mask
     dgp: Floats
     contrast: Floats
+    ev_lx: Floats
+    full: Mask
+    weight: Floats
     own_disc_lx: Floats | None = None
 
 
@@ -132,13 +150,18 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     if glare:
         asked[np.unique(np.linspace(0, n - 1, min(n, GLARE_MAPS)).round().astype(int))] = True
     views = panorama_views(*data.shape, data.heading_deg, view_azimuths_deg(data.heading_deg))
-    dgp, contrast = (np.full((n, k), np.nan) for k in (len(views.azimuths_deg), RAMMG_LEVELS))
+    d = len(views.azimuths_deg)
+    dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(asked)):
         part = data.take(rows)
-        dgp[rows] = _glare(part.luminance_cdm2, part, views)["dgp"]
+        glare_of = _glare(part.luminance_cdm2, part, views)
+        dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
         contrast[rows] = _contrast(part.luminance_cdm2, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
-    return Truth(data, data.weights, views, asked, dgp, contrast, own_disc)
+    full = view_coverage(data.seen, views).complete
+    full = full if full.any() else np.ones(d, bool)
+    weight = choice_weights(data)
+    return Truth(data, data.weights, views, asked, dgp, contrast, ev, full, weight, own_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -179,6 +202,7 @@ def evaluate(
         prediction = fitted.predict(part.light, part.patch_cdm2)
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         scores = compare(prediction, part, test.weights)
+        scores.weight = test.weight[rows]
         _glare_errors(scores, prediction, part, test, rows, keep_maps)
         scores.seconds, scores.cpu_s = wall, cpu
         parts.append(scores)
@@ -224,6 +248,9 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
         expected_mse=prediction.expected_mse,
         trusted=trusted_hours(prediction),
         in_band=in_band,
+        ev_error=blank.copy(),
+        day=data.days,
+        weight=np.ones(len(data)),
         slots=data.slots,
     )
 
@@ -236,15 +263,20 @@ def _glare_errors(
         return
     some, maps = part.take(asked), prediction.luminance_cdm2[asked]
     glare = _glare(maps, some, test.views)
-    difference = glare["dgp"] - test.dgp[rows[asked]]
+    true_dgp, true_ev = test.dgp[rows[asked]], test.ev_lx[rows[asked]]
     assert test.own_disc_lx is not None
     own_lx = test.own_disc_lx[rows[asked]]
     in_use = dgp_with_disc(glare, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
-    scores.dgp_mse_own_disc[asked] = ((in_use - test.dgp[rows[asked]]) ** 2).mean(axis=1)
-    scores.dgp_mse[asked] = (difference**2).mean(axis=1)
-    scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)
-    scores.dgp_mean[asked] = test.dgp[rows[asked]].mean(axis=1)
-    scores.dgp_square[asked] = (test.dgp[rows[asked]] ** 2).mean(axis=1)
+
+    def mean(values: Floats) -> Floats:
+        return values[:, test.full].mean(axis=1)
+
+    scores.dgp_mse_own_disc[asked] = mean((in_use - true_dgp) ** 2)
+    scores.dgp_mse[asked] = mean((glare["dgp"] - true_dgp) ** 2)
+    scores.dgp_mae[asked] = mean(np.abs(glare["dgp"] - true_dgp))
+    scores.ev_error[asked] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
+    scores.dgp_mean[asked] = mean(true_dgp)
+    scores.dgp_square[asked] = mean(true_dgp**2)
     true_contrast, contrast = test.contrast[rows[asked]], _contrast(maps, some)
     scores.rammg_truth[asked] = true_contrast.mean(axis=1)
     scores.rammg_error[asked] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
@@ -273,15 +305,6 @@ def _glare_errors(
 # summing up
 
 
-def by_day(values: Floats, days: NDArray[np.datetime64]) -> tuple[Array, Floats]:
-    """Return the different days, sorted, and the mean of each day's values, [days] each.
-
-    values: [n]; days: the day of each value [n].
-    """
-    unique, which = np.unique(days, return_inverse=True)
-    return unique, np.bincount(which, weights=values) / np.bincount(which)
-
-
 def _mean(values: Floats) -> float | None:
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else None
@@ -292,7 +315,7 @@ def summary(scores: Scores) -> ScoreFigures:
 
     A figure that was not computed is None.
     """
-    kept = scores.rammg_truth < RAMMG_CUT
+    kept, errors = scores.rammg_truth < RAMMG_CUT, scores.errors
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
         "rer_weighted": float(
@@ -319,7 +342,15 @@ def summary(scores: Scores) -> ScoreFigures:
         "expected_mse": _mean(scores.expected_mse),
         "in_90_band": _mean(scores.in_band),
         "worst_decile_found": _worst_tenth_found(scores),
+        "judged_dgp_error": _number(errors.figure("dgp")),
+        "judged_ev_error": _number(errors.figure("ev")),
+        "judged_log10_mse": _number(errors.figure("log10")),
+        "n_judged": errors.judged,
     }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _dgp_r2(scores: Scores) -> float | None:

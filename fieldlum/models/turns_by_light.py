@@ -22,6 +22,7 @@ from fieldlum.statistics import MAD_TO_SIGMA
 MOST_LEFT = 0.8
 LEAST_DAYS = 3  # two days to learn from, one to confirm; chosen
 _ROUNDS = 20  # of the robust fit; chosen
+_MOST_FOLDS = 10  # parts of the days, each predicted from the others; chosen, limits the time
 _STIFFNESS = 0.02  # of the effect, px^-2: keeps an azimuth without captures near 0; chosen
 _NOISE_PX = 0.02  # least residual that counts as usual, the scatter of overcast hours; chosen
 
@@ -54,41 +55,48 @@ def turns_by_light(angles_px: Array, light: DirectLight) -> Floats:
     from the other ones.
     """
     out = np.zeros_like(angles_px)
-    days = np.unique(light.day)
+    days, day = np.unique(light.day, return_inverse=True)
     if len(days) < LEAST_DAYS:
         return out
-    basis = light.basis
+    basis, fold = light.basis, day % min(_MOST_FOLDS, len(days))
     for axis, values in enumerate(angles_px.T):
-        before = after = 0.0
-        for day in days:
-            inside = light.day == day
-            effect = _effect(basis[~inside], values[~inside], light.day[~inside])
-            before += _scatter(values[inside])
-            after += _scatter(values[inside] - basis[inside] @ effect)
-        if after <= MOST_LEFT * before:
-            out[:, axis] = basis @ _effect(basis, values, light.day)
-            for day in days:  # the level of a day may be a turn: it is not touched
-                inside = light.day == day
-                out[inside, axis] -= np.median(out[inside, axis])
+        rest = values.copy()
+        for k in np.unique(fold):
+            inside, others = fold == k, fold != k
+            rest[inside] -= basis[inside] @ _effect(basis[others], values[others], day[others])
+        if _scatter(rest, day) <= MOST_LEFT * _scatter(values, day):
+            effect = basis @ _effect(basis, values, day)
+            # the level of a day may be a turn: it is not touched
+            out[:, axis] = effect - _day_medians(effect, day)
     return out
 
 
-def _scatter(values: Floats) -> float:
-    return float(np.abs(values - np.median(values)).sum())
+def _day_medians(values: Floats, day: NDArray[np.intp]) -> Floats:
+    """Return the median of each value's day, [n]; day: its number [n]."""
+    medians = [np.median(values[day == k]) for k in range(day.max() + 1)]
+    return np.array(medians)[day]
 
 
-def _effect(basis: Floats, values: Floats, day: NDArray[Any]) -> Floats:
-    """Return the coefficients of `basis` [n, k] by a robust fit; each day has its own pose, [k]."""
-    design = np.hstack([basis, (day[:, None] == np.unique(day)).astype(float)])
-    stiffness = np.zeros(design.shape[1])
-    stiffness[: basis.shape[1]] = _STIFFNESS
-    penalty = np.diag(stiffness + 1e-9)
-    weights = np.ones(len(values))
-    solution = np.zeros(design.shape[1])
+def _scatter(values: Floats, day: NDArray[np.intp]) -> float:
+    return float(np.abs(values - _day_medians(values, day)).sum())
+
+
+def _effect(basis: Floats, values: Floats, day: NDArray[np.intp]) -> Floats:
+    """Return the coefficients of `basis` [n, k] by a robust fit; each day has its own pose, [k].
+
+    The poses are not unknowns of the fit: weighted means of each day are subtracted from both sides
+    (Frisch and Waugh 1933), so that the time grows with the captures alone.
+    """
+    columns = np.column_stack((basis, values))
+    weights, solution = np.ones(len(values)), np.zeros(basis.shape[1])
     for _ in range(_ROUNDS):
-        normal = design.T @ (weights[:, None] * design) + penalty
-        solution = np.linalg.solve(normal, design.T @ (weights * values))
-        rest = np.abs(values - design @ solution)
+        total = np.bincount(day, weights)
+        sums = np.stack([np.bincount(day, weights * c) for c in columns.T], axis=1)
+        within = columns - (sums / np.maximum(total, 1e-9)[:, None])[day]
+        design, target = within[:, :-1], within[:, -1]
+        normal = design.T @ (weights[:, None] * design) + _STIFFNESS * np.eye(len(solution))
+        solution = np.linalg.solve(normal, design.T @ (weights * target))
+        rest = np.abs(target - design @ solution)
         usual = MAD_TO_SIGMA * float(np.median(rest)) + _NOISE_PX
         weights = 1.0 / np.maximum(1.0, rest / (1.5 * usual))  # Huber
-    return solution[: basis.shape[1]]
+    return solution

@@ -101,7 +101,7 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     elif steadiness > TOO_UNSTEADY and spread > 10.0:
         why = f"light changed by {100 * steadiness:.0f} % during the bracket"
     elif steadiness > UNSTEADY and spread > 10.0:
-        caution.append(f"light changed by {100 * steadiness:.0f} %")
+        caution.append(f"{_CHANGED} by {100 * steadiness:.0f} %")
     words = {word for text in log.flags[rows] for word in str(text).split()}
     caution += [text for word, text in _CAUTIONS.items() if word in words]
     derived = [text for text in log.source[rows] if text != MEASURED]
@@ -117,6 +117,7 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     )
 
 
+_CHANGED = "light changed"
 _CAUTIONS = {
     "low-sun": "sun under 5 degrees: DNI from horizontal readings is inaccurate",
     "closure": "global is not diffuse + direct",
@@ -124,3 +125,12 @@ _CAUTIONS = {
     "extreme": "irradiance outside BSRN's extremely rare limits",
     "spike": "one reading differs strongly from its neighbours",
 }
+
+
+def is_doubted(why: str) -> bool:
+    """Return whether the column `why` of a usable row marks its irradiance as doubtful.
+
+    A low sun is not counted: only with a beam does it matter.
+    """
+    marks = (_CHANGED, *(text for word, text in _CAUTIONS.items() if word != "low-sun"))
+    return any(text in why for text in marks)

@@ -105,22 +105,26 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
     head = (
         "model",
         "fit, s",
+        "DGP error",
+        "ln Ev error",
         "log10 MSE",
-        "RER",
-        "log10 MSE (paper mode)",
+        "judged hours",
+        "DGP error, all hours",
+        "log10 MSE, all hours",
         "DGP MSE, own disc",
-        "DGP MSE, true disc",
         "trained on",
         "tested on",
     )
     keys = (
         "name",
         "fit_s",
+        "judged_dgp_error",
+        "judged_ev_error",
+        "judged_log10_mse",
+        "n_judged",
+        "dgp_mae",
         "log10_mse_weighted",
-        "rer_weighted",
-        "paper_log10_mse",
         "dgp_mse_own_disc",
-        "dgp_mse",
         "n_train",
         "n_test",
     )
@@ -128,7 +132,7 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
 
     def cell(row: ScoreRow, key: str) -> Any:
         value = row.get(key)
-        if key == "log10_mse_weighted" and row.get("not_judged_because"):
+        if key == "judged_dgp_error" and row.get("not_judged_because"):
             return "too little time to judge"
         if key == "name":
             return {"kind": "high", "text": f"{value} (chosen)"} if value == chosen else value

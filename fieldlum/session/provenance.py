@@ -58,8 +58,11 @@ def _feed(total: Any, value: object) -> None:
     elif is_dataclass(value):
         total.update(type(value).__name__.encode())
         for field in fields(value):
-            if field.metadata.get("digest", True):
-                _feed(total, getattr(value, field.name))
+            content = getattr(value, field.name)
+            # without a later field, digests of earlier versions stay valid
+            is_missing = content is None and "later" in field.metadata
+            if field.metadata.get("digest", True) and not is_missing:
+                _feed(total, content)
     elif isinstance(value, dict):
         for key in sorted(value, key=str):
             total.update(f"{key}:".encode())

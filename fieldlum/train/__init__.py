@@ -35,7 +35,7 @@ from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.notes import notes_of, seen_skies
 from fieldlum.train.room_changes import without_changes
-from fieldlum.train.selection import ModelSelection, Trial, choose
+from fieldlum.train.selection import ModelSelection, Trial, choose_model
 from fieldlum.train.setting import scan, settle, with_right_clock
 from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import dense_folds, evaluate_folds, fit_timed
@@ -100,7 +100,7 @@ def row(trial: Trial, seed: int) -> ScoreRow:
 
 def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
     """Return the row of a trial that was too short: every score is null, with the reason."""
-    blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0}
+    blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0, "n_judged": 0}
     reason = {"not_judged_because": _TOO_SHORT}
     return cast(ScoreRow, {**row(trial, seed), **blank, **reason})
 
@@ -168,7 +168,7 @@ def fit_and_score(
     not_judged = tuple(trial for trial in trials if _is_too_short(trial))
     trials = [trial for trial in trials if not _is_too_short(trial)]
     left_out += [f"{trial.name}: {_TOO_SHORT}" for trial in not_judged]
-    choice = choose(trials, data) if model == "auto" else ModelSelection(model, "requested")
+    choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
     more: dict[str, Any] = {}
     if checkpoint is not None and MODELS[choice.name].slow:
         more["checkpoint"] = checkpoint

@@ -14,9 +14,9 @@ import numpy as np
 from fieldlum.arrays import Array, Floats, Indices, Mask
 from fieldlum.light import LAMP_LX, Kernel
 from fieldlum.models.data import Dataset
+from fieldlum.models.hour_weights import UNSURE
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
-    UNSURE,
     TrainingArrays,
     pixel_scale,
     training_arrays_of,

@@ -7,10 +7,9 @@ import numpy as np
 from fieldlum.light import Kernel, facades_of, greedy_hours, light_features
 from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
-from fieldlum.models.scores import by_day
+from fieldlum.models.held_out_choice import HeldOutErrors, difference
 from fieldlum.records import Progress, quiet
 from fieldlum.session.files.scores_json import CaptureCurve, CurvePoint
-from fieldlum.statistics import standard_error
 from fieldlum.train.folds import day_folds
 from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import evaluate_folds
@@ -58,6 +57,7 @@ def how_many(
     folds = day_folds(small, FOLDS)
     next_s = FOLDS * fit_s
     curve: list[CurvePoint] = []
+    tested: list[HeldOutErrors] = []
     for k, share in enumerate(SHARES):
         left_s = np.inf if budget is None else budget.left_s
         if left_s <= next_s:
@@ -65,21 +65,15 @@ def how_many(
         progress(k, len(SHARES), "learning curve")
         some = [type(fold)(_first(small, fold.teach, share), fold.check) for fold in folds]
         trial = evaluate_folds("transport", small, some, patch=patch, seed=seed, glare=False)
-        days = np.concatenate([small.days[fold.check] for fold in folds])
-        daily = by_day(trial.scores.mse_weighted, days)[1]
-        curve.append(
-            {
-                "captures": trial.n_train,
-                "mse": float(daily.mean()),
-                "se": standard_error(daily),
-            }
-        )
+        errors = trial.scores.errors
+        tested.append(errors)
+        mse = errors.figure("log10")
+        curve.append({"captures": trial.n_train, "mse": mse, "se": errors.standard_error("log10")})
         if budget is not None:
             next_s = _NEXT_POINT * (left_s - budget.left_s)
-    best = min(curve, key=lambda point: point["mse"])
-    enough = next(
-        p["captures"] for p in curve if p["mse"] <= best["mse"] + np.nan_to_num(best["se"])
-    )
+    best = tested[int(np.argmin([point["mse"] for point in curve]))]
+    gaps = [difference(errors, best, "log10") for errors in tested]
+    enough = next(p["captures"] for p, (gap, se) in zip(curve, gaps, strict=True) if gap <= se)
     behind = sorted(order_of_use(data)[enough:])
     return {"curve": curve, "enough": enough, "added_nothing": [data.slots[i] for i in behind]}
 

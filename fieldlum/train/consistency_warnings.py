@@ -6,7 +6,8 @@ import numpy as np
 
 from fieldlum.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted
 from fieldlum.models.data import Dataset
-from fieldlum.models.scores import by_day
+from fieldlum.models.held_out_choice import trimmed_mean
+from fieldlum.models.hour_weights import choice_weights
 
 # log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach;
 # chosen
@@ -27,7 +28,8 @@ def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
-    share = float((np.nan_to_num(fitted.held_out_mse, nan=np.inf) > TRUSTED_MSE).mean())
+    wrong = np.nan_to_num(fitted.held_out_mse, nan=np.inf) > TRUSTED_MSE
+    share = float(np.average(wrong, weights=choice_weights(data)))
     if share <= HARD_SHARE:
         return []
     return [
@@ -45,8 +47,12 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
-    errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)
-    days, means = by_day(errors, data.days)
+    weight = choice_weights(data)
+    errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[weight > 0.0]
+    weight, day = weight[weight > 0.0], data.days[weight > 0.0]
+    days = np.unique(day)
+    means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
+    mean = trimmed_mean(errors, weight)
     texts = []
     odd = days[(means > POOR_MSE) & (means > ODD_TIMES * np.median(means))]
     if len(odd):
@@ -57,8 +63,8 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
             "these captures are used in the training: mark what was different (fieldlum status "
             "SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
         )
-    if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
-        factor = 10.0 ** np.sqrt(errors.mean())
+    if np.median(errors) > POOR_MSE / 4 or mean > POOR_MSE:
+        factor = 10.0 ** np.sqrt(mean)
         texts.append(
             f"WARNING: predictions of held-out days are wrong by a factor of {factor:.2f} (rms); "
             "likely causes are "

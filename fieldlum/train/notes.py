@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from fieldlum.model_registry import MODELS, baselines
+from fieldlum.model_registry import MODELS
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.data import Dataset
+from fieldlum.models.hour_weights import LOW_SUN_DEG, beam_is_doubted, choice_weights
 from fieldlum.models.transport import Transport
 from fieldlum.models.transport.features import training_arrays_of
 from fieldlum.models.transport.uncertainty import hours_by_class
 from fieldlum.models.transport.window_sky import scatter_of_skies
+from fieldlum.records import counted
 from fieldlum.train.folds import one_day_only
-from fieldlum.train.selection import Trial
+from fieldlum.train.selection import Trial, is_clearly_worse
 
 # Of a sky's luminance in the windows over Perez's. Nineteen sets under Perez's skies have up to
 # 0.05, eight with clouds 0.15 and more (docs/validation.md). Chosen between these.
@@ -58,8 +60,9 @@ def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
 def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
     """Return the notes of `data`, then notes that a reader of the scores needs.
 
-    They are about captures of one day only, missing sun patches, and a model that is no better than
-    a baseline. model: name of the requested model ("auto" gives no note about the baselines).
+    They are about captures of one day only, missing sun patches, hours of doubtful direct light,
+    and a model that is worse than a baseline. model: name of the requested model ("auto" gives no
+    note about the baselines).
     """
     notes = list(data.notes)
     if one_day_only(data):
@@ -73,11 +76,32 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
             "no sun patches in the data: add a [room] to SITE.toml, if it has none, and run "
             "fieldlum pair for a better model"
         )
-    errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
-    floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
-    if model in errors and not MODELS[model].baseline and errors[model] >= floor:
+    notes += doubted_hours(data)
+    own = next((trial for trial in trials if trial.name == model), None)
+    if own is None or MODELS[model].baseline:
+        return tuple(notes)
+    better = [t.name for t in trials if MODELS[t.name].baseline and is_clearly_worse(own, t)]
+    if better:
         notes.append(
-            f"WARNING: {model} is no better than a baseline on held-out days: do not use it "
-            f"before the cause is found"
+            f"WARNING: {model} is worse than {' and '.join(better)} on held-out days by more than "
+            "a standard error: do not use it before the cause is found"
         )
     return tuple(notes)
+
+
+def doubted_hours(data: Dataset) -> list[str]:
+    """Return a note on the hours whose direct light was not measured well, if there are any."""
+    doubted = int(beam_is_doubted(data).sum())
+    if not doubted:
+        return []
+    part = f"{doubted} of {counted(len(data), 'hour')}"
+    weight = choice_weights(data)[beam_is_doubted(data)].max()
+    role = (
+        f"count {weight:g} in the choice of a model and in warnings, because too few others remain"
+        if weight > 0.0
+        else "do not count in the choice of a model or in warnings"
+    )
+    return [
+        f"{part} {role}: their direct light was not measured well (sun under {LOW_SUN_DEG:g} "
+        "degrees with a beam, or a mark of fieldlum pair)"
+    ]

@@ -1,4 +1,4 @@
-"""Choose a model by held-out days: the smallest within one standard error of the best."""
+"""Choose a model by held-out days: the one whose glare is nearest to the measured glare."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.arrays import Floats
 from fieldlum.model_registry import MODELS
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import Scores, by_day
+from fieldlum.models.held_out_choice import CRITERIA, HeldOutChoice, HeldOutErrors, choose
+from fieldlum.models.scores import Scores
 from fieldlum.records import counted
-from fieldlum.statistics import is_no_worse, standard_error
+
+_FEWEST_DAYS = 2  # on which a model that was tested on fewer hours must be better; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,67 +41,73 @@ class ModelSelection:
     reason: str
 
 
-def _size(label: str) -> int:
-    """Return the rank by size of ``NAME``, ``NAME:PATCH`` or ``NAME (folder)``."""
-    return MODELS[label.replace(":", " ").split()[0]].size
+def choose_model(trials: list[Trial]) -> ModelSelection:
+    """Choose the model with the smallest held-out error, as `held_out_choice.choose` compares it.
 
-
-def _daily(trial: Trial, data: Dataset, slots: set[str]) -> Floats:
-    """Return the mean error of each held-out day, over the hours in `slots`."""
-    day_of = dict(zip(data.slots, data.days, strict=True))
-    rows = [k for k, slot in enumerate(trial.scores.slots) if slot in slots]
-    days = np.array([day_of[trial.scores.slots[k]] for k in rows])
-    return by_day(trial.scores.mse_weighted[rows], days)[1]
-
-
-def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
-    """Choose the smallest model whose held-out error is within one standard error of the best.
+    A baseline repeats captured suns, and held-out days have nearly the same suns as the other days:
+    it is chosen only if it is clearly better than the best other model.
 
     Only models that were tested on the most hours take part. A model tested on fewer hours (the
-    dense network) replaces the winner only if, on the days that both were tested on (at least two),
-    its error is lower by more than the standard error of the paired differences. A few days of a
-    slow model must not outweigh quick models that were tested on all days.
+    dense network) replaces the winner only if it is clearly better on the hours of both, of two
+    days at least: a few days of a slow model must not outweigh models that were tested on all days.
     """
-    widest = max(len(trial.scores.slots) for trial in trials)
-    thorough = [trial for trial in trials if len(trial.scores.slots) == widest]
-    winner, choice = _smallest_good(thorough, data)
-    for trial in sorted(
-        (t for t in trials if len(t.scores.slots) < widest), key=lambda t: _size(t.name)
-    ):
+    widest = max(len(trial.scores) for trial in trials)
+    thorough = [trial for trial in trials if len(trial.scores) == widest]
+    shared = set.intersection(*(set(trial.scores.slots) for trial in thorough))
+    errors = [errors_of(trial, shared) for trial in thorough]
+    choice = choose(errors)
+    others = [k for k, trial in enumerate(thorough) if not _is_baseline(trial)]
+    if _is_baseline(thorough[choice.best]) and others:
+        other = others[choose([errors[k] for k in others]).best]
+        if choose([errors[choice.best], errors[other]]).by is None:
+            choice = HeldOutChoice(other, None)
+    winner = thorough[choice.best]
+    reason = _reason(thorough, errors, choice)
+    for trial in (t for t in trials if len(t.scores) < widest):
         shared = set(trial.scores.slots) & set(winner.scores.slots)
-        if not shared:
+        pair = [errors_of(t, shared) for t in (winner, trial)]
+        if len(np.unique(pair[0].day)) < _FEWEST_DAYS:
             continue
-        gain = _daily(winner, data, shared) - _daily(trial, data, shared)
-        if len(gain) > 1 and gain.mean() > standard_error(gain):
-            reason = (
-                f"on the {len(gain)} held-out days of both models, the log10 MSE of {trial.name} "
-                "is lower "
-                f"than that of {winner.name} by {gain.mean():.2e}"
-            )
-            winner, choice = trial, ModelSelection(trial.name, reason)
-    return choice
+        choice = choose(pair)
+        if choice.best == 1 and choice.by:
+            reason = _reason([winner, trial], pair, choice)
+            winner = trial
+    return ModelSelection(winner.name, reason)
 
 
-def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSelection]:
-    """Return the smallest trial within one standard error of the best, by paired held-out days."""
-    shared = set.intersection(*(set(trial.scores.slots) for trial in trials))
-    daily = {trial.name: _daily(trial, data, shared) for trial in trials}
-    means = {name: float(values.mean()) for name, values in daily.items()}
-    best = min(means, key=lambda name: means[name])
-    chosen = next(
-        trial
-        for trial in sorted(trials, key=lambda t: _size(t.name))
-        if is_no_worse(daily[trial.name], daily[best])
+def _is_baseline(trial: Trial) -> bool:
+    """Return whether a trial, named NAME, NAME:PATCH or NAME (folder), is of a baseline."""
+    return MODELS[trial.name.replace(":", " ").split()[0]].baseline
+
+
+def is_clearly_worse(trial: Trial, other: Trial) -> bool:
+    """Return whether a model is worse than another on the hours of both, by a standard error."""
+    shared = set(trial.scores.slots) & set(other.scores.slots)
+    choice = choose([errors_of(t, shared) for t in (trial, other)])
+    return choice.best == 1 and choice.by is not None
+
+
+def errors_of(trial: Trial, slots: set[str]) -> HeldOutErrors:
+    """Return the errors of a trial in the hours `slots`, in the order of their names."""
+    rows = [k for k, slot in enumerate(trial.scores.slots) if slot in slots]
+    names = [trial.scores.slots[k] for k in rows]
+    return trial.scores.errors.take(np.array(rows, np.intp)[np.argsort(names)])
+
+
+def _reason(trials: list[Trial], errors: list[HeldOutErrors], choice: HeldOutChoice) -> str:
+    """Return the chosen model's figures next to those of the others, and what decided."""
+    own = errors[choice.best]
+    hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
+    if len(trials) == 1:
+        return f"the only model that was tested ({hours})"
+    known = [name for name in CRITERIA if np.isfinite(own.figure(name))]
+    by = choice.by or known[0]
+    others = ", ".join(
+        f"{t.name} {e.figure(by):.2g}"
+        for k, (t, e) in enumerate(zip(trials, errors, strict=True))
+        if k != choice.best
     )
-    spread = f"{means[best]:.2e} over {counted(len(daily[best]), 'held-out day')}"
-    if chosen.name == best:
-        return chosen, ModelSelection(
-            best,
-            f"{best} has the lowest log10 MSE ({spread}), and no smaller model is within one "
-            f"standard error of it",
-        )
-    reason = (
-        f"{chosen.name} (log10 MSE {means[chosen.name]:.2e}) is the smallest model within one "
-        f"standard error of {best} ({spread})"
-    )
-    return chosen, ModelSelection(chosen.name, reason)
+    text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({others})"
+    alike = known if choice.by is None else known[: known.index(by)]
+    names = ", ".join(CRITERIA[name] for name in alike)
+    return f"{text}; no model is better by over a standard error: {names}" if alike else text

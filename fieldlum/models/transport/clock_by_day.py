@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.arrays import Array
 from fieldlum.models.data import Dataset
+from fieldlum.models.held_out_choice import difference
 from fieldlum.models.transport.misalignment import Evidence, below_patches, evidence_of
 from fieldlum.models.transport.model import held_out_errors
 from fieldlum.records import Progress, quiet
 from fieldlum.scene import sun_patches
 from fieldlum.scene.view import patch_rays
-from fieldlum.statistics import is_no_worse
 
 # Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
@@ -89,8 +89,8 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
     # Both with patches of the same rays: those of `data` can be of an earlier version.
     clock, none = ClockByDay(names, late), ClockByDay(names, np.zeros(len(names)))
     before, after = (held_out_errors(with_clock(data, c)) for c in (none, clock))
-    better = after.mean() < (1.0 - _LEAST_GAIN) * before.mean()
-    return clock if better and not is_no_worse(before, after, data.days) else None
+    gain, error = difference(before, after, "log10")
+    return clock if gain > max(_LEAST_GAIN * before.figure("log10"), error) else None
 
 
 def _late(

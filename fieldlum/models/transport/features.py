@@ -19,6 +19,7 @@ from fieldlum.light import (
     light_features,
     one_facade,
 )
+from fieldlum.models.hour_weights import light_variance, sureness
 from fieldlum.models.transport.open_sky import LEAST_CDM2, OpenSky, open_sky_from_captures
 from fieldlum.models.transport.patch_descriptor import (
     PatchDescriptor,
@@ -36,13 +37,6 @@ if TYPE_CHECKING:
 
 
 DISC_MARGIN = 2  # pixels around the sun that may have changed when its disc was removed; chosen
-# lowest sun for which horizontal readings give the sun's normal irradiance; chosen
-LOWEST_SUN_DEG = 1.0
-# At a lower sun, closure divides by less than 0.05, so that 2 W/m2 in the horizontal become 40 W/m2
-# in the normal; sun.dni_by_closure gives 0 under 2 degrees. Chosen.
-UNMEASURED_SUN_DEG = 3.0
-UNMEASURED_VARIANCE = 1.0  # relative variance: such a sun may give as much light as the sky; chosen
-UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half weight; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +163,7 @@ class TrainingArrays:
     @property
     def sureness(self) -> Array:
         """Weight of each hour, [n]: 1 for exact irradiance, less if unsteady or unmeasured."""
-        return 1.0 / (1.0 + self.unsure / UNSURE)
+        return sureness(self.unsure)
 
     def __getitem__(self, pixels: Indices | slice) -> TrainingArrays:
         """Return the arrays of some pixels."""
@@ -247,31 +241,6 @@ def without_refuted(arrays: TrainingArrays, data: Dataset) -> TrainingArrays:
     ground = look(room, data.shape[0], data.heading_deg).ground[data.seen]
     refuted = ground & refuted_patches(arrays.patch, arrays.luminance, arrays.trust)
     return replace(arrays, patch=np.where(refuted, np.float32(0.0), arrays.patch), refuted=refuted)
-
-
-def light_variance(data: Dataset) -> Array:
-    """Return the relative variance of the irradiance, estimated from its own readings, [n].
-
-    The range of the readings over the bracket (change or noise) counts as the width of a
-    rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is a difference of
-    two horizontal readings divided by the sine of its altitude, and so are its errors. For a sun
-    under 3 degrees the readings give no value: a direct irradiance of zero is then unknown, and 1
-    is added.
-    """
-    light = data.light
-    altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
-    variance = (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
-    unknown = sun_is_unmeasured(light, light.dni_wm2)
-    return variance + np.where(unknown, UNMEASURED_VARIANCE, 0.0)
-
-
-def sun_is_unmeasured(light: Light, direct: Array) -> Mask:
-    """Return a mask [n], True where direct light is recorded as zero only because it is unmeasured.
-
-    That is so if the sun is under 3 degrees and `direct` is zero or less. direct [n]: irradiance,
-    illuminance or share of light of the sun.
-    """
-    return (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (direct <= 0.0)
 
 
 def _patches_unknown(data: Dataset) -> Mask:

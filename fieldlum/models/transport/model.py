@@ -18,11 +18,12 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, Light
 from fieldlum.models import ModelState, Patch, Prediction
 from fieldlum.models.data import Dataset
+from fieldlum.models.held_out_choice import HeldOutErrors
+from fieldlum.models.hour_weights import sun_is_unmeasured
 from fieldlum.models.transport.computed_light import computed_light
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
     TrainingArrays,
-    sun_is_unmeasured,
     training_arrays_of,
     without_refuted,
 )
@@ -302,18 +303,17 @@ def fit(
     )
 
 
-def held_out_errors(data: Dataset) -> Array:
-    """Return the mean squared log10 error of each capture by a fit without its day, [n].
+def held_out_errors(data: Dataset) -> HeldOutErrors:
+    """Return the errors of each capture by a fit without its day, of log10 luminance alone.
 
     It serves to compare two descriptions of the same captures: a plain recipe is faster than `fit`.
-    Errors in unsteady light are multiplied by a smaller weight; the mean weight is 1.
     """
     with_patch = data.patch_cdm2 is not None
     arrays = training_arrays_of(data, with_patch=with_patch)
     kernel = Kernel(arrays.facades)
     if with_patch:
         arrays = arrays.with_patch_scaled(find_patch_gain(arrays, kernel))
-    return plain_held_out(arrays[_draw(arrays, seed=0)], kernel).judged
+    return plain_held_out(arrays[_draw(arrays, seed=0)], kernel).errors
 
 
 def _draw(arrays: TrainingArrays, seed: int) -> Indices:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.arrays import Array, Floats32
 from fieldlum.light import Features, Kernel
+from fieldlum.models import held_out_choice
+from fieldlum.models.held_out_choice import HeldOutErrors
 from fieldlum.models.transport.computed_light import ComputedLight
 from fieldlum.models.transport.features import (
     USUAL,
@@ -19,7 +20,6 @@ from fieldlum.models.transport.held_out import FirstStage, HeldOutFit, hold_out,
 from fieldlum.models.transport.pixel_fit import RANK, Basis, Recipe, basis_of, leading
 from fieldlum.models.transport.seasons import one_season
 from fieldlum.models.transport.window_sky import SeenSky, SkyField
-from fieldlum.statistics import is_no_worse, standard_error
 
 NOISES = (
     1e-4,
@@ -53,24 +53,45 @@ FEWER_COST = 1.05
 def choose(
     arrays: TrainingArrays, basis: Basis, recipes: list[Recipe]
 ) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
-    """Return the recipe with the least error on held-out days, and a table of all recipes.
+    """Return the recipe that `held_out_choice` prefers on held-out days, and a table of all.
 
-    A row of the table: recipe, weighted mean squared log10 error, standard error of that mean over
-    days (0 with one day).
+    A row of the table: recipe, weighted mean squared log10 error, its standard error over days (0
+    with one day).
     """
-    table, firsts = [], dict[Recipe, FirstStage]()
+    tried, firsts = list[HeldOutErrors](), dict[Recipe, FirstStage]()
     for recipe in recipes:
         alone = replace(recipe, second=0.0)
         if alone not in firsts:
             firsts[alone] = hold_out_first(arrays, basis, recipe)
-        judged = hold_out(arrays, basis, recipe, firsts[alone]).judged
-        table.append((recipe, float(judged.mean()), _day_error(judged, arrays.days)))
-    return min(table, key=lambda row: row[1])[0], table
+        tried.append(hold_out(arrays, basis, recipe, firsts[alone]).errors)
+    table = [_row(recipe, errors) for recipe, errors in zip(recipes, tried, strict=True)]
+    return recipes[held_out_choice.choose(tried).best], table
 
 
-def _day_error(per_hour: Array, days: NDArray) -> float:
-    """Return the standard error of the mean over hours; 0 for one day."""
-    return float(np.nan_to_num(standard_error(per_hour, days)))
+def _row(recipe: Recipe, errors: HeldOutErrors) -> tuple[Recipe, float, float]:
+    return recipe, errors.figure("log10"), errors.standard_error("log10")
+
+
+def _better(*candidates: SelectedRecipe) -> SelectedRecipe:
+    """Return the candidate with the smallest error on held-out days, as `held_out_choice` ranks."""
+    return candidates[held_out_choice.choose([c.held.errors for c in candidates]).best]
+
+
+def _no_worse(one: HeldOutErrors, other: HeldOutErrors) -> bool:
+    """Return whether `one` is not clearly worse than `other` on held-out days."""
+    choice = held_out_choice.choose([other, one])
+    return choice.best == 1 or choice.by is None
+
+
+def _much_better(
+    one: HeldOutErrors, other: HeldOutErrors, share: float, times: float = 1.0
+) -> bool:
+    """Return whether the log10 MSE of `one` is smaller by a share of that of `other`.
+
+    The difference must also be larger than `times` standard errors.
+    """
+    gain, error = held_out_choice.difference(other, one, "log10")
+    return bool(gain > max(share * other.figure("log10"), times * error))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -161,7 +182,7 @@ def choose_model(
     always = replace(drawn.states, always=True)
     lit = replace(drawn, features=always.add(drawn.features, drawn.light), states=always)
     trial = _choose_kernel(lit, kernel, [Recipe(s, PATCH_GAIN_VARIANCE) for s in LAMP_NOISES], None)
-    if not _lamp_is_on(chosen, trial, drawn.days):
+    if not _lamp_is_on(chosen, trial):
         return _under_perez(drawn, chosen)
     chosen = replace(_choose_recipe(lit, kernel, bounced), states=always, sky_field=field)
     return _under_perez(lit, replace(chosen, computed=used))
@@ -185,7 +206,7 @@ def _with_better_mean(
         (arrays, _choose_kernel(arrays, kernel, recipes, bounced))
         for arrays in (replace(drawn, computed=None), drawn)
     ]
-    return min(tried, key=lambda pair: float(pair[1].held.judged.mean()))
+    return tried[held_out_choice.choose([pair[1].held.errors for pair in tried]).best]
 
 
 def _is_better_for_a_year(
@@ -198,8 +219,7 @@ def _is_better_for_a_year(
     """
     if with_seen is None or perez is None:
         return True
-    as_predicted = _under_perez(drawn, with_seen).held.judged.mean()
-    return bool(as_predicted < perez.held.judged.mean())
+    return _better(perez, as_predicted := _under_perez(drawn, with_seen)) is as_predicted
 
 
 def _with_seen_sky(
@@ -219,12 +239,9 @@ def _with_seen_sky(
     recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
     without = _choose_kernel(plain, kernel, recipes, None)
     with_sky = _choose_kernel(trial, kernel, recipes, None)
-    before, after = without.held.judged, with_sky.held.judged
-    better = after.mean() < (1.0 - SKY_GAIN) * before.mean()
-    if not better or is_no_worse(before, after, drawn.days):
+    if not _much_better(with_sky.held.errors, without.held.errors, SKY_GAIN):
         return drawn, None
-    as_predicted = _under_perez(trial, with_sky).held.judged
-    no_worse = is_no_worse(as_predicted, before, drawn.days)
+    no_worse = _no_worse(_under_perez(trial, with_sky).held.errors, without.held.errors)
     return (replace(trial, computed=under_sky), sky.field) if no_worse else (drawn, None)
 
 
@@ -248,11 +265,9 @@ def _under_perez(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecip
     return replace(chosen, basis=basis, held=hold_out(drawn, basis, chosen.recipe))
 
 
-def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> bool:
+def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe) -> bool:
     """Return whether a constant light explains much of the held-out error, on most days."""
-    gain = without.held.judged - lit.held.judged
-    large = gain.mean() > LAMP_GAIN * without.held.judged.mean()
-    return bool(large and gain.mean() > 2.0 * _day_error(gain, days))
+    return _much_better(lit.held.errors, without.held.errors, LAMP_GAIN, times=2.0)
 
 
 def _choose_recipe(
@@ -295,8 +310,7 @@ def _choose_kernel(
     if bounced is None:
         return without
     with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
-    as_good = is_no_worse(with_room.held.judged, without.held.judged, drawn.days)
-    kept = with_room if as_good else without
+    kept = with_room if _no_worse(with_room.held.errors, without.held.errors) else without
     return replace(kept, table=[*without.table, *with_room.table])
 
 
@@ -313,8 +327,7 @@ def _doubted(
     """
     bare = replace(drawn, features=replace(drawn.features, cells=None, flux=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
-    best = doubting if doubting.held.judged.mean() < trusting.held.judged.mean() else trusting
-    return replace(best, table=[*trusting.table, *doubting.table])
+    return replace(_better(trusting, doubting), table=[*trusting.table, *doubting.table])
 
 
 def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
@@ -328,8 +341,8 @@ def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRe
     for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):
         recipe, basis = replace(chosen.recipe, rank=rank), leading(chosen.basis, rank)
         held = hold_out(drawn, basis, recipe)
-        mean = float(held.judged.mean())
-        table.append((recipe, mean, _day_error(held.judged, drawn.days)))
-        if mean <= FEWER_COST * chosen.held.judged.mean():
+        table.append(_row(recipe, held.errors))
+        limit = FEWER_COST * chosen.held.errors.figure("log10")
+        if held.errors.figure("log10") <= limit:
             return replace(chosen, recipe=recipe, basis=basis, held=held, table=table)
     return replace(chosen, table=table)

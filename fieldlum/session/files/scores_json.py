@@ -18,7 +18,9 @@ class ScoreFigures(TypedDict):
 
     log10_mse: mean squared error of log10 luminance (floor 1 cd/m2), _weighted by solid angle,
     paper_ with equal pixels; median, p90, worst: of it over maps; rer: root of the summed squared
-    errors over the summed squared truth; dgp: with the true disc, own_disc with that of the room;
+    errors over the summed squared truth; dgp: with the true disc, own_disc with that of the room,
+    of fully seen directions; judged: trimmed means over the n_judged hours that decide a choice, of
+    the absolute error of DGP, of ln Ev, and of log10_mse;
     bias_log10: mean signed error; in_90_band: share of pixels whose truth is within the model's 90
     % interval; worst_decile_found: share of the worst tenth of hours that the model expects to be
     worst.
@@ -47,6 +49,10 @@ class ScoreFigures(TypedDict):
     expected_mse: float | None
     in_90_band: float | None
     worst_decile_found: float | None
+    judged_dgp_error: float | None
+    judged_ev_error: float | None
+    judged_log10_mse: float | None
+    n_judged: int
 
 
 class ScoreRow(ScoreFigures):
