@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
-from fieldlum.calibrate.frames import LinearFrame, linear_frame, transmission
+from fieldlum.calibrate.frames import LinearFrame, Place, linear_frame, transmission
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, held_out_errors
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -40,8 +40,8 @@ class Colours:
 
     rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
     : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
-    uncertainty of the comparison; labels [n] : names for messages; frames : the files; matrix
-    [3, 3] : XYZ to camera colours, as stored in the frames.
+    uncertainty of the comparison; labels, places [n] : names for messages, and where they are;
+    frames : the files; matrix [3, 3] : XYZ to camera colours, as stored in the frames.
     """
 
     rgb: Floats
@@ -50,6 +50,7 @@ class Colours:
     labels: tuple[str, ...]
     frames: tuple[Path, ...]
     matrix: Floats | None = None  # None if the frames do not state it
+    places: tuple[Place, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     """
     rows = read_table(path, ("file", "x_px", "y_px", "luminance_cdm2"), ("radius_px", "u_rel"))
     frames: dict[Path, LinearFrame] = {}
-    rgb, y, u, labels = [], [], [], []
+    rgb, y, u, labels, places = [], [], [], [], []
     for row in rows:
         file = needed(row, "file", path)
         x, at = needed(row, "x_px", path), needed(row, "y_px", path)
@@ -95,8 +96,10 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
         y.append(needed(row, "luminance_cdm2", path))
         u.append(float(np.hypot(row.get("u_rel") or READING_U, patch.u_rel)))
         labels.append(f"{file.stem} {x:g},{at:g}")
+        places.append(Place(file, x, at))
     matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
-    return Colours(np.array(rgb), np.array(y), np.array(u), tuple(labels), tuple(frames), matrix)
+    values = np.array(rgb), np.array(y), np.array(u)
+    return Colours(*values, tuple(labels), tuple(frames), matrix, tuple(places))
 
 
 def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] = ()) -> Colours:
@@ -123,9 +126,9 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
             "state --corners again, and begin at the brown patch",
         )
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
-    return Colours(
-        np.array(rgb), np.array(CHART_Y), np.array(u), labels, (path,), frame.colour_matrix
-    )
+    places = tuple(Place(path, x, y) for x, y in centres.tolist())
+    values = np.array(rgb), np.array(CHART_Y), np.array(u)
+    return Colours(*values, labels, (path,), frame.colour_matrix, places)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,14 @@ from fieldlum.statistics import standard_error
 
 FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
 _MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.
+
+
+class Place(NamedTuple):
+    """Where a reading was taken: x_px, y_px on a frame, or azimuth and altitude of a panorama."""
+
+    path: Path
+    x: float
+    y: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,6 @@ _LEAST_DN = 5.0  # counts above black: darker blocks contain little but the blac
 _REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
 _BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
 _NEGLIGIBLE = 2e-5  # of light: an order that lowers the held-out rms by less gains nothing; chosen
-_STEPS = 8  # Gauss-Newton converges in four: the departures are small
 # standard errors that an offset must have to be written into the profile; chosen
 _OFFSET_SIGMA = 4.0
 
@@ -172,33 +171,24 @@ def _centred(values: Floats, levels: Levels, rows: Mask) -> Floats:
 
 
 def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
-    """Return offset and coefficients by weighted least squares over `rows`, and covariance.
+    """Return offset [s] and coefficients by weighted least squares over `rows`, and covariance.
 
-    Gauss-Newton steps start from a linear sensor without an offset.
+    It starts from a linear sensor without an offset.
     """
-    unit = float(levels.seconds.min())
-    powers = [levels.share**k for k in range(1, order + 1)]
-    solution, covariance = np.zeros(1 + order), np.zeros((1 + order, 1 + order))
-    for _ in range(_STEPS):
-        residuals = _residuals(solution, levels, rows, rows)
-        factor = linearity_factor(levels.share, tuple(solution[1:]))
-        by_time = np.where(
-            np.isfinite(levels.share), -unit / (levels.seconds + solution[0])[:, None], np.nan
-        )
-        slopes = [_centred(by_time, levels, rows)[rows]]
-        slopes += [_centred(power / factor, levels, rows)[rows] for power in powers]
-        good = np.isfinite(residuals)
-        root = np.sqrt(levels.weight[rows][good])
-        design = np.stack([slope[good] * root for slope in slopes], axis=1)
-        step, *_ = np.linalg.lstsq(design, -residuals[good] * root, rcond=None)
-        # exposure times must stay above zero
-        step[0] = max(step[0] * unit, -0.5 * (unit + solution[0]))
-        solution = solution + step
-        freedom = max(len(root) - levels.share.shape[1] - 1 - order, 1)
-        noise = float(np.sum((residuals[good] * root) ** 2)) / freedom
-        scale = np.r_[unit, np.ones(order)]
-        covariance = np.linalg.pinv(design.T @ design) * noise * np.outer(scale, scale)
-    return solution, covariance
+    from scipy.optimize import least_squares
+
+    scale = np.r_[levels.seconds.min(), np.ones(order)]  # the offset in units of the shortest time
+    good = np.isfinite(levels.share[rows])
+    root = np.sqrt(levels.weight[rows][good])
+
+    def misses(x: Floats) -> Floats:
+        return _residuals(x * scale, levels, rows, rows)[good] * root
+
+    lowest = np.r_[-0.5, np.full(order, -np.inf)]  # exposure times must stay above zero
+    solved = least_squares(misses, np.zeros(1 + order), bounds=(lowest, np.inf))
+    freedom = max(len(root) - levels.share.shape[1] - 1 - order, 1)
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * 2.0 * solved.cost / freedom
+    return solved.x * scale, covariance * np.outer(scale, scale)
 
 
 def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.arrays import Array
+from fieldlum.calibrate.frames import Place
+from fieldlum.calibrate.lens_circle import grey_picture
+from fieldlum.images import read_panorama
 from fieldlum.photometry import linearity_factor, response_table, vignetting_at
 from fieldlum.photometry.stray_light import kernel_per_sr
 from fieldlum.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
+from fieldlum.projection import equirect_pixel
 from fieldlum.session import replacing_path
 
 if TYPE_CHECKING:
@@ -32,15 +37,57 @@ if TYPE_CHECKING:
     )
 
 
-def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any, Any]:
+Places = Sequence[Place]
+
+
+def _two(
+    title: str, shares: tuple[float, float] = (3, 2), places: Places = (), off: Array | None = None
+) -> tuple[Figure, Any, Any]:
+    """Return a figure and its two axes; with places, a third has them over the picture."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.4, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=shares)
+    figure = Figure(figsize=(12.4 if places else 8.4, 3.4), layout="constrained")
+    widths = (*shares, 3) if places else shares
+    left, right, *more = figure.subplots(1, len(widths), width_ratios=widths)
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK)
     for axes in (left, right):
         open_axes(axes)
+    if places:
+        _over(figure, more[0], places, np.zeros(len(places)) if off is None else off)
     return figure, left, right
+
+
+def _over(figure: Figure, axes: Any, places: Places, off: Array) -> None:
+    """Draw the picture with most of the places, and on it their residuals `off` [n], a share.
+
+    Places of other frames are drawn too, because all frames show one sensor; those of other
+    panoramas are not.
+    """
+    files = Counter(place.path for place in places)
+    path = files.most_common(1)[0][0]
+    is_panorama = path.suffix.lower() in (".exr", ".hdr")
+    shown = np.array([place.path == path or not is_panorama for place in places])
+    at = np.array([(place.x, place.y) for place in places], float)[shown]
+    percent = 100 * np.asarray(off)[shown]
+    if is_panorama:
+        panorama = read_panorama(path)
+        light = np.nan_to_num(panorama.luminance_cdm2)
+        grey = np.log(np.maximum(light, 1e-3 * float(np.percentile(light, 99))))
+        row, column = equirect_pixel(at[:, 1], at[:, 0], *grey.shape, panorama.heading_deg)
+        at = np.stack([column, row], axis=1)
+    else:
+        grey = grey_picture(path)
+    height, width = grey.shape
+    step = max(height // 800, 1)  # the figure has fewer pixels
+    axes.imshow(grey[::step, ::step], cmap="gray", extent=(0, width, height, 0))
+    most = max(float(np.abs(percent).max()), 0.1)
+    marks = axes.scatter(*at.T, s=26, c=percent, cmap="coolwarm", vmin=-most, vmax=most)
+    marks.set(edgecolors="white", linewidths=0.6)
+    more = f" and {len(files) - 1} more" if len(files) > 1 and not is_panorama else ""
+    axes.set_title(path.name + more, fontsize=8, color=INK)
+    axes.set_axis_off()
+    if percent.any():
+        figure.colorbar(marks, ax=axes, shrink=0.8, label="off [%]")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -102,7 +149,9 @@ def of_vignette(
     half_angle_deg : half of the lens's full angle. Residuals are reading less fit [%].
     """
     figure, left, right = _two(
-        f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * fit.u_rel:.2g} %"
+        f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * fit.u_rel:.2g} %",
+        places=samples.places,
+        off=fit.residual_rel,
     )
     r = np.linspace(0, 1, 200)
     left.plot(
@@ -135,7 +184,9 @@ def of_scale(readings: list[scale.LuminanceReading], fit: scale.ScaleFit) -> Fig
 
     A residual is the meter's reading less the corrected value of the picture [%].
     """
-    figure, left, right = _two(f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %")
+    title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
+    places = [r.place for r in readings if r.place]
+    figure, left, right = _two(title, places=places, off=fit.residual if places else None)
     meter = np.array([r.meter for r in readings])
     image = np.array([r.image for r in readings]) * fit.factor
     for kind, mark in (("spot", "o"), ("illuminance", "s")):
@@ -203,7 +254,8 @@ def of_circle(picture: NDArray[np.uint8], image_circle: lens_circle.Circle) -> F
 
 def of_colour(colours: colour.Colours, fit: colour.ColourFit) -> Figure:
     """Draw the fitted luminance (y) against the readings (x), and the residuals [%] by patch."""
-    figure, left, right = _two(f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %")
+    title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
+    figure, left, right = _two(title, places=colours.places, off=-fit.residual)
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
     left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
@@ -252,7 +304,9 @@ def of_shutter(fit: shutter.ShutterFit) -> Figure:
 def of_pixels(defects: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
     """Draw the bad pixels on the sensor, and a histogram of their distance from its middle."""
     figure, left, right = _two(
-        f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views", (2, 1)
+        f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views",
+        (2, 1),
+        [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px],
     )
     x, y = np.array(defects.bad_px, float).reshape(-1, 2).T
     left.plot(x, y, "o", color=RED, markersize=3)
@@ -286,15 +340,18 @@ def of_linearity(levels: linearity.Levels, fit: linearity.LinearityFit) -> Figur
 def of_stray(readings: Sequence[stray.StrayReading], fit: stray.StrayFit) -> Figure:
     """Draw the kernel over the angle, and the predicted over the recorded stray light."""
     total = 100 * fit.total_share
-    figure, left, right = _two(f"Stray light: {total:.2g} % of a source's light is spread")
+    recorded = np.array([r.stray_cdm2 for r in readings])
+    places = [r.place for r in readings if r.place]
+    off = fit.predicted_cdm2 / recorded - 1.0 if places else None
+    title = f"Stray light: {total:.2g} % of a source's light is spread"
+    figure, left, right = _two(title, places=places, off=off)
     angle = np.geomspace(0.5, 180.0, 300)
     nodes, values = np.asarray(fit.kernel.angle_deg), np.asarray(fit.kernel.per_sr)
     left.plot(angle, 100 * kernel_per_sr(np.radians(angle), nodes, values), color=BLUE)
     left.plot(nodes, 100 * values, "o", color=RED, ms=4)
     left.set(xlabel="angle from the source [deg]", ylabel="K [% per sr]", xscale="log")
-    recorded = [r.stray_cdm2 for r in readings]
     right.plot(recorded, fit.predicted_cdm2, "o", color=RED, ms=4)
-    ends = [min(recorded), max(recorded)]
+    ends = [recorded.min(), recorded.max()]
     right.plot(ends, ends, color=BLUE, lw=1)
     right.set(xlabel="recorded [cd/m²]", ylabel="by the kernel [cd/m²]")
     right.set(xscale="log", yscale="log")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
+from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark
@@ -22,6 +23,7 @@ SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of 
 # relative u of a meter's calibration, common to its readings; typical of data sheets
 METER_U = 0.02
 READING_U = 0.02  # relative u of one reading: aim, flicker, a passing cloud. Chosen, not measured.
+HUBER = 2.0  # standard uncertainties beyond which a reading counts less; chosen
 # Readings that differ by more than this many u, and by at least FAR_LEAST, are listed. Chosen, not
 # measured.
 FAR = 3.0
@@ -51,7 +53,7 @@ class LuminanceReading:
 
     label : name of the reading, for messages. meter, image : value by the meter and by the picture,
     at the profile's k, both in cd/m2 (kind "spot") or lx (kind "illuminance"). u_rel : relative
-    uncertainty of their ratio, without that of the meter's calibration.
+    uncertainty of their ratio, without that of the meter's calibration. place : in its panorama.
     """
 
     kind: str  # "spot" or "illuminance"
@@ -59,6 +61,7 @@ class LuminanceReading:
     meter: float
     image: float
     u_rel: float
+    place: Place | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,19 +113,20 @@ def from_table(
                 "correct that line",
             )
         file, u = row["panorama"], row.get("u_rel") or READING_U
+        place = Place(file, azimuth, altitude)
         picture, label = pictures[file], f"{file.stem} {azimuth:g}/{altitude:g} deg"
         if spot is not None:
             image, u_image = spot_cdm2(picture, azimuth, altitude, file)
             uneven += [label] if u_image > UNEVEN else []
             readings.append(
                 LuminanceReading(
-                    "spot", label, spot, image * to_k[file], float(np.hypot(u, u_image))
+                    "spot", label, spot, image * to_k[file], float(np.hypot(u, u_image)), place
                 )
             )
         else:
             image = _plane_lx(picture, azimuth, altitude, file)
             readings.append(
-                LuminanceReading("illuminance", label, plane or 0.0, image * to_k[file], u)
+                LuminanceReading("illuminance", label, plane or 0.0, image * to_k[file], u, place)
             )
     unmarked = [file.name for file, picture in pictures.items() if "k" not in picture.attributes]
     notes: tuple[str, ...] = ()
@@ -344,13 +348,13 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
 
 
 def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
-    weight = 1.0 / u**2
-    centre = float(np.median(log))
-    for _ in range(30):
-        pull = np.abs(log - centre) / u
-        weight = 1.0 / u**2 * np.minimum(1.0, 2.0 / np.maximum(pull, 1e-12))
-        centre = float((weight * log).sum() / weight.sum())
-    return centre, weight
+    """Return the Huber mean of log [n] with uncertainties u [n], and the weights that gave it."""
+    from scipy.optimize import least_squares
+
+    start = float(np.median(log))
+    solved = least_squares(lambda c: (log - c[0]) / u, start, loss="huber", f_scale=HUBER)
+    pull = np.abs(solved.fun)
+    return float(solved.x[0]), np.minimum(1.0, HUBER / np.maximum(pull, 1e-12)) / u**2
 
 
 def _held_out_line(log: Floats, u: Floats) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
+from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -48,7 +49,8 @@ class StrayReading:
     label : name of the place, for messages; picture : its file. stray_cdm2 : recorded minus true
     luminance of the place. angle_rad [n] : angle from the place to each lit pixel of the same
     lens's field, and to the sun disc if the field contains it; flux [n] : luminance of that pixel
-    times its solid angle, or the disc's illuminance on a plane normal to it [lx].
+    times its solid angle, or the disc's illuminance on a plane normal to it [lx]. place : in its
+    panorama.
     """
 
     label: str
@@ -56,6 +58,7 @@ class StrayReading:
     stray_cdm2: float
     angle_rad: Floats
     flux: Floats
+    place: Place | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +166,7 @@ def reading(
             "a higher luminance in the picture, because of stray light",
             "remove this place from the csv of dark places",
         )
-    return StrayReading(label, file, stray, away, flux)
+    return StrayReading(label, file, stray, away, flux, Place(file, *at_deg))
 
 
 def _field_of_nearest_lens(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.arrays import Array, Mask
-from fieldlum.calibrate.frames import linear_frame, nearest_lens, relative_angle
+from fieldlum.calibrate.frames import Place, linear_frame, nearest_lens, relative_angle
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -41,7 +41,7 @@ class Samples:
 
     r : angle from the axis over half of the lens's full angle; value : in any linear unit; u_rel :
     relative uncertainty of the value; lens : index of the lens in the profile; frames : files.
-    Readings of equal angle are held out together.
+    Readings of equal angle are held out together. places : of the readings, if they are patches.
     """
 
     r: Array
@@ -50,6 +50,7 @@ class Samples:
     f_number: float
     lens: int
     frames: tuple[Path, ...]
+    places: tuple[Place, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +118,8 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
         f_numbers[file] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
     files = tuple(row["file"] for row in rows)
-    return Samples(np.array(r), np.array(value), np.array(u), f_number, lens, files)
+    places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
+    return Samples(np.array(r), np.array(value), np.array(u), f_number, lens, files, places)
 
 
 def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> float:
