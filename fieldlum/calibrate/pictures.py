@@ -73,7 +73,8 @@ def _over(figure: Figure, axes: Any, places: Places, off: Array) -> None:
         panorama = read_panorama(path)
         light = np.nan_to_num(panorama.luminance_cdm2)
         grey = np.log(np.maximum(light, 1e-3 * float(np.percentile(light, 99))))
-        row, column = equirect_pixel(at[:, 1], at[:, 0], *grey.shape, panorama.heading_deg)
+        size = len(grey), grey.shape[1]
+        row, column = equirect_pixel(at[:, 1], at[:, 0], *size, panorama.heading_deg)
         at = np.stack([column, row], axis=1)
     else:
         grey = grey_picture(path)
