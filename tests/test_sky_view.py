@@ -16,7 +16,6 @@ from fieldlum.models.disc_in_view import disc_lx, disc_source
 from fieldlum.records import Room, Site, SiteFile, Window
 from fieldlum.sky_view import (
     Captured,
-    PoseDoubt,
     SkyGrid,
     SkyPicture,
     SkyView,
@@ -24,6 +23,7 @@ from fieldlum.sky_view import (
     drawn_shares,
     estimate,
 )
+from fieldlum.sky_view.pose import CameraPose
 
 SITE = Site("place", 45.0, 8.0)
 GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south
@@ -170,7 +170,8 @@ def _edge_view(heading_sd_deg: float) -> SkyView:
     openness[:, 100:] = 1.0
     full = np.full_like(openness, 0.8)
     through = openness * 0.8
-    pose = PoseDoubt(heading_sd_deg=heading_sd_deg)
+    variances = np.diag([heading_sd_deg**2, 0.25**2, 0.25**2, 0.0])
+    pose = CameraPose(covariance=tuple(map(tuple, variances)))
     return SkyView(grid, openness, 0 * full, full, full, through, through, 50, pose)
 
 
@@ -187,7 +188,7 @@ def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
     assert (drawn == 0.0).any() and (drawn > 0.79).any()
     sure = drawn_shares(_edge_view(0.0), near, np.random.default_rng(0), 64)[:, 0]
     assert (sure > 0.75).all()
-    turned = replace(view, pose=PoseDoubt(heading_deg=2.0))  # true heading is 2 degrees more
+    turned = replace(view, pose=CameraPose(heading_deg=2.0))  # true heading is 2 degrees more
     assert disc_of_hours(turned, near).best_lx[0] == 0.0
 
 

@@ -20,7 +20,8 @@ from fieldlum.bench.cost import radiance_row
 from fieldlum.bench.rows import Spec, parse_specs, score_row, without_training_hours
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS
-from fieldlum.models.data import Dataset, load_pairs, with_sky_view
+from fieldlum.models.data import Dataset, load_pairs
+from fieldlum.models.estimated_view import with_sky_view
 from fieldlum.models.scores import Truth, truth
 from fieldlum.records import Progress, counted, quiet
 from fieldlum.scene_fit.apply import in_scene

@@ -78,7 +78,8 @@ def command(
       fieldlum train my-session --budget 10
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
     """
-    from fieldlum.models.data import load_pairs, with_sky_view
+    from fieldlum.models.data import load_pairs
+    from fieldlum.models.estimated_view import with_sky_view
     from fieldlum.models.pairs_bucket import read_pairs
     from fieldlum.scene_fit.stated_box import training_captures
     from fieldlum.train import default_folder, run

@@ -20,7 +20,7 @@ from fieldlum.models.teaching import joined_counts
 from fieldlum.models.turns_by_light import DirectLight
 from fieldlum.pair.interval import is_doubted
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Panorama, Progress, SiteFile, counted, quiet, slot_id
+from fieldlum.records import Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.alignment_csv import alignment_path
@@ -29,12 +29,7 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.provenance import data_digest
 from fieldlum.site_toml import load_site, site_table
 from fieldlum.sky_view import (
-    Captured,
-    SkyPicture,
     SkyView,
-    cut_panorama,
-    estimate,
-    usual_rows,
 )
 from fieldlum.sky_view.view import NAME as SKY_VIEW
 
@@ -229,30 +224,6 @@ def load_pairs(
             "column 'why', correct the cause and run fieldlum pair again"
         )
     return _assemble(path, rows, setup, notes, progress)
-
-
-def with_sky_view(
-    data: Dataset, file: Path | None = None, *, progress: Progress = quiet
-) -> Dataset:
-    """Return the captures with a sky view: of `file`, else their own, else from their maps.
-
-    Captures with blinds or snow are not used for it, unless all have the same. Raises InputError
-    for a file that is not a sky view.
-    """
-    if file is not None:
-        return replace(data, sky_view=SkyView.read(file))
-    if data.sky_view is not None:
-        return data
-    light = data.light
-    measured = data.disc_lx / np.maximum(light.direct_lx, 1.0)
-
-    def read(k: int) -> SkyPicture:
-        shown = np.where(data.seen, data.luminance_cdm2[k], np.nan)
-        return cut_panorama(Panorama(shown, data.heading_deg, t_utc=light.t_utc[k]))
-
-    captured = Captured(light, read, measured)
-    usual = usual_rows(light.states, len(light))
-    return replace(data, sky_view=estimate(captured.take(usual), progress=progress))
 
 
 def _assemble(

@@ -12,4 +12,4 @@ from fieldlum.sky_view.picture import (
     sky_picture,
     write_sky_picture,
 )
-from fieldlum.sky_view.view import PoseDoubt, SkyView
+from fieldlum.sky_view.view import SkyView

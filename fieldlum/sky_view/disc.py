@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fieldlum.arrays import Floats, Mask
 from fieldlum.light import Light
-from fieldlum.projection import rotation
-from fieldlum.sky_view.view import PoseDoubt, SharpView, SkyView
+from fieldlum.sky_view.view import SharpView, SkyView
 from fieldlum.sun_disc import SUN_RADIUS_RAD
 
 DRAWS = 64  # of the pose and the view for an interval: 2.5 % of them is more than one; chosen
@@ -34,7 +33,7 @@ class DiscOfHours:
 
 def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     """Return the disc of the n hours of `light` by the sky view."""
-    suns = _in_pictures(light.shown_sun_direction, view.pose)
+    suns = view.pose.in_pictures(light.shown_sun_direction)
     best, low, high = _over_disc(view.sharp, suns)  # [n] each
     return DiscOfHours(
         np.nan_to_num(best) * light.direct_lx,
@@ -52,29 +51,19 @@ def drawn_shares(
     A draw has one pose and one place within the bounds of the view for all hours. It is NaN in
     directions that no lens saw.
     """
-    pose = view.pose
-    sd = np.array([pose.heading_sd_deg, pose.level_sd_deg, pose.level_sd_deg])
-    turns = rng.normal(0.0, 1.0, (count, 3)) * sd
-    places = np.clip(rng.normal(0.0, 0.5, count), -1.0, 1.0)  # 2 standard deviations: the bounds
+    from scipy.special import ndtri
+
+    poses = view.pose.drawn(rng, count)
+    # Spread evenly over the distribution, so that few draws reach both bounds.
+    quantiles = rng.permutation((np.arange(count) + 0.5) / count)
+    places = np.clip(0.5 * ndtri(quantiles), -1.0, 1.0)  # two standard deviations: the bounds
     drawn = np.zeros((count, len(light)))
     rows = np.flatnonzero(light.direct_lx > 0.0)
     suns = light.shown_sun_direction[rows]
-    for k, ((heading, tilt, roll), place) in enumerate(zip(turns, places, strict=True)):
-        moved = replace(
-            pose,
-            heading_deg=pose.heading_deg + heading,
-            tilt_deg=pose.tilt_deg + tilt,
-            roll_deg=pose.roll_deg + roll,
-        )
-        best, low, high = _over_disc(view.sharp, _in_pictures(suns, moved))
+    for k, (values, place) in enumerate(zip(poses, places, strict=True)):
+        best, low, high = _over_disc(view.sharp, view.pose.in_pictures(suns, values))
         drawn[k, rows] = best + abs(place) * ((high if place > 0.0 else low) - best)
     return drawn
-
-
-def _in_pictures(suns: Floats, pose: PoseDoubt) -> Floats:
-    """Return where pictures of a pose show true directions [n, 3], in the stated frame."""
-    turn = rotation(pose.heading_deg, pose.tilt_deg, pose.roll_deg, pose.axis_deg)
-    return suns @ turn  # the inverse of a rotation is its transpose
 
 
 def _over_disc(sharp: SharpView, suns: Floats) -> tuple[Floats, Floats, Floats]:

@@ -14,12 +14,12 @@ import numpy as np
 from fieldlum.arrays import Floats, Floats32, Mask
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.light import Light
-from fieldlum.projection import direction
 from fieldlum.records import Progress, quiet
 from fieldlum.room_states import parse_state
 from fieldlum.sky_view.disc import disc_of_hours
 from fieldlum.sky_view.panes import pane_transmittance
 from fieldlum.sky_view.picture import SkyGrid, SkyPicture
+from fieldlum.sky_view.pose import CameraPose
 from fieldlum.sky_view.regression import SkyFactor, seen_sky, sky_factor
 from fieldlum.sky_view.view import SkyView
 
@@ -44,6 +44,8 @@ _THIN_DEG, _MOST_THIN = 0.6, 9
 _SCATTERS, _SCATTER_RATIO = 0.1, 0.1
 LEAST_CAPTURES = 6  # fewer do not separate the sky from seven kinds of light; chosen
 _MOST_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
+# What merge left out as too dark is between 0 and `SkyPicture.dark_cdm2`; its mean. Chosen.
+_DARK_SHARE = 0.5
 _DISC_LX = 1000.0  # beam whose disc cannot be missed in a picture; chosen
 _SHOWN = 0.01  # share of the beam that counts as a disc in a check; chosen
 
@@ -80,7 +82,10 @@ def usual_rows(states: Sequence[str] | None, count: int) -> list[int]:
 
 
 def estimate(
-    captured: Captured, shut: Callable[[Floats], Mask] | None = None, progress: Progress = quiet
+    captured: Captured,
+    shut: Callable[[Floats], Mask] | None = None,
+    progress: Progress = quiet,
+    pose: CameraPose | None = None,
 ) -> SkyView:
     """Return the sky view of captures of one state of the room.
 
@@ -92,9 +97,11 @@ def estimate(
     if not len(lit):
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
     used = captured.take(lit.tolist())
-    stack = _stack(used, progress)
+    stack = _stack(used, shut, progress)
     used = used.take(stack.rows)
-    view = _decided(stack, _factor(stack, used.light), len(used.light))
+    pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
+    view = _decided(stack, _factor(stack, used.light, pose), len(used.light))
+    view = replace(view, pose=pose, notes=view.notes + pose.notes)
     if shut is not None:
         view = _with_dark(view, stack, shut)
     return _checked(view, captured)
@@ -115,7 +122,7 @@ class _Stack:
     usable: Mask
 
 
-def _stack(captured: Captured, progress: Progress) -> _Stack:
+def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: Progress) -> _Stack:
     count = len(captured.light)
     grids = [captured.read(k).grid for k in {0, count // 2, count - 1}]
     grid = _common(grids)
@@ -125,11 +132,15 @@ def _stack(captured: Captured, progress: Progress) -> _Stack:
     most = max(LEAST_CAPTURES, _MOST_VALUES // max(int(kept.sum()), 1))
     rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
     light = np.empty((len(rows), int(kept.sum())), np.float32)
+    in_lens = None if seen is None else seen(grid.rays().reshape(-1, 3)[kept])
     usable = np.empty(light.shape, bool)
     for n, k in enumerate(rows):
         progress(n, len(rows), "sky view")
-        values, clipped = _placed(captured.read(k), grid)
+        picture = captured.read(k)
+        values, clipped = _placed(picture, grid)
         light[n] = values.ravel()[kept]
+        if picture.dark_cdm2 is not None and in_lens is not None:
+            light[n][np.isnan(light[n]) & in_lens] = _DARK_SHARE * picture.dark_cdm2
         usable[n] = np.isfinite(light[n]) & ~clipped.ravel()[kept]
     return _Stack(grid, rows, kept, light, usable)
 
@@ -173,7 +184,7 @@ def _placed(picture: SkyPicture, grid: SkyGrid) -> tuple[Floats32, Mask]:
 # decisions
 
 
-def _factor(stack: _Stack, light: Light) -> SkyFactor:
+def _factor(stack: _Stack, light: Light, pose: CameraPose) -> SkyFactor:
     """Return the factor of the sky in all kept directions.
 
     In fine pictures every ninth direction is fitted first, and then only those near a direction
@@ -182,7 +193,7 @@ def _factor(stack: _Stack, light: Light) -> SkyFactor:
     from scipy.ndimage import binary_dilation
 
     grid, width = stack.grid, stack.grid.width
-    rays = grid.rays().reshape(-1, 3)[stack.kept]
+    rays = pose.true_directions(grid.rays().reshape(-1, 3)[stack.kept])
     place = np.flatnonzero(stack.kept)
     thin = int(np.clip(_THIN_DEG / grid.step_deg, 1, _MOST_THIN))
     is_first = ((place // width) % thin == thin // 2) & ((place % width) % thin == thin // 2)
@@ -314,7 +325,7 @@ def _checked(view: SkyView, captured: Captured) -> SkyView:
     expected = disc_of_hours(view, some).best_lx / some.direct_lx
     both = (measured > _SHOWN) & (expected > _SHOWN) & (inside[0] > 0.5 * expected)
     arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
-    suns = direction(some.shown_altitude_deg, some.sun_azimuth_deg)
+    suns = view.pose.in_pictures(some.shown_sun_direction)
     without = _panes_without_disc(view, suns, measured)
     for values in arrays.values():
         values[without] = 0.0
@@ -365,7 +376,7 @@ def _near_shares(view: SkyView, light: Light, reach: float) -> tuple[Floats, Flo
     rays = view.grid.rays().reshape(-1, 3)
     low, high = view.low.ravel(), view.high.ravel()
     least, most = np.zeros(len(light)), np.ones(len(light))
-    for k, sun in enumerate(direction(light.shown_altitude_deg, light.sun_azimuth_deg)):
+    for k, sun in enumerate(view.pose.in_pictures(light.shown_sun_direction)):
         at = rays @ sun >= np.cos(np.radians(reach))
         if at.any() and not np.isnan(low[at]).any():
             least[k], most[k] = low[at].min(), high[at].max()

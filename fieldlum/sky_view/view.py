@@ -19,6 +19,7 @@ from fieldlum.errors import InputError, reason_of
 from fieldlum.records import JsonTable
 from fieldlum.session.writing import replacing_path
 from fieldlum.sky_view.picture import SkyGrid
+from fieldlum.sky_view.pose import CameraPose
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "sky_view.exr"
@@ -27,25 +28,6 @@ CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
 _FINE_DEG = 0.13
 _SHUT, _OPEN = 0.2, 0.8  # neighbours of an edge between no sky and open sky; chosen
 _EXPECTED, _REMEDY = "a sky view that fieldlum wrote", "run fieldlum pair, or fieldlum train, again"
-
-
-@dataclass(frozen=True, slots=True)
-class PoseDoubt:
-    """Standard uncertainty of the pictures' directions, and their correction, in deg.
-
-    heading_deg, tilt_deg, roll_deg: to add to the stated pose, as of `projection.rotation`.
-    heading_sd_deg, level_sd_deg: of the corrected pose. axis_deg: azimuth of the lens's axis.
-    source: how the pose is known.
-    """
-
-    heading_deg: float = 0.0
-    tilt_deg: float = 0.0
-    roll_deg: float = 0.0
-    # A phone's compass outdoors and a spirit level on a tripod; docs/capture.md. Chosen.
-    heading_sd_deg: float = 1.0
-    level_sd_deg: float = 0.25
-    axis_deg: float = 180.0
-    source: str = "stated"
 
 
 @dataclass(frozen=True)
@@ -67,7 +49,7 @@ class SkyView:
     low: Floats32
     high: Floats32
     captures: int = 0
-    pose: PoseDoubt = field(default_factory=PoseDoubt)
+    pose: CameraPose = field(default_factory=CameraPose)
     state: str = ""
     notes: tuple[str, ...] = ()
     inputs: JsonTable = field(default_factory=dict)
@@ -121,7 +103,7 @@ class SkyView:
                 grid,
                 **arrays,
                 captures=about["captures"],
-                pose=PoseDoubt(**about["pose"]),
+                pose=CameraPose.from_table(about["pose"]),
                 state=about["state"],
                 notes=tuple(about["notes"]),
                 inputs=about["inputs"],

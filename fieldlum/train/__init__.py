@@ -19,7 +19,8 @@ from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
-from fieldlum.models.data import Dataset, with_sky_view
+from fieldlum.models.data import Dataset
+from fieldlum.models.estimated_view import with_sky_view
 from fieldlum.models.mirror_labels import split_images
 from fieldlum.models.mirrors import Mirror
 from fieldlum.models.scores import summary

@@ -1,0 +1,295 @@
+"""The sky view through frames: simulated cameras before windows with bars, slats, leaves, a facade.
+
+    python bench/sky_view_frames.py OUT [ROOM ...] [--size 300] [--captures 24] [--poses]
+
+For each room: renders captures (clouds of sd 20 % on Perez skies) at the sensor's resolution, takes
+brackets, merges them, estimates the sky view without any room, and compares the sun's disc of a
+year's hours with the true one. --size: diameter of the fisheye [px]; --poses: the same frames with
+a wrong heading (1 and 5 degrees), tilt (1 degree) or lens scale (1 %), each with and without the
+captured discs. Prints one row each; OUT keeps the merges, so that a second run
+is quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pickle
+import shutil
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum import simulate
+from fieldlum.arrays import Floats, Indices, Mask
+from fieldlum.devices.clock import FastClock
+from fieldlum.devices.simulated.camera import SimulatedCamera
+from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
+from fieldlum.glare.metrics import glare_directions
+from fieldlum.light import Light, light_at
+from fieldlum.linear_light import sensor_pitch_deg
+from fieldlum.merge import MergeOptions, Shot, merge_shots
+from fieldlum.merge.bracket import MergeResult
+from fieldlum.profiles import CameraProfile, bracket_exposures, load_camera_profile
+from fieldlum.projection import direction
+from fieldlum.records import CameraSetup, Obstruction, Panorama, Room, Site, SiteFile, Window
+from fieldlum.scene import build, disc_visibility
+from fieldlum.simulate.fine_windows import fine_windows
+from fieldlum.simulate.troubles import CloudyLight
+from fieldlum.sky_view.disc import disc_of_hours, drawn_shares
+from fieldlum.sky_view.estimate import Captured, estimate
+from fieldlum.sky_view.measured_discs import MeasuredDiscs
+from fieldlum.sky_view.pose import pose_of_discs
+
+HEIGHT = 60  # rows of the truth and of panoramas
+YEAR_HOURS = 1500  # of a year, at random, of which the disc is compared
+GLARE_HOURS = 40  # of these, for DGP: those with a true or an estimated disc first
+DIRECTIONS_DEG = np.arange(0.0, 360.0, 45.0)
+SEATTLE = Site("frames", 47.6, -122.3, "America/Los_Angeles")
+WRONG = {"": (0.0, 0.0, 0.0), "heading 1": (1.0, 0.0, 0.0), "heading 5": (5.0, 0.0, 0.0)}
+WRONG |= {"tilt 1": (0.0, 1.0, 0.0), "scale 1 %": (0.0, 0.0, 0.01)}
+
+
+def rooms() -> dict[str, SiteFile]:
+    """Return the rooms by name."""
+    window = Window("south", 0.5, 3.0, 0.8, 1.9, frame_m=0.06, panes=3, transom_m=2.1)
+    rng = np.random.default_rng(4)
+    slats = tuple(
+        Obstruction(0.55, 0.03, 1.75 + 0.05 * k, 2.9, 0.04, 0.003, 0.6) for k in range(19)
+    )
+    leaves = tuple(
+        Obstruction(float(x), float(y), float(z), 0.14, 0.02, 0.14, 0.2)
+        for x, y, z in rng.uniform((0.0, -8.5, 1.5), (3.5, -7.0, 6.0), (110, 3))
+    )
+    trunk = Obstruction(1.7, -7.8, 0.0, 0.25, 0.25, 3.0, 0.2)
+    facade = Obstruction(-8.0, -14.0, 0.0, 20.0, 2.0, 6.5, 0.8)
+
+    def site(extra: tuple[Obstruction, ...], azimuth_deg: float = 180.0) -> SiteFile:
+        room = Room(
+            width_m=4.0,
+            depth_m=5.0,
+            height_m=3.0,
+            camera_x_m=2.0,
+            camera_y_m=2.0,
+            camera_z_m=1.2,
+            wall_azimuth_deg=azimuth_deg,
+            window=(window,),
+            obstruction=extra,
+        )
+        return SiteFile(SEATTLE, CameraSetup("", azimuth_deg), room)
+
+    return {
+        "office": site(()),
+        "blind": site(slats),
+        "tree": site((trunk, *leaves)),
+        "facade": site((facade,), 270.0),
+    }
+
+
+def camera(size_px: int) -> CameraProfile:
+    """Return a raw camera whose fisheye of 190 degrees is `size_px` wide."""
+    small = load_camera_profile("sim-fisheye")
+    side = size_px + 12 + size_px % 2
+    body = replace(small.camera, width_px=side, height_px=side)
+    lens = replace(small.lens[0], centre_px=(side / 2, side / 2), radius_px=size_px / 2)
+    bracket = replace(small.bracket, shutter_s=(1.0, 0.0666666667, 0.004, 0.00025))
+    return replace(small, camera=body, lens=(lens,), bracket=bracket)
+
+
+def wrong_profile(true: CameraProfile, tilt_deg: float, scale: float) -> CameraProfile:
+    """Return the profile that somebody states whose camera is tilted, or whose lens is wider."""
+    lens = true.lens[0]
+    stated = replace(
+        lens, tilt_deg=lens.tilt_deg - tilt_deg, radius_px=lens.radius_px * (1.0 + scale)
+    )
+    return replace(true, lens=(stated,))
+
+
+class OneScene:
+    """A world that shows one panorama."""
+
+    def __init__(self, panorama: Panorama) -> None:
+        self.panorama = panorama
+
+    def scene(self, t_utc: datetime) -> Panorama:
+        """Return the panorama at any time."""
+        return self.panorama
+
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        """Return no irradiance."""
+        return SimulatedLight(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A room, the light of a year's hours, the disc's true share of their beam, and captures."""
+
+    setup: SiteFile
+    light: Light
+    visible: Floats
+    share: Floats
+    captured: Indices
+
+
+def case(setup: SiteFile, captures: int) -> Case:
+    """Return the hours of a room and choose its captures: overcast, with the disc, and clear."""
+    weather = simulate.weather_for(setup, seed=3)
+    rows = np.flatnonzero((weather.dni_wm2 + weather.dhi_wm2 > 0) & np.isfinite(weather.ghi_wm2))
+    rows = np.sort(np.random.default_rng(5).choice(rows, YEAR_HOURS, replace=False))
+    times = [weather.t_utc[k] for k in rows]
+    light = light_at(times, setup.site, weather.dni_wm2[rows], weather.dhi_wm2[rows])
+    light = light[light.sun_altitude_deg > 2.0]
+    assert setup.room is not None
+    scene = build(setup.room)
+    visible, through = disc_visibility(scene, scene.to_room(light.shown_sun_direction))
+    overcast = np.flatnonzero((light.dni_wm2 < 20.0) & (light.dhi_wm2 > 60.0))
+    with_disc = np.flatnonzero((visible > 0.0) & (light.dni_wm2 > 200.0))
+    clear = np.flatnonzero((visible == 0.0) & (light.dni_wm2 > 200.0))
+    third, rng = captures // 3, np.random.default_rng(6)
+    chosen = [rng.permutation(some)[:third] for some in (overcast, with_disc, clear)]
+    return Case(setup, light, visible, visible * through, np.sort(np.concatenate(chosen)))
+
+
+def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, CameraProfile]):
+    """Yield, for each capture, its merges by the name of the stated pose."""
+    truth = simulate.ground_truth(made.setup, height=HEIGHT, quality="draft", cache=folder)
+    fine = fine_windows(truth, sensor_pitch_deg(profile))
+    assert fine is not None
+    cloudy = CloudyLight.of(made.light[made.captured], 0.2, 9)
+    site, heading = made.setup.site, made.setup.camera.heading_deg
+    frames = folder / f"frames-{profile.camera.width_px}"
+    for k in range(len(cloudy)):
+        rendering = truth.render(cloudy[[k]])
+        plain = truth.as_panorama(rendering, 0)
+        values = {name: getattr(plain, name) for name in Panorama.__dataclass_fields__}
+        detailed = DetailedPanorama(**values, detail=fine.picture(rendering, 0))
+        shutil.rmtree(frames, ignore_errors=True)
+        frames.mkdir(parents=True)
+        clock = FastClock(cloudy.t_utc[k])
+        taken = SimulatedCamera(OneScene(detailed), profile, clock, heading_deg=heading)
+        shots = [
+            Shot(taken.expose(e, frames / f"{i:02d}"), e, None)
+            for i, e in enumerate(bracket_exposures(profile.bracket))
+        ]
+        sun = float(cloudy.shown_altitude_deg[k]), float(cloudy.sun_azimuth_deg[k])
+        yield {
+            name: merge_shots(
+                shots,
+                known,
+                MergeOptions(height=2 * HEIGHT),
+                heading_deg=(heading + WRONG[name][0]) % 360.0,
+                sun_deg=sun,
+                latitude_deg=site.latitude_deg,
+            )
+            for name, known in stated.items()
+        }
+
+
+def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: float) -> str:
+    """Estimate the sky view from merges; return a row of figures of the year's hours."""
+    light = made.light[made.captured]
+    beam = np.maximum(light.direct_lx, 1.0)
+    shares = np.array(
+        [0.0 if m.panorama.sun is None else m.panorama.sun.normal_illuminance_lx for m in merges]
+    )
+    shares = np.where(light.direct_lx > 1000.0, shares / beam, np.nan)
+    rows = [k for k, m in enumerate(merges) if with_discs or m.sun is None]
+    pictures = {k: m.sky for k, m in enumerate(merges) if m.sky is not None}
+    captured = Captured(light, lambda k: pictures[k], shares).take(rows)
+    measured = [(k, sun) for k in rows if (sun := merges[k].sun) is not None]
+    discs = MeasuredDiscs(
+        np.array([s.altitude_deg for _, s in measured]),
+        np.array([s.azimuth_deg for _, s in measured]),
+        np.array([s.sigma_deg for _, s in measured]),
+        tuple(light.t_utc[k] for k, _ in measured),
+    )
+    pose = pose_of_discs(discs, made.setup.site, axis_deg, shares[[k for k, _ in measured]])
+    view = estimate(captured, lambda rays: in_lens(rays, axis_deg), pose=pose)
+    disc = disc_of_hours(view, made.light)
+    sunny = np.flatnonzero(made.light.direct_lx > 1000.0)
+    own = disc.best_lx[sunny] / made.light.direct_lx[sunny]
+    true = made.share[sunny]
+    drawn = drawn_shares(view, made.light[sunny], np.random.default_rng(0))
+    seen = ~np.isnan(drawn).any(axis=0)
+    low, high = np.percentile(np.nan_to_num(drawn), [2.5, 97.5], axis=0)
+    inside = (true >= low - 0.02) & (true <= high + 0.02)
+    open_hours = seen & (high - low > 0.3)
+    partly = (made.visible[sunny] > 0.05) & (made.visible[sunny] < 0.95)
+    shown, there = own > 0.02, true > 0.02
+    rms = float(np.sqrt(np.mean((own - true)[partly] ** 2))) if partly.any() else float("nan")
+    dgp, wrong = glare(made, sunny, own)
+    off = f"{pose.heading_deg:+.2f}+-{pose.heading_sd_deg:.2f}"
+    return (
+        f"discs {len(measured)}, heading {off}, shown {(shown & there).sum()}/{there.sum()}, "
+        f"phantom {(shown & ~there).sum()}/{(~there).sum()}, "
+        f"partly rms {rms:.3f} ({partly.sum()}), "
+        f"interval holds {inside[seen].mean():.3f} (with disc {inside[seen & there].mean():.3f}), "
+        f"cannot tell {open_hours.sum()}, "
+        f"DGP MSE of the disc {dgp:.1e}, other class {wrong}"
+    )
+
+
+def in_lens(rays: Floats, axis_deg: float) -> Mask:
+    """Return whether the lens of 190 degrees saw directions [p, 3]."""
+    return rays @ direction(0.0, axis_deg) > np.cos(np.radians(94.0))
+
+
+def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
+    """Return the DGP error of the disc alone on true maps, and how many views change class."""
+    truth = simulate.ground_truth(made.setup, height=HEIGHT, quality="draft", cache=CACHE)
+    worst = np.argsort(-(own + made.share[sunny]), kind="stable")[:GLARE_HOURS]
+    some = made.light[sunny[worst]]
+    maps = truth.render(some).luminance_cdm2
+    dgp = [
+        glare_directions(
+            maps,
+            made.setup.camera.heading_deg,
+            DIRECTIONS_DEG,
+            some.shown_sun_direction,
+            share[worst] * some.direct_lx,
+        )["dgp"]
+        for share in (made.share[sunny], own)
+    ]
+    classes = [np.digitize(values, (0.35, 0.40, 0.45)) for values in dgp]
+    changed = int((classes[0] != classes[1]).sum())
+    # hours beyond the worst have no disc in either
+    mse = float(((dgp[1] - dgp[0]) ** 2).sum() / (len(sunny) * len(DIRECTIONS_DEG)))
+    return mse, f"{changed}/{classes[0].size}"
+
+
+CACHE = Path()
+
+
+def main() -> None:
+    """Print one row for each room and stated pose."""
+    global CACHE
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("rooms", nargs="*")
+    parser.add_argument("--size", type=int, default=300)
+    parser.add_argument("--captures", type=int, default=24)
+    parser.add_argument("--poses", action="store_true")
+    asked = parser.parse_args()
+    profile = camera(asked.size)
+    names = list(WRONG) if asked.poses else [""]
+    stated = {name: wrong_profile(profile, *WRONG[name][1:]) for name in names}
+    for name, setup in rooms().items():
+        if asked.rooms and name not in asked.rooms:
+            continue
+        CACHE = asked.out / name
+        made = case(setup, asked.captures)
+        stored = CACHE / f"merged-{asked.size}-{asked.captures}-{len(names)}.pickle"
+        if not stored.is_file():
+            CACHE.mkdir(parents=True, exist_ok=True)
+            stored.write_bytes(pickle.dumps(list(take(made, profile, CACHE, stated))))
+        captures = pickle.loads(stored.read_bytes())
+        for pose in names:
+            axis_deg = setup.camera.heading_deg + WRONG[pose][0]
+            for discs in (True, False):
+                row = judge(made, [c[pose] for c in captures], discs, axis_deg)
+                print(f"{name}, {asked.size} px, {pose or 'true pose'}: {row}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
