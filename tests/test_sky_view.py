@@ -231,3 +231,26 @@ def test_a_view_is_read_as_it_was_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"other\.exr.*run fieldlum pair"):
         SkyView.read(tmp_path / "other.exr")
     assert SkyView.find(tmp_path / "none.exr") is None
+
+
+@pytest.mark.property
+def test_bright_directions_that_follow_no_sky_are_not_decided() -> None:
+    """As bright as sky, but nothing shows that it is sky."""
+    from fieldlum.sky_view.estimate import _decided, _Stack
+    from fieldlum.sky_view.picture import SkyGrid
+    from fieldlum.sky_view.regression import SkyFactor
+
+    grid = SkyGrid(2.0, -2.0, 1.0, 180.0, 2, 4)
+    p = grid.height * grid.width
+    flat = SkyFactor(*np.zeros((len(SkyFactor.__dataclass_fields__), p)))
+    flat.count[:], flat.ratio[:], flat.u[:] = 20, 0.6, 0.01
+    stack = _Stack(
+        grid,
+        list(range(20)),
+        np.ones(p, bool),
+        np.ones((20, p), np.float32),
+        np.ones((20, p), bool),
+    )
+    view = _decided(stack, flat, 20)
+    assert not view.openness.any() and (view.low == 0.0).all()
+    assert (view.high > 0.5).all() and "not known" in view.notes[0]

@@ -42,6 +42,9 @@ _THIN_DEG, _MOST_THIN = 0.6, 9
 # and the least ratio to the sky of such a pane in nine of ten hours: an interior surface is as
 # bright only while the sun is in the room. Chosen.
 _SCATTERS, _SCATTER_RATIO = 0.1, 0.1
+# Luminance over the sky's, from which a direction may be sky behind glass: a tinted pane of 0.25.
+# Facades reach it too, so that it only leaves open what nothing else decides. Chosen.
+_BRIGHT_RATIO = 0.25
 LEAST_CAPTURES = 6  # fewer do not separate the sky from seven kinds of light; chosen
 _MOST_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 # What merge left out as too dark is between 0 and `SkyPicture.dark_cdm2`; its mean. Chosen.
@@ -245,13 +248,16 @@ def _decided(stack: _Stack, factor: SkyFactor, captures: int) -> SkyView:
     few = captures < LEAST_CAPTURES
     if few:
         low, high = np.zeros_like(low), np.minimum(np.maximum(high, ratio), 1.0)
+    bright = np.nan_to_num(ratio) > _BRIGHT_RATIO
+    if not sky.any():  # nothing follows the sky clearly: what is as bright as sky is not decided
+        high = np.where(bright, np.minimum(np.maximum(high, 1.3 * ratio), 1.0), high)
     blind = np.isnan(through)
     openness = np.where(sky, np.clip(through / pane, 0.0, 1.0), 0.0)
 
     def channel(values: Floats) -> Floats32:
         return np.where(blind, np.nan, values).astype(np.float32)
 
-    notes = _notes(grid, sky, scatters, captures)
+    notes = _notes(grid, sky, bright, scatters, captures)
     return SkyView(
         grid,
         channel(openness),
@@ -265,14 +271,22 @@ def _decided(stack: _Stack, factor: SkyFactor, captures: int) -> SkyView:
     )
 
 
-def _notes(grid: SkyGrid, sky: Mask, scatters: Mask, captures: int) -> tuple[str, ...]:
+def _notes(
+    grid: SkyGrid, sky: Mask, bright: Mask, scatters: Mask, captures: int
+) -> tuple[str, ...]:
     notes = []
     if captures < LEAST_CAPTURES:
         notes.append(
             f"{captures} captures do not show where the sky is (at least {LEAST_CAPTURES}): the "
             "sun's disc has bounds only; capture overcast and clear hours"
         )
-    if not sky.any():
+    if not sky.any() and bright.any():
+        notes.append(
+            "no direction follows the sky clearly, although some are as bright as sky behind "
+            "glass: whether the sun is seen there is not known; capture overcast hours, or an hour "
+            "with the sun in the window"
+        )
+    elif not sky.any():
         notes.append("the camera sees no sky: no hour shows the sun's disc")
     weight = np.cos(np.radians(grid.altitudes_deg))[:, None]
     share = (scatters * weight).sum() / max(((sky | scatters) * weight).sum(), 1e-9)
