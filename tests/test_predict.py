@@ -234,7 +234,7 @@ def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> 
     lines = (tmp_path / "hourly.csv").read_text().splitlines()
     for kept in (lines[:10], []):
         (tmp_path / "hourly.csv").write_text("\n".join(kept))
-        with pytest.raises(InputError, match="write the file with: fieldlum predict|what fieldlum predict wrote"):
+        with pytest.raises(InputError, match="fieldlum predict"):
             read_annual(tmp_path)
 
 
