@@ -137,3 +137,27 @@ def test_the_page_answers_to_pointer_and_keyboard_at_phone_width(
     for cell, key in zip(cells[2:7], ("mean", "median", "min", "max", "sd"), strict=True):
         assert float(cell) == pytest.approx(float(expected[f"{key}_cdm2"] or 0), rel=2e-3)
     assert float(cells[7]) == pytest.approx(float(expected["solid_angle_sr"] or 0), rel=2e-3)
+
+
+@pytest.mark.contract
+def test_a_folder_that_is_no_session_is_named(tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["view", str(tmp_path)])
+    assert done.exit_code == 3 and "session" in done.stderr, done.output
+
+
+@pytest.mark.contract
+def test_a_session_shows_its_latest_panorama(tmp_path: Path) -> None:
+    from places import SEATTLE
+
+    from fieldlum.cli.view_ import _latest_panorama
+    from fieldlum.errors import NotEnoughDataError
+    from fieldlum.records import SiteFile
+    from fieldlum.session import create_session
+
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE), [], {})
+    with pytest.raises(NotEnoughDataError, match="run fieldlum merge"):
+        _latest_panorama(session.root)
+    session.panoramas.mkdir()
+    for name in ("20270320T153000Z", "20270621T153000Z"):
+        (session.panoramas / f"{name}.exr").touch()
+    assert _latest_panorama(session.root).stem == "20270621T153000Z"

@@ -49,8 +49,8 @@ def command(
 ) -> None:
     """Show pictures in false colour, with statistics of regions.
 
-    FILES are .exr or .hdr. Several pictures share one scale. If a file cannot be read, it is
-    reported, the others are shown, and the exit code is 3.
+    FILES are .exr or .hdr; a session means its latest panorama. Several pictures share one scale.
+    If a file cannot be read, it is reported, the others are shown, and the exit code is 3.
 
     \b
     Example:
@@ -60,6 +60,7 @@ def command(
     from fieldlum.view.measured_picture import MeasuredPicture, read_measured_picture
     from fieldlum.view.regions import COLUMNS, parse_region, region_statistics
 
+    files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):
         raise click.BadParameter("expected a .png or .html file", param_hint="--out")
@@ -92,6 +93,23 @@ def command(
         click.echo(str(out))
     if len(pictures) < len(files):
         ctx.exit(InputError.exit_code)
+
+
+def _latest_panorama(path: Path) -> Path:
+    """Return the latest panorama of a session, or the path itself if it is no folder."""
+    from fieldlum.errors import NotEnoughDataError
+    from fieldlum.session import open_session
+
+    if not path.is_dir():
+        return path
+    panoramas = sorted(open_session(path).panorama_files())
+    if not panoramas:
+        raise NotEnoughDataError(f"{path}: no panorama to view; run fieldlum merge {path}")
+    say(
+        f"note: {panoramas[-1]} is the latest of {len(panoramas)} panoramas: name others to see "
+        "them"
+    )
+    return panoramas[-1]
 
 
 def _print_rows(rows: Sequence[dict[str, float | str | None]]) -> None:

@@ -128,8 +128,8 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Fin
 def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
     """Return findings on coming changes of daylight saving time, and on slots with the sun in view.
 
-    The latter is a warning unless all of these slots have an exposure with a filter. The list is
-    empty without coming slots.
+    The latter is a warning: it asks who moves a planned filter, or names the way without one. The
+    list is empty without coming slots.
     """
     ahead, site = owed_slots(session, now_utc), session.site_file().site
     if not ahead:
@@ -151,9 +151,12 @@ def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
         filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
         text = f"the sun is in view of the lens in {len(in_view)} slots"
         remedy = (
-            "the planned brackets have a filter for it"
+            "the planned brackets have frames through a filter for it: a person must put the "
+            "filter on and take it off in each bracket, because no driver moves one; without a "
+            "person, remove nd from [bracket] of the profile and plan again"
             if filtered
-            else "in brackets without a filter its illuminance will be computed from DNI"
+            else "where the sensor cannot reach its disc, its illuminance is computed from DNI; a "
+            "person at the camera can use a filter instead (nd in [bracket] of the profile)"
         )
-        findings.append(Finding("sun", "ok" if filtered else "warn", f"{text}: {remedy}"))
+        findings.append(Finding("sun", "warn", f"{text}: {remedy}"))
     return findings

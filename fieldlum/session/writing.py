@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, input_errors
 
 OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
 
@@ -73,7 +73,13 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
     For writers that need a path; see `replacing`. After an exception the temporary file is removed.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with input_errors(
+        path.parent,
+        "a folder that can be created",
+        "name another folder",
+        FileNotFoundError,  # a file system without folders of ours, such as /proc
+    ):
+        path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_host()}.{os.getpid()}.tmp.{path.name}")
     temporary.unlink(missing_ok=True)  # a link of this name would lead the writer elsewhere
     try:
