@@ -97,6 +97,8 @@ def prepare(folder: Path) -> Session:
     if (folder / "session.toml").is_file():
         return open_session(folder)
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    # The demo's camera is the simulated default: nothing is assumed about a real one.
+    setup = replace(setup, camera=replace(setup.camera, assumed=()))
     session, _ = plan.run(setup, plan.Request("9-day", today=date(YEAR, 1, 1)), folder)
     return session
 
