@@ -24,14 +24,14 @@ from annual_truth_hours import Hours, chosen_hours, read_hours
 from annual_truth_office import Array
 from numpy.typing import NDArray
 
-from fieldlum.glare.geometry import panorama_views
-from fieldlum.glare.metrics import glare_directions
-from fieldlum.models import trusted_hours
-from fieldlum.models.data import Dataset
-from fieldlum.models.mirror_labels import split_images
-from fieldlum.records import CameraSetup, Site, SiteFile
-from fieldlum.sun_disc import add_disc
-from fieldlum.train.trials import fit_timed, passes_over_data
+from fieldlum.core.records import CameraSetup, Site, SiteFile
+from fieldlum.learn.models import trusted_hours
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.mirror_labels import split_images
+from fieldlum.learn.train.trials import fit_timed, passes_over_data
+from fieldlum.sky.sun_disc import add_disc
+from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.glare.metrics import glare_directions
 
 # raytraverse 1.4.4, validations/base1compdv, its own check.py: mean absolute errors.
 OF_RAYTRAVERSE = {"01_glz": (4.2, 0.0109), "03_shd": (3.1, 0.0038), "05_ngl": (6.5, 0.0070)}

@@ -25,7 +25,7 @@ from annual_truth_office import (
 )
 from numpy.typing import NDArray
 
-from fieldlum.sky import reinhart_patches
+from fieldlum.sky.perez import reinhart_patches
 
 CELL_M = 0.15
 GATHER_RAYS = 400

@@ -11,7 +11,7 @@ import numpy as np
 from annual_truth_office import Array
 from numpy.typing import NDArray
 
-from fieldlum.light import Light
+from fieldlum.sky.light import Light
 
 YEAR = 2027  # of the labels only; the sun's vectors are the reference's own
 UTC_OFFSET_H = 1.0  # of the weather file
@@ -30,8 +30,8 @@ class Hours:
 def read_hours(folder: Path) -> Hours:
     """All daylight hours: the reference's with its own sun vectors and irradiance, the others
     from the weather file with the sun of fieldlum at the hour's middle."""
-    from fieldlum import sun
-    from fieldlum.records import Site
+    from fieldlum.core.records import Site
+    from fieldlum.sky import sun
 
     sky = np.loadtxt(folder / "refs" / "skydata.txt")
     with (folder / "refs" / "geneva.epw").open(encoding="latin-1") as file:

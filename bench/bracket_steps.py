@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate import response
-from fieldlum.photometry import response_table
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens
-from fieldlum.raw import read_jpeg
+from fieldlum.optics.photometry import response_table
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens
+from fieldlum.optics.raw import read_jpeg
 
 FEWEST = 20  # places in a pair
 

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fieldlum.errors import InputError
-from fieldlum.models.data import load_pairs
-from fieldlum.models.pairs_bucket import read_pairs
+from fieldlum.core.errors import InputError
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.pairs_bucket import read_pairs
 from fieldlum.session.bucket import BucketStore
 
 PORT = 5117

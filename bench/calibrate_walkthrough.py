@@ -21,13 +21,14 @@ import numpy as np
 from click.testing import CliRunner
 
 from fieldlum.cli import main
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.images import write_panorama
 from fieldlum.merge import MergeOptions, merge_frames
-from fieldlum.photometry import illuminance_lx, response_table, vignetting_at
-from fieldlum.profiles import (
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.photometry import illuminance_lx, response_table, vignetting_at
+from fieldlum.optics.profiles import (
     CameraProfile,
     Colour,
     Lens,
@@ -38,8 +39,7 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.projection import direction, equirect_rays, lens_pixels, lens_rays
-from fieldlum.records import Exposure, Panorama
+from fieldlum.optics.projection import direction, equirect_rays, lens_pixels, lens_rays
 
 H = 480
 START = datetime(2027, 3, 20, 12, tzinfo=UTC)

@@ -18,12 +18,13 @@ from pathlib import Path
 import tomli_w
 from click.testing import CliRunner
 
-from fieldlum import demo, simulate
+from fieldlum import demo
 from fieldlum.cli import main as fieldlum
-from fieldlum.profiles import shipped
-from fieldlum.records import SiteFile, quiet
+from fieldlum.core.records import SiteFile, quiet
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import simulate
 from fieldlum.session import Session, open_session
-from fieldlum.site_toml import load_site, site_table
+from fieldlum.session.site_toml import load_site, site_table
 
 BROKEN = 7
 

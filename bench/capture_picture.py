@@ -17,9 +17,9 @@ from rich.console import Console
 from fieldlum import capture
 from fieldlum.capture.live import Live
 from fieldlum.cli.live import panel
+from fieldlum.core.records import Site, SiteFile, Slot
 from fieldlum.devices.clock import ClockFault, FastClock
-from fieldlum.profiles import bracket_exposures, load_camera_profile
-from fieldlum.records import Site, SiteFile, Slot
+from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.session import create_session
 
 START = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)

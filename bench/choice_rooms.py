@@ -23,17 +23,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scene_rooms import measured, with_box
 
-from fieldlum import models, plan, simulate, sun
-from fieldlum.glare import glare_directions, view_azimuths_deg
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.held_out_choice import CRITERIA
-from fieldlum.models.hour_weights import beam_is_doubted
-from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
+from fieldlum import plan
+from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
+from fieldlum.learn import models
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.held_out_choice import CRITERIA
+from fieldlum.learn.models.hour_weights import beam_is_doubted
+from fieldlum.learn.train.folds import day_folds
+from fieldlum.learn.train.notes import notes_of
+from fieldlum.learn.train.selection import choose_model
+from fieldlum.learn.train.trials import evaluate_folds
+from fieldlum.room import simulate
 from fieldlum.session import open_session
-from fieldlum.train.folds import day_folds
-from fieldlum.train.notes import notes_of
-from fieldlum.train.selection import choose_model
-from fieldlum.train.trials import evaluate_folds
+from fieldlum.sky import sun
+from fieldlum.year.glare import glare_directions, view_azimuths_deg
 
 Array = NDArray[Any]
 YEAR = 2027

@@ -32,10 +32,10 @@ from fuzz_parsers import FIXED, TOA5_HEAD, nmea, with_crc16
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from fieldlum import irradiance
+from fieldlum.core.errors import FieldlumError
 from fieldlum.devices import ascii_lines, spn1, toa5
 from fieldlum.devices.learned_format import LineForm
-from fieldlum.errors import FieldlumError
+from fieldlum.pair import irradiance
 
 Array = NDArray[np.float64]
 ALTITUDE_DEG, TOP_WM2 = 50.0, 1361.0

@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum import models
 from fieldlum.bench import machine, markdown
 from fieldlum.bench.charts import _figure
 from fieldlum.bench.rows import without_training_hours
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.dense_schedule import TrainingPlan
-from fieldlum.models.scores import Truth, evaluate, summary, truth
+from fieldlum.learn import models
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.dense_schedule import TrainingPlan
+from fieldlum.learn.models.scores import Truth, evaluate, summary, truth
 
 PAPER = {
     "final": (9.54e-3, 4.85e-2),

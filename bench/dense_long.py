@@ -13,8 +13,8 @@ import argparse
 import time
 from pathlib import Path
 
-from fieldlum import models
-from fieldlum.models.data import load_pairs
+from fieldlum.learn import models
+from fieldlum.learn.models.data import load_pairs
 
 
 def main() -> None:

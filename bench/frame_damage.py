@@ -28,10 +28,10 @@ from merge_speed import make_frames
 from merge_speed import profile as large_profile
 
 from fieldlum import merge
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
 from fieldlum.merge import stage
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
-from fieldlum.raw import write_dng
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
+from fieldlum.optics.raw import write_dng
 from fieldlum.session import Session, create_session, sha256
 
 TIMES_S, BRACKETS = (0.5, 1 / 16, 1 / 128), 4

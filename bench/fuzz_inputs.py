@@ -24,10 +24,16 @@ from pathlib import Path
 import fuzz_sessions
 import numpy as np
 
-from fieldlum.errors import FieldlumError
-from fieldlum.images import read_panorama, read_radiance_hdr, write_panorama, write_radiance_hdr
+from fieldlum.core.errors import FieldlumError
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.merge import MergeOptions, merge_frames
-from fieldlum.profiles import (
+from fieldlum.optics.images import (
+    read_panorama,
+    read_radiance_hdr,
+    write_panorama,
+    write_radiance_hdr,
+)
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -37,9 +43,8 @@ from fieldlum.profiles import (
     save_profile,
     shipped,
 )
-from fieldlum.raw import read_exif, read_jpeg, read_mosaic, write_dng, write_jpeg
-from fieldlum.records import Exposure, Panorama
-from fieldlum.site_toml import load_site
+from fieldlum.optics.raw import read_exif, read_jpeg, read_mosaic, write_dng, write_jpeg
+from fieldlum.session.site_toml import load_site
 
 HANG_S = 60.0
 TIMES_S = (0.1, 0.01, 0.001)

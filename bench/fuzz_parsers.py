@@ -25,8 +25,8 @@ import serial
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
+from fieldlum.core.errors import FieldlumError
 from fieldlum.devices import ascii_lines, cl200a, registers, spn1, toa5
-from fieldlum.errors import FieldlumError
 
 WATTS, CELSIUS = st.integers(0, 14000), st.integers(-300, 600)  # tenths
 

@@ -23,20 +23,20 @@ import numpy as np
 import tomli_w
 from click.testing import CliRunner
 
+from fieldlum.capture.notify import Message, Outbox
 from fieldlum.capture.runner import Options, run
 from fieldlum.cli import DISK_TROUBLE, main
 from fieldlum.cli.options import device_uris
+from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id
 from fieldlum.devices import CameraInfo, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import FastClock
-from fieldlum.errors import FieldlumError, InputError
 from fieldlum.merge import MergeOptions
 from fieldlum.merge.stage import _MergeJob as MergeJob
 from fieldlum.merge.stage import merge_slot
-from fieldlum.notify import Message, Outbox
-from fieldlum.profiles import load_camera_profile
-from fieldlum.raw import write_dng
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id
-from fieldlum.scene import window_fraction
+from fieldlum.optics.profiles import load_camera_profile
+from fieldlum.optics.raw import write_dng
+from fieldlum.room.scene import window_fraction
 from fieldlum.session import Session, create_session, decode_line, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile

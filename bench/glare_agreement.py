@@ -18,7 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.glare import (
+from fieldlum.core.records import SunSource
+from fieldlum.optics.projection import (
+    equirect_pixel,
+    equirect_rays,
+    equirect_solid_angles,
+    row_solid_angles,
+)
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.year.glare import (
     dgp,
     glare_directions,
     panorama_to_fisheye,
@@ -27,15 +35,7 @@ from fieldlum.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.glare.geometry import angles_from_view, view_frame
-from fieldlum.projection import (
-    equirect_pixel,
-    equirect_rays,
-    equirect_solid_angles,
-    row_solid_angles,
-)
-from fieldlum.records import SunSource
-from fieldlum.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.year.glare.geometry import angles_from_view, view_frame
 
 HEADING_DEG = 180.0
 DISC_CDM2 = 1e5

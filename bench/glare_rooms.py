@@ -18,11 +18,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from glare_agreement import compare, report, strata
 
-from fieldlum.glare import glare_directions, reference_version, view_azimuths_deg
-from fieldlum.light import light_at
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
-from fieldlum.simulate.truth import ground_truth
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
+from fieldlum.room.simulate.truth import ground_truth
+from fieldlum.sky.light import light_at
 from fieldlum.weather import synthetic_weather
+from fieldlum.year.glare import glare_directions, reference_version, view_azimuths_deg
 
 ROOMS = {
     "corner, Madrid": SiteFile(

@@ -20,12 +20,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fieldlum.glare.own_pixels import glare_of_pixels, weighted_sum
-from fieldlum.glare.picture_grid import picture_grid
-from fieldlum.glare.picture_view import picture_rays
-from fieldlum.glare.pictures import read_picture
-from fieldlum.glare.reference import FLAGS, reference_glare_of_file, reference_version
-from fieldlum.images import radiance_program
+from fieldlum.optics.images import radiance_program
+from fieldlum.year.glare.own_pixels import glare_of_pixels, weighted_sum
+from fieldlum.year.glare.picture_grid import picture_grid
+from fieldlum.year.glare.picture_view import picture_rays
+from fieldlum.year.glare.pictures import read_picture
+from fieldlum.year.glare.reference import FLAGS, reference_glare_of_file, reference_version
 
 # Official answer of evalglare's test (src/cmake_tests/test_evalglare.cmake of NREL/Radiance
 # @2fcca99): omega, mean, median, standard deviation, 75 %, 95 %, least, most.

@@ -22,22 +22,22 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import models
-from fieldlum.glare import (
+from fieldlum.learn import models
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.room.scene import sun_patches
+from fieldlum.sky.light import Light
+from fieldlum.weather import read_weather, shipped_seattle
+from fieldlum.year.glare import (
     panorama_to_fisheye,
     reference_glare,
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.glare.contrast import ViewRegions
-from fieldlum.glare.geometry import panorama_views
-from fieldlum.light import Light
-from fieldlum.models.data import load_pairs
-from fieldlum.predict.block_figures import view_figures
-from fieldlum.predict.blocks import ModelRoom, blocks
-from fieldlum.predict.year import light_of
-from fieldlum.scene import sun_patches
-from fieldlum.weather import read_weather, shipped_seattle
+from fieldlum.year.glare.contrast import ViewRegions
+from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.predict.block_figures import view_figures
+from fieldlum.year.predict.blocks import ModelRoom, blocks
+from fieldlum.year.predict.year import light_of
 
 
 def main() -> None:

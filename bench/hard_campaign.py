@@ -25,22 +25,24 @@ import numpy as np
 from numpy.typing import NDArray
 from predicted_glare import predicted_year
 
-from fieldlum import plan, simulate, sun
-from fieldlum.arrays import Floats
+from fieldlum import plan
 from fieldlum.bench import markdown
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Slot
 from fieldlum.demo import troubles_named
-from fieldlum.glare import glare_directions, view_azimuths_deg
-from fieldlum.models import fit
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.disc_in_view import disc_lx
-from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.profiles import shipped
-from fieldlum.records import Slot
+from fieldlum.learn.models import fit
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.disc_in_view import disc_lx
+from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.train import findings, usable_captures
+from fieldlum.learn.train.notes import seen_skies
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import simulate
+from fieldlum.room.simulate import Troubles, load_troubles
 from fieldlum.session import create_session, open_session
-from fieldlum.simulate import Troubles, load_troubles
-from fieldlum.site_toml import load_site
-from fieldlum.train import findings, usable_captures
-from fieldlum.train.notes import seen_skies
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky import sun
+from fieldlum.year.glare import glare_directions, view_azimuths_deg
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"
 YEAR_STEP = 5  # every fifth day of the year is rendered

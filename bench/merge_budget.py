@@ -23,8 +23,8 @@ from time import process_time
 
 import numpy as np
 
+from fieldlum.core.records import Exposure, Flag
 from fieldlum.devices.simulated.sensor import RawSensor
-from fieldlum.linear_light import lens_geometry, true_shutter_s
 from fieldlum.merge.bracket import merge_headings
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
@@ -33,8 +33,9 @@ from fieldlum.merge.project import blend, finish, u_of_edges, view_through
 from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
-from fieldlum.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
-from fieldlum.profiles import (
+from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
+from fieldlum.optics.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -48,9 +49,8 @@ from fieldlum.profiles import (
     Vignetting,
     bracket_exposures,
 )
-from fieldlum.projection import Equirect, angle_of_radius, lens_rays
-from fieldlum.raw import write_dng, write_jpeg
-from fieldlum.records import Exposure, Flag
+from fieldlum.optics.projection import Equirect, angle_of_radius, lens_rays
+from fieldlum.optics.raw import write_dng, write_jpeg
 
 PARTS = ("random", "ratios", "filter", "response", "vignetting", "colour", "k", "glare floor")
 DIAL_S = (4.0, 1.0, 1 / 4, 1 / 15, 1 / 60, 1 / 250, 1 / 1000, 1 / 4000)

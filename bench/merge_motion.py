@@ -15,10 +15,10 @@ from time import process_time
 
 import numpy as np
 
+from fieldlum.core.records import Flag
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import RawSignal, over_mosaic
 from fieldlum.merge.motion import leave_out_moved
-from fieldlum.records import Flag
 
 GAIN, READ_E, BLACK, FULL, SIZE = 4.0, 6.0, 512.0, 14000.0, 400
 STEPS = tuple(400.0 * 4.0**-i for i in range(9))

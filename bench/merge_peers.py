@@ -88,9 +88,9 @@ OWN = "fieldlum"
 
 
 def make_frames(folder: Path, width: int, height: int) -> tuple[list[Path], np.ndarray]:
-    from fieldlum.photometry import z_per_cdm2
-    from fieldlum.raw import write_dng
-    from fieldlum.records import Exposure
+    from fieldlum.core.records import Exposure
+    from fieldlum.optics.photometry import z_per_cdm2
+    from fieldlum.optics.raw import write_dng
 
     rng = np.random.default_rng(1)
     light = np.repeat(
@@ -113,7 +113,7 @@ def make_frames(folder: Path, width: int, height: int) -> tuple[list[Path], np.n
 def own(files: list[Path], width: int, height: int) -> tuple[np.ndarray, float]:
     from fieldlum.merge import merge_sensor
     from fieldlum.merge.shots import shots_of_files, sorted_shots
-    from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
+    from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 
     lens = Lens((width / 2, height / 2), float(width), 180.0)
     profile = CameraProfile(

@@ -26,16 +26,16 @@ from merge_peers import environment
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.response import residuals
-from fieldlum.images import read_radiance_hdr
+from fieldlum.core.records import Flag
 from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.shift import shifts
-from fieldlum.photometry import dark_floor, fit_response, snap_shutter_s
-from fieldlum.profiles import CameraProfile, Response, load_camera_profile
-from fieldlum.projection import LensGeometry
-from fieldlum.raw import read_jpeg
-from fieldlum.records import Flag
+from fieldlum.optics.images import read_radiance_hdr
+from fieldlum.optics.photometry import dark_floor, fit_response, snap_shutter_s
+from fieldlum.optics.profiles import CameraProfile, Response, load_camera_profile
+from fieldlum.optics.projection import LensGeometry
+from fieldlum.optics.raw import read_jpeg
 
 PLACES = {  # column, row of the 1000 x 1000 equidistant picture
     "ceiling": (450, 150),

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.images import read_panorama
+from fieldlum.core.records import Flag
 from fieldlum.merge import MergeOptions, merge_shots
 from fieldlum.merge.project import u_of_edges
 from fieldlum.merge.shots import shots_of_slot
-from fieldlum.profiles import load_camera_profile
-from fieldlum.records import Flag
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.session import open_session
 
 EDGE = 2e-3

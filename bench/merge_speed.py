@@ -16,12 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.records import Exposure
 from fieldlum.merge import MergeOptions, merge_frames, merge_sensor
 from fieldlum.merge.shots import shots_of_files, sorted_shots
-from fieldlum.photometry import srgb_table
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Colour, Lens, Response, Sensor
-from fieldlum.raw import write_dng, write_jpeg
-from fieldlum.records import Exposure
+from fieldlum.optics.photometry import srgb_table
+from fieldlum.optics.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Colour,
+    Lens,
+    Response,
+    Sensor,
+)
+from fieldlum.optics.raw import write_dng, write_jpeg
 
 WIDTH, HEIGHT = 6000, 4000
 BLACK, FULL, WHITE, GAIN, READ_E = 512.0, 15000.0, 16383.0, 4.0, 6.0

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import models
-from fieldlum.models.data import load_pairs
-from fieldlum.sun_disc import add_disc
+from fieldlum.learn import models
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.sky.sun_disc import add_disc
 
 
 def main() -> None:

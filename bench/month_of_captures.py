@@ -22,13 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum import models, simulate, sun, train
-from fieldlum.models import alignment
-from fieldlum.models.data import load_pairs
-from fieldlum.profiles import shipped
-from fieldlum.records import Slot
+from fieldlum.core.records import Slot
+from fieldlum.learn import models, train
+from fieldlum.learn.models import alignment
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import simulate
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky import sun
 
 COUNTS = (100, 400, 1300, 2200)
 DAYS, STEP_MIN, YEAR = 31, 10, 2027

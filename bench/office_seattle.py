@@ -19,8 +19,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fieldlum.images import write_panorama
-from fieldlum.records import Panorama, utc_text
+from fieldlum.core.records import Panorama, utc_text
+from fieldlum.optics.images import write_panorama
 
 HEADING_DEG = 180.0
 STANDARD_TIME = timedelta(hours=-8)

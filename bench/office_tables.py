@@ -18,8 +18,8 @@ from typing import Any
 from fieldlum.bench import TABLE, machine, markdown
 from fieldlum.bench.charts import speed_accuracy
 from fieldlum.bench.rows import parse_specs, score_row, without_training_hours
-from fieldlum.models.data import load_pairs
-from fieldlum.models.scores import truth
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.scores import truth
 
 COLUMNS = ("set", *TABLE)
 

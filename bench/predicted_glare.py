@@ -8,16 +8,16 @@ from typing import Literal
 
 import numpy as np
 
-from fieldlum import models
-from fieldlum.arrays import Floats
-from fieldlum.glare import view_azimuths_deg
-from fieldlum.glare.standards import class_of, exceeded_in_share
-from fieldlum.models import Fitted
-from fieldlum.models.data import Dataset
-from fieldlum.predict.blocks import room_of
-from fieldlum.predict.glare_summary import judge
-from fieldlum.predict.occupancy import default_occupancy
-from fieldlum.predict.year import measure
+from fieldlum.core.arrays import Floats
+from fieldlum.learn import models
+from fieldlum.learn.models import Fitted
+from fieldlum.learn.models.data import Dataset
+from fieldlum.year.glare import view_azimuths_deg
+from fieldlum.year.glare.standards import class_of, exceeded_in_share
+from fieldlum.year.predict.blocks import room_of
+from fieldlum.year.predict.glare_summary import judge
+from fieldlum.year.predict.occupancy import default_occupancy
+from fieldlum.year.predict.year import measure
 
 TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
 

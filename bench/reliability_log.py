@@ -14,8 +14,8 @@ import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from fieldlum import irradiance, sun
-from fieldlum.records import Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.core.records import Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.pair import irradiance
 from fieldlum.session import (
     DayFiles,
     Journal,
@@ -25,6 +25,7 @@ from fieldlum.session import (
     read_day,
     read_journal,
 )
+from fieldlum.sky import sun
 
 START = datetime(2027, 3, 5, tzinfo=UTC)
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.records import Room, Window
-from fieldlum.scene.geometry import transmissivity
-from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of
+from fieldlum.core.records import Room, Window
+from fieldlum.room.fit.guess import Bar, Guess, Solid, guess_of
+from fieldlum.room.scene.geometry import transmissivity
 
 GLASS = 0.88
 
@@ -422,7 +422,7 @@ TONES = {"wood": 0.35, "facade": 0.5, "frame": 0.4, "ceiling": 0.8}
 
 
 def exact_guess(room: Room, text: str) -> Guess:
-    """The room as `fieldlum.scene_fit` can state it at best: with all its boxes and bars.
+    """The room as `fieldlum.room.fit` can state it at best: with all its boxes and bars.
 
     Leaves, slats, arches and slopes are no boxes and are missing.
     """

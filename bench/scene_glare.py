@@ -26,13 +26,13 @@ from scene_judge import DAYS, user_of
 from scene_judge import fitted as with_fitted
 from scene_rooms import with_box
 
-from fieldlum.models import fit
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.scene_fit.apply import with_scene
-from fieldlum.scene_fit.evidence import PIXELS
-from fieldlum.scene_fit.fit import fit_scene
-from fieldlum.scene_fit.stage import judged_scene
+from fieldlum.learn.models import fit
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.room.fit.apply import with_scene
+from fieldlum.room.fit.evidence import PIXELS
+from fieldlum.room.fit.fit import fit_scene
+from fieldlum.room.fit.stage import judged_scene
 
 
 def glare_of(data: Dataset, test: Dataset) -> tuple[float, Year]:

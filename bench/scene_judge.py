@@ -23,22 +23,22 @@ from numpy.typing import NDArray
 from scene_generators import ROOMS, exact_guess
 from scene_rooms import load, measured, with_box
 
-from fieldlum.errors import FieldlumError
-from fieldlum.models import trusted_hours
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit
-from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Room
-from fieldlum.scene_fit.apply import scene_of, with_scene
-from fieldlum.scene_fit.corrected import earlier, with_patches
-from fieldlum.scene_fit.evidence import PIXELS, gather
-from fieldlum.scene_fit.fit import SceneFit, fit_scene
-from fieldlum.scene_fit.guess import guess_of, room_of
-from fieldlum.scene_fit.parameters import room_parameters
-from fieldlum.scene_fit.pictures import draw as draw_scene
-from fieldlum.scene_fit.scene_file import Scene
-from fieldlum.scene_fit.stage import judged_scene
-from fieldlum.scene_fit.sunny import sunny_hours
+from fieldlum.core.errors import FieldlumError
+from fieldlum.core.records import Room
+from fieldlum.learn.models import trusted_hours
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport import fit
+from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.room.fit.apply import scene_of, with_scene
+from fieldlum.room.fit.corrected import earlier, with_patches
+from fieldlum.room.fit.evidence import PIXELS, gather
+from fieldlum.room.fit.fit import SceneFit, fit_scene
+from fieldlum.room.fit.guess import guess_of, room_of
+from fieldlum.room.fit.parameters import room_parameters
+from fieldlum.room.fit.pictures import draw as draw_scene
+from fieldlum.room.fit.scene_file import Scene
+from fieldlum.room.fit.stage import judged_scene
+from fieldlum.room.fit.sunny import sunny_hours
 
 Array = NDArray[Any]
 

@@ -25,23 +25,25 @@ from numpy.typing import NDArray
 from scene_generators import GLASS, ROOMS
 from scene_truth import CameraRays, build_truth, cast, pictures, within
 
-from fieldlum import plan, simulate, sun
-from fieldlum.light import Light, light_at
-from fieldlum.models.data import Dataset
-from fieldlum.projection import rotation
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Slot, Window, slot_id
-from fieldlum.scene.geometry import glass_optics
-from fieldlum.scene.radiance import octree
-from fieldlum.scene.view import pixel_rays
-from fieldlum.scene_fit.corrected import with_patches
-from fieldlum.simulate.troubles import (
+from fieldlum import plan
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Slot, Window, slot_id
+from fieldlum.learn.models.data import Dataset
+from fieldlum.optics.projection import rotation
+from fieldlum.room import simulate
+from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.scene.geometry import glass_optics
+from fieldlum.room.scene.radiance import octree
+from fieldlum.room.scene.view import pixel_rays
+from fieldlum.room.simulate.troubles import (
     Troubles,
     load_troubles,
     measured_irradiance,
     troubled_pictures,
     true_light,
 )
-from fieldlum.sky_view.sun_path import sun_earlier
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.sky_view.sun_path import sun_earlier
 
 Array = NDArray[Any]
 YEAR = 2027

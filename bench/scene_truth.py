@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from fieldlum.light import Light
-from fieldlum.scene.geometry import glass_optics
+from fieldlum.room.scene.geometry import glass_optics
+from fieldlum.sky.light import Light
 
 Array = NDArray[Any]
 

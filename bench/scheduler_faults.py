@@ -31,11 +31,9 @@ import scheduler_units  # pyright: ignore[reportMissingImports]
 from dask_cluster import SOURCE, Cluster, cluster  # pyright: ignore[reportMissingImports]
 from test_merge_stage import START, profile, take  # pyright: ignore[reportMissingImports]
 
-from fieldlum import merge, models, predict, simulate
-from fieldlum.models.data import load_pairs
-from fieldlum.profiles import save_profile, shipped
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
-from fieldlum.scheduler import (
+from fieldlum import merge
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot
+from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
     Scheduler,
@@ -43,9 +41,14 @@ from fieldlum.scheduler import (
     parse_scheduler,
     run_units,
 )
+from fieldlum.learn import models
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.profiles import save_profile, shipped
+from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
 from fieldlum.weather import synthetic_weather
+from fieldlum.year import predict
 
 SEATTLE_STANDARD = timezone(timedelta(hours=-8))
 

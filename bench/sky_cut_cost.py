@@ -20,14 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
-from fieldlum.linear_light import sensor_pitch_deg
 from fieldlum.merge import MergeOptions, Shot, merge_shots
-from fieldlum.profiles import CameraProfile, load_camera_profile
-from fieldlum.records import Exposure, Panorama
-from fieldlum.sky_view import SkyGrid, SkyPicture, write_sky_picture
+from fieldlum.optics.linear_light import sensor_pitch_deg
+from fieldlum.optics.profiles import CameraProfile, load_camera_profile
+from fieldlum.sky.sky_view import SkyGrid, SkyPicture, write_sky_picture
 
 SHUTTER_S = (0.25, 0.015625, 0.001)  # a short bracket; each further frame costs the merge alone
 LATITUDE_DEG = 47.6

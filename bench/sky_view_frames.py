@@ -21,26 +21,26 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import simulate
-from fieldlum.arrays import Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.records import CameraSetup, Obstruction, Panorama, Room, Site, SiteFile, Window
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
-from fieldlum.glare.metrics import glare_directions
-from fieldlum.light import Light, light_at
-from fieldlum.linear_light import sensor_pitch_deg
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.bracket import MergeResult
-from fieldlum.profiles import CameraProfile, bracket_exposures, load_camera_profile
-from fieldlum.projection import direction
-from fieldlum.records import CameraSetup, Obstruction, Panorama, Room, Site, SiteFile, Window
-from fieldlum.scene import build, disc_visibility
-from fieldlum.simulate.fine_windows import fine_windows
-from fieldlum.simulate.troubles import CloudyLight
-from fieldlum.sky_view.disc import disc_of_hours, drawn_shares
-from fieldlum.sky_view.estimate import Captured, estimate
-from fieldlum.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky_view.pose import pose_of_discs
+from fieldlum.optics.linear_light import sensor_pitch_deg
+from fieldlum.optics.profiles import CameraProfile, bracket_exposures, load_camera_profile
+from fieldlum.optics.projection import direction
+from fieldlum.room import simulate
+from fieldlum.room.scene import build, disc_visibility
+from fieldlum.room.simulate.fine_windows import fine_windows
+from fieldlum.room.simulate.troubles import CloudyLight
+from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
+from fieldlum.sky.sky_view.estimate import Captured, estimate
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
+from fieldlum.sky.sky_view.pose import pose_of_discs
+from fieldlum.year.glare.metrics import glare_directions
 
 HEIGHT = 60  # rows of the truth and of panoramas
 YEAR_HOURS = 1500  # of a year, at random, of which the disc is compared

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.irradiance import check, derive, sky_geometry
-from fieldlum.irradiance.consistency import doubts, sensitivity_steps
-from fieldlum.irradiance.series import Mark, Series
-from fieldlum.records import Site
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site
+from fieldlum.pair.irradiance import check, derive, sky_geometry
+from fieldlum.pair.irradiance.consistency import doubts, sensitivity_steps
+from fieldlum.pair.irradiance.series import Mark, Series
+from fieldlum.sky import sun
 
 SUNNY_WM2 = 120.0
 COMPARED = (

@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 
 from fieldlum.merge.shots import shots_of_files
-from fieldlum.photometry import response_table
-from fieldlum.profiles import load_camera_profile
+from fieldlum.optics.photometry import response_table
+from fieldlum.optics.profiles import load_camera_profile
 
 RINGS = ((1.03, 1.08), (1.15, 1.3))  # distance from the centre over the circle's radius
-CD_M2_OF_Z = 87.0  # L = k * 87 * N^2 / (t S) * z: see fieldlum.profiles.Scale
+CD_M2_OF_Z = 87.0  # L = k * 87 * N^2 / (t S) * z: see fieldlum.optics.profiles.Scale
 LEAST_SHARE = 0.5  # of a ring's pixels that must have weight
 
 

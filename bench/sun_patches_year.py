@@ -14,11 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import scene, sky, sun
-from fieldlum.profiles import shipped
-from fieldlum.scene import radiance, view
-from fieldlum.simulate import weather_for
-from fieldlum.site_toml import load_site
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import scene
+from fieldlum.room.scene import radiance, view
+from fieldlum.room.simulate import weather_for
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky import perez as sky
+from fieldlum.sky import sun
 
 
 def _cpu() -> float:

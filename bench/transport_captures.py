@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from transport_office import draw, errors, read
 
-from fieldlum.light import Kernel, greedy_hours, light_features, one_facade
-from fieldlum.models.transport import fit
+from fieldlum.learn.transport import fit
+from fieldlum.sky.light import Kernel, greedy_hours, light_features, one_facade
 
 
 def main() -> None:

@@ -22,8 +22,8 @@ from scene_generators import ROOMS
 from scene_judge import draw_pixels, exact_pair, user_of
 from scene_rooms import with_box
 
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit, selection
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport import fit, selection
 
 COUNTS = (2, 4, 9)
 SCORED = 300  # pixels

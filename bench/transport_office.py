@@ -21,15 +21,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.light import Light
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import Transport, fit
-from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.scene import sun_patches
-from fieldlum.sky import PerezSky
-from fieldlum.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.sun_disc import add_disc, split_disc
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport import Transport, fit
+from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.room.scene import sun_patches
+from fieldlum.sky.light import Light
+from fieldlum.sky.perez import PerezSky
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sky.sun_disc import add_disc, split_disc
 
 HEADING_DEG = 180.0
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1, 0.88, 4, 0.08, 2.9),))

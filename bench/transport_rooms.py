@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.transport import fit
-from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Obstruction, Room, slot_id
+from fieldlum.core.records import Obstruction, Room, slot_id
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.transport import fit
+from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.sun_disc import add_disc
+from fieldlum.sky.sun_disc import add_disc
 
 
 def rough(room: Room) -> Room:

@@ -19,8 +19,8 @@ from unittest import mock
 import numpy as np
 from transport_office import draw, errors, read
 
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit, selection
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport import fit, selection
 
 SIZES = (5, 10, 20, 40, 60, 100)
 KINDS = {"clean": (0.0, 0.0), "pixels 5 %": (0.05, 0.0), "levels 10 %": (0.0, 0.1)}

@@ -15,11 +15,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from fieldlum import demo, merge, simulate
-from fieldlum.profiles import bracket_exposures, load_camera_profile, shipped
-from fieldlum.records import quiet
+from fieldlum import demo, merge
+from fieldlum.core.records import quiet
+from fieldlum.optics.profiles import bracket_exposures, load_camera_profile, shipped
+from fieldlum.room import simulate
 from fieldlum.session import create_session, open_session, write_plan
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
 from fieldlum.web import answer
 from fieldlum.web.snapshot import Snapshots
 

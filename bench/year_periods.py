@@ -17,7 +17,7 @@ import numpy as np
 
 from fieldlum.bench import CURVE, PERIODS, charts, machine, markdown, store, year
 from fieldlum.bench.rows import parse_specs
-from fieldlum.models.data import load_pairs
+from fieldlum.learn.models.data import load_pairs
 
 
 def main() -> None:

@@ -45,14 +45,24 @@ def ranks() -> list[set[str]]:
     raise SystemExit(f"{RANKS_FILE}: no RANKS; expected a tuple of sets; restore it")
 
 
+def ranked(dotted: str) -> str:
+    """Return the innermost ranked package around a name of fieldlum; else its first part."""
+    known = set[str]().union(*ranks())
+    parts = dotted.split(".")
+    heads = (".".join(parts[:length]) for length in range(len(parts), 0, -1))
+    return next((head for head in heads if head in known), parts[0])
+
+
 def imports() -> dict[str, set[str]]:
     """Return the packages that each package of fieldlum imports, itself left out."""
     found: dict[str, set[str]] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        name = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-        if name == "__init__":
-            continue
-        found.setdefault(name, set()).update(_imported(path))
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ranked(".".join(parts))
+        if parts != ("__init__",) and not (
+            len(parts) == 2 and parts[1] == "__init__" and name not in set[str]().union(*ranks())
+        ):
+            found.setdefault(name, set()).update(_imported(path))
     return {name: (targets & found.keys()) - {name} for name, targets in found.items()}
 
 
@@ -60,8 +70,9 @@ def _imported(path: Path) -> set[str]:
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "fieldlum":
-            parts = (node.module or "").split(".")
-            names |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+            names |= {
+                ranked(f"{node.module}.{a.name}".removeprefix("fieldlum.")) for a in node.names
+            }
     return names
 
 
@@ -172,7 +183,7 @@ def _arrow(x0: float, top0: float, x1: float, top1: float) -> str:
     return f'<path d="{curve}" fill="none" stroke="#90a4ae" marker-end="url(#tip)"/>'
 
 
-ROW = re.compile(r"^\| (\d) \| `(\w+)` \| (.*) \|\n", re.MULTILINE)
+ROW = re.compile(r"^\| (\d) \| `([\w.]+)` \| (.*) \|\n", re.MULTILINE)
 
 
 def page() -> str:
@@ -192,8 +203,9 @@ def page() -> str:
 
 
 def _first_line(name: str) -> str:
-    path = PACKAGE / f"{name}.py"
-    path = path if path.is_file() else PACKAGE / name / "__init__.py"
+    place = PACKAGE / name.replace(".", "/")
+    path = place.with_suffix(".py")
+    path = path if path.is_file() else place / "__init__.py"
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return " ".join(docstring.split("\n\n")[0].split()).rstrip(".")
 

@@ -17,7 +17,7 @@ import fieldlum
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.office import Office
-from fieldlum.profiles import bracket_exposures
+from fieldlum.optics.profiles import bracket_exposures
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 folder.mkdir(parents=True, exist_ok=True)

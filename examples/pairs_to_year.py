@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import fieldlum
-from fieldlum import simulate
-from fieldlum.profiles import shipped
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import simulate
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 site_file = folder / "office.toml"

@@ -19,20 +19,20 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.predict import Annual
-from fieldlum.profiles import shipped
-from fieldlum.projection import compass_name
-from fieldlum.records import Progress
-from fieldlum.scheduler import in_processes
+from fieldlum.core.records import Progress
+from fieldlum.core.scheduler import in_processes
+from fieldlum.optics.profiles import shipped
+from fieldlum.optics.projection import compass_name
+from fieldlum.room.simulate import Troubles
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import TrainAnswer
 from fieldlum.session.files.truth_csv import TruthIrradiance
-from fieldlum.simulate import Troubles
-from fieldlum.site_toml import load_site
-from fieldlum.sky_view import SkyView
-from fieldlum.sky_view.view import NAME as SKY_VIEW
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky.sky_view import SkyView
+from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.weather import Weather
+from fieldlum.year.predict import Annual
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"
@@ -127,7 +127,7 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
     pixels within 5 %, both as fractions, and the number of maps. Maps without a truth are skipped,
     and pixels with a truth of 0.
     """
-    from fieldlum.images import read_panorama
+    from fieldlum.optics.images import read_panorama
 
     medians, within = [], []
     for path in session.panorama_files():
@@ -180,9 +180,10 @@ def _troubled_figures(
 
     The wrong north is in these hours, because it lasts.
     """
-    from fieldlum import models, simulate
-    from fieldlum.models.data import load_pairs
-    from fieldlum.models.scores import evaluate, summary, truth
+    from fieldlum.learn import models
+    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.learn.models.scores import evaluate, summary, truth
+    from fieldlum.room import simulate
 
     named = [name for name in troubles_named(notes) if name in troubles.names]
     rest = [name for name in troubles.names if name not in named]
@@ -222,7 +223,7 @@ def _figures(
 ) -> tuple[tuple[str, str, str], ...]:
     median, within, maps = merged_against_truth(session)
     dni, dhi = irradiance_against_truth(session)
-    from fieldlum import predict
+    from fieldlum.year import predict
 
     chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
     ends = predict.best_and_worst(annual.summary.protection)
@@ -281,8 +282,12 @@ def run(
     called with the name of each stage, returns a context manager that yields a progress function.
     workers: number of processes. Results that are already in `folder` are used again.
     """
-    from fieldlum import irradiance, merge, pair, predict, report, simulate, train
-    from fieldlum.models.data import load_pairs
+    from fieldlum import merge, pair, report
+    from fieldlum.learn import train
+    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.pair import irradiance
+    from fieldlum.room import simulate
+    from fieldlum.year import predict
 
     how, weather = PRESETS[preset], weather or shipped("capture_plans") / WEATHER
     seconds: dict[str, float] = {}

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.photometry import snap_shutter_s, z_per_cdm2
-from fieldlum.profiles import (
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import snap_shutter_s, z_per_cdm2
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -14,9 +15,8 @@ from fieldlum.profiles import (
     Sensor,
     Vignetting,
 )
-from fieldlum.projection import LensGeometry, angle_of_radius
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure
+from fieldlum.optics.projection import LensGeometry, angle_of_radius
+from fieldlum.optics.raw import write_dng
 
 SIZE = 240
 TRUE_V = (1.0, 0.0, -0.10, 0.0, -0.22)

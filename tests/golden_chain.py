@@ -19,13 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum import demo, irradiance, merge, models, pair, plan, predict, simulate, train
-from fieldlum.models.data import load_pairs
-from fieldlum.profiles import shipped
-from fieldlum.records import quiet
+from fieldlum import demo, merge, pair, plan
+from fieldlum.core.records import quiet
+from fieldlum.learn import models, train
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.profiles import shipped
+from fieldlum.pair import irradiance
+from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
 from fieldlum.session.panorama_sun import read_panorama_with_sun
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
+from fieldlum.year import predict
 
 STORED = Path(__file__).parent / "golden" / "chain.json"
 HEIGHT = 23  # rows of the panoramas

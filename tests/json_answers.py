@@ -16,11 +16,11 @@ import numpy as np
 from click.testing import CliRunner
 
 from fieldlum.cli import main, scene_
-from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure
-from fieldlum.scene_fit.scene_file import read_scene
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
+from fieldlum.optics.raw import write_dng
+from fieldlum.room.fit.scene_file import read_scene
 
 KEPT = Path(__file__).parent / "fixtures" / "json_keys.json"
 SESSION = Path(__file__).parent / "fixtures" / "session-0.1.0"

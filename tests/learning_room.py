@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.images import write_panorama
-from fieldlum.light import Light, light_at
-from fieldlum.models.data import Dataset
-from fieldlum.projection import equirect_rays
-from fieldlum.records import CameraSetup, Panorama, Site, SiteFile, utc_text
+from fieldlum.core.records import CameraSetup, Panorama, Site, SiteFile, utc_text
+from fieldlum.learn.models.data import Dataset
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.projection import equirect_rays
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
 
 SEATTLE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")
 SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))

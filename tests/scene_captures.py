@@ -8,13 +8,13 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.light import Light
-from fieldlum.models.data import Dataset
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.scene import sun_patches
-from fieldlum.scene.view import look
-from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.learn.models.data import Dataset
+from fieldlum.room.fit.guess import Guess, guess_of
+from fieldlum.room.scene import sun_patches
+from fieldlum.room.scene.view import look
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light
 
 DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
 SEATTLE = Site("test room", 47.6, -122.3, "America/Los_Angeles")

@@ -10,12 +10,12 @@ from click.testing import CliRunner
 from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
-from fieldlum import models
 from fieldlum.bench import charts, markdown, stress, year
 from fieldlum.bench.pieces import Piece, bench_files, unit_of
 from fieldlum.bench.rows import over_seeds, parse_specs, without_training_hours
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.learn import models
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-12-21")
 DATA = dataset(DAYS, height=8)

@@ -10,9 +10,9 @@ import pytest
 from fieldlum.calibrate import chart
 from fieldlum.calibrate.chart_grid import grids
 from fieldlum.calibrate.frames import LinearFrame
-from fieldlum.errors import InputError
-from fieldlum.photometry import srgb_table
-from fieldlum.records import Exposure
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import srgb_table
 
 CAMERA = np.array(
     [[0.60, 0.30, 0.05], [0.15, 0.75, 0.10], [0.02, 0.25, 0.60]]

@@ -12,14 +12,14 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.images import write_panorama
-from fieldlum.photometry import vignetting_at
-from fieldlum.profiles import Lens, Response, load_camera_profile, save_profile
-from fieldlum.projection import direction, equirect_rays, lens_pixels
-from fieldlum.records import Exposure, Panorama
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.profiles import Lens, Response, load_camera_profile, save_profile
+from fieldlum.optics.projection import direction, equirect_rays, lens_pixels
 
 pytestmark = pytest.mark.contract
 

@@ -11,10 +11,10 @@ from fieldlum.calibrate import (
     colour,
 )
 from fieldlum.calibrate.frames import LinearFrame, linear_frame, transmission
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import vignetting_at
-from fieldlum.profiles import CameraProfile, Colour
-from fieldlum.records import Exposure
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.profiles import CameraProfile, Colour
 
 
 def _colours(

@@ -14,10 +14,10 @@ from fieldlum.calibrate import (
     lens_circle,
 )
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import vignetting_at
-from fieldlum.profiles import Lens, Vignetting, load_camera_profile
-from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.profiles import Lens, Vignetting, load_camera_profile
+from fieldlum.optics.projection import LensGeometry, direction, lens_pixels, lens_rays
 
 
 def _targets(

@@ -11,12 +11,13 @@ from click.testing import CliRunner
 
 from fieldlum.calibrate import linearity
 from fieldlum.cli.calibrate_ import linearity as command
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.linear_light import curve_u_rel, linear_counts, true_shutter_s
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure
 from fieldlum.merge.frames import Crop, load_raw
 from fieldlum.merge.shots import Shot
-from fieldlum.photometry import linearity_factor
-from fieldlum.profiles import (
+from fieldlum.optics.linear_light import curve_u_rel, linear_counts, true_shutter_s
+from fieldlum.optics.photometry import linearity_factor
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -26,8 +27,7 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure
+from fieldlum.optics.raw import write_dng
 
 BLACK, WHITE = 64.0, 4095.0
 TRUE = (-0.02, 0.035)  # of the light: +-1 % over the scale, as a real CCD has

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 
 from fieldlum.calibrate import pixels
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.profiles import (
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -22,8 +23,7 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure
+from fieldlum.optics.raw import write_dng
 
 SIDE = 256
 HOT = {(100, 60), (131, 140), (64, 190)}

@@ -10,13 +10,13 @@ from calibration_frames import LENS, PROFILE, SIZE
 from fieldlum.calibrate import (
     response,
 )
-from fieldlum.errors import InputError
-from fieldlum.photometry import response_table, snap_shutter_s
-from fieldlum.profiles import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import response_table, snap_shutter_s
+from fieldlum.optics.profiles import (
     CameraBody,
 )
-from fieldlum.raw import read_jpeg, write_jpeg
-from fieldlum.records import Exposure
+from fieldlum.optics.raw import read_jpeg, write_jpeg
 
 
 def _bracket(

@@ -10,12 +10,12 @@ from calibration_frames import PROFILE
 from fieldlum.calibrate import (
     scale,
 )
-from fieldlum.errors import InputError
-from fieldlum.images import calibration_mark, write_panorama
-from fieldlum.profiles import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Flag, Panorama
+from fieldlum.optics.images import calibration_mark, write_panorama
+from fieldlum.optics.profiles import (
     Colour,
 )
-from fieldlum.records import Flag, Panorama
 
 
 @pytest.mark.analytic
@@ -34,7 +34,7 @@ def test_scale_with_an_outlier(tmp_path: Path) -> None:
         seen = scale.spot_cdm2(picture, azimuth, -20.0)[0]
         lines.append(f"p.exr,{azimuth},-20,{1.08 * seen * (1 + 0.02 * rng.normal()):.2f},")
     lines.append("p.exr,180,30,2000,")
-    from fieldlum.photometry import illuminance_lx
+    from fieldlum.optics.photometry import illuminance_lx
 
     lines.append(f"p.exr,180,0,,{1.08 * illuminance_lx(luminance, 180.0, 0.0, 180.0):.1f}")
     table = tmp_path / "spots.csv"

@@ -15,10 +15,11 @@ from click.testing import CliRunner
 from fieldlum import merge
 from fieldlum.calibrate import shutter
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
 from fieldlum.merge import MergeOptions, merge_frames
-from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import (
+from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -27,8 +28,7 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.raw import write_dng
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
+from fieldlum.optics.raw import write_dng
 from fieldlum.session import Session, create_session, exposure_text, sha256
 from fieldlum.session.files.sidecar import Sidecar
 

@@ -11,19 +11,19 @@ from click.testing import CliRunner
 
 from fieldlum.calibrate import stray
 from fieldlum.cli.calibrate_ import stray as command
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import write_panorama
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Panorama
 from fieldlum.merge.project import _stray_of_lens
-from fieldlum.photometry.stray_light import kernel_per_sr, stray_cdm2
-from fieldlum.profiles import (
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.photometry.stray_light import kernel_per_sr, stray_cdm2
+from fieldlum.optics.profiles import (
     CameraProfile,
     StrayLight,
     check_camera,
     load_camera_profile,
     save_profile,
 )
-from fieldlum.projection import Equirect, direction, equirect_rays, equirect_solid_angles
-from fieldlum.records import Panorama
+from fieldlum.optics.projection import Equirect, direction, equirect_rays, equirect_solid_angles
 
 HEIGHT = 48
 RAYS = equirect_rays(HEIGHT, 2 * HEIGHT, 0.0).reshape(-1, 3)

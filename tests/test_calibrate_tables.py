@@ -14,8 +14,8 @@ from fieldlum.calibrate import (
     save_calibration,
 )
 from fieldlum.calibrate.readings_csv import read_table
-from fieldlum.errors import InputError
-from fieldlum.profiles import (
+from fieldlum.core.errors import InputError
+from fieldlum.optics.profiles import (
     Response,
     load_camera_profile,
     save_profile,

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from fieldlum.calibrate import (
     vignette,
 )
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import vignetting_at
-from fieldlum.projection import LensGeometry, direction, lens_pixels
-from fieldlum.records import Exposure
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.projection import LensGeometry, direction, lens_pixels
 
 
 @pytest.mark.analytic

@@ -8,14 +8,14 @@ import pytest
 from learning_room import dataset, write_pairs
 from scipy.special import expit
 
-from fieldlum.models.camera_turns import (
+from fieldlum.learn.models.camera_turns import (
     camera_turns,
     interpolation_u,
     turned_back,
     turned_rays,
 )
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.projection import equirect_rays
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.optics.projection import equirect_rays
 from fieldlum.session.files.alignment_csv import find_alignment
 
 HEIGHT, HEADING = 60, 180.0

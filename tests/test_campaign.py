@@ -10,14 +10,14 @@ import pytest
 from click.testing import CliRunner
 from learning_room import dataset, write_pairs
 
-from fieldlum.campaign import read_campaign, run_stage
-from fieldlum.campaign.overview import overview_of
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.models import read_config
-from fieldlum.models.data import load_pairs
-from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Slot
-from fieldlum.scene_fit.scene_file import Scene, write_scene
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, Slot
+from fieldlum.learn.models import read_config
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.report.campaign import read_campaign, run_stage
+from fieldlum.report.campaign.overview import overview_of
+from fieldlum.room.fit.scene_file import Scene, write_scene
 from fieldlum.session import create_session
 
 DATA = dataset(("2027-03-20", "2027-06-21"), height=8)

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from tiny_field import FAST, T0, Field, TinyCamera, make_session
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import CameraSetup, Exposure
 from fieldlum.devices.clock import FastClock
-from fieldlum.errors import DeviceError
-from fieldlum.records import CameraSetup, Exposure
 from fieldlum.session import (
     day_files,
     read_day,

@@ -19,10 +19,10 @@ from fieldlum.capture import import_card
 from fieldlum.capture.card import of_the_session, without_copies
 from fieldlum.capture.card_clock import clock_parts, doubt
 from fieldlum.capture.match_card import CardFrame, Group, Offset, in_order
-from fieldlum.errors import InputError
-from fieldlum.profiles import load_camera_profile, save_profile
-from fieldlum.raw import same_model, write_dng, write_jpeg
-from fieldlum.records import CameraSetup, Exposure, SiteFile, Slot
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
+from fieldlum.optics.profiles import load_camera_profile, save_profile
+from fieldlum.optics.raw import same_model, write_dng, write_jpeg
 from fieldlum.session import Session, create_session, read_journal
 from fieldlum.session.ledger import fold
 

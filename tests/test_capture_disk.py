@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from tiny_field import FAST, T0, Field, make_session
 
+from fieldlum.core.records import IrradianceSample
 from fieldlum.devices.clock import FastClock
-from fieldlum.records import IrradianceSample
 from fieldlum.session import (
     DayFiles,
     day_files,

@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 from tiny_field import FAST, T0, Field, TinyCamera, make_session
 
+from fieldlum.core.records import Exposure
 from fieldlum.devices.clock import FastClock
-from fieldlum.records import Exposure
 from fieldlum.session import day_files, read_day, read_journal, sha256
 from fieldlum.session.ledger import fold
 

@@ -29,9 +29,9 @@ from fieldlum.capture.match_card import (
     refine_offset,
 )
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.raw import write_jpeg
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
+from fieldlum.optics.raw import write_jpeg
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 from fieldlum.session.ledger import fold
 

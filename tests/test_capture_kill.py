@@ -25,8 +25,9 @@ import pytest
 from places import SEATTLE
 
 from fieldlum import capture, merge
-from fieldlum.images import read_panorama
-from fieldlum.profiles import (
+from fieldlum.core.records import CameraSetup, PyranometerSetup, SiteFile, Slot
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -36,7 +37,6 @@ from fieldlum.profiles import (
     bracket_exposures,
     save_profile,
 )
-from fieldlum.records import CameraSetup, PyranometerSetup, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 from fieldlum.session.ledger import fold
 

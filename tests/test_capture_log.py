@@ -17,10 +17,10 @@ from fieldlum.capture.logger_rows import adopt_rows
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.records import Site, SiteFile, Slot
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import FastClock
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.records import Site, SiteFile, Slot
 from fieldlum.session import (
     create_session,
     day_files,

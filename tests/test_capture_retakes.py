@@ -12,12 +12,12 @@ import pytest
 from tiny_field import FAST, LADDER, Field, make_session
 
 from fieldlum.capture.verify import doubts
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.errors import DeviceError
+from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.plan.makeup import captured_ids
-from fieldlum.profiles import load_camera_profile
-from fieldlum.records import Exposure, Panorama
 from fieldlum.session import (
     read_journal,
     sha256,
@@ -195,7 +195,7 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
     from fieldlum.capture.verify import bracket_doubts, doubts
-    from fieldlum.raw import unreadable, write_dng, write_jpeg
+    from fieldlum.optics.raw import unreadable, write_dng, write_jpeg
 
     asked = Exposure(1 / 250, 5.6)
     grey, white = np.full((16, 16, 3), 90, np.uint8), np.full((16, 16, 3), 255, np.uint8)

@@ -13,9 +13,9 @@ from tiny_field import FAST, T0, Field, TinyCamera
 from fieldlum.capture.preflight import refuse_a_clock_behind, refuse_what_is_not_offered
 from fieldlum.capture.runner import Live, run
 from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.core.errors import DeviceError, NotEnoughDataError
+from fieldlum.core.records import Exposure
 from fieldlum.devices.clock import ClockFault, FastClock
-from fieldlum.errors import DeviceError, NotEnoughDataError
-from fieldlum.records import Exposure
 from fieldlum.session import (
     read_journal,
     write_plan,

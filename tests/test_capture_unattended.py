@@ -19,8 +19,8 @@ from places import SEATTLE
 
 from fieldlum.capture.runner import Live, Options, run
 from fieldlum.cli.live import panel
+from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.devices.clock import FastClock
-from fieldlum.records import Exposure, Site, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
 
 pytestmark = pytest.mark.contract

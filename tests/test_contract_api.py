@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fieldlum
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 
 pytestmark = pytest.mark.contract
 

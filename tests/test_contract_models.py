@@ -7,12 +7,11 @@ import pytest
 from click.testing import CliRunner
 from learning_room import dataset
 
-from fieldlum import model_registry, models
 from fieldlum.cli import main
-from fieldlum.model_registry import MODELS
-from fieldlum.models import transport
-from fieldlum.predict.blocks import wants_patch
+from fieldlum.learn import model_registry, models, transport
+from fieldlum.learn.model_registry import MODELS
 from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.year.predict.blocks import wants_patch
 
 pytestmark = pytest.mark.contract
 

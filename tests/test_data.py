@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from learning_room import dataset, write_pairs
 
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.models.data import load_pairs
-from fieldlum.projection import equirect_rays
-from fieldlum.records import Flag, Panorama
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Flag, Panorama
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.optics.projection import equirect_rays
 
 DATA = dataset(("2027-03-20", "2027-06-21"))
 

@@ -14,10 +14,10 @@ from click.testing import CliRunner
 
 from fieldlum import demo, plan
 from fieldlum.cli import main
-from fieldlum.profiles import shipped
-from fieldlum.records import Progress, quiet
+from fieldlum.core.records import Progress, quiet
+from fieldlum.optics.profiles import shipped
 from fieldlum.session import create_session, open_session
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
 
 
 @contextmanager

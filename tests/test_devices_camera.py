@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum import projection
+from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.records import Exposure, Panorama, SunSource
 from fieldlum.devices import open_camera
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.settings import nearest
@@ -15,13 +16,12 @@ from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.sensor import camera_from_scene
 from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.images import write_panorama
-from fieldlum.linear_light import lens_geometry, true_shutter_s
-from fieldlum.photometry import vignetting_at, z_per_cdm2
-from fieldlum.profiles import CameraProfile, load_camera_profile
-from fieldlum.raw import read_jpeg, read_mosaic
-from fieldlum.records import Exposure, Panorama, SunSource
+from fieldlum.optics import projection
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
+from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
+from fieldlum.optics.profiles import CameraProfile, load_camera_profile
+from fieldlum.optics.raw import read_jpeg, read_mosaic
 
 START = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)
 DIAL = Exposure(1 / 60, 5.6, 100.0)
@@ -166,7 +166,7 @@ def test_colours_come_back_through_the_profile(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_jpeg_follows_its_response(tmp_path: Path) -> None:
-    from fieldlum.photometry import response_table
+    from fieldlum.optics.photometry import response_table
 
     profile = load_camera_profile("sim-dual-fisheye-jpeg")
     frame = read_jpeg(camera(uniform(900.0), profile).expose(DIAL, tmp_path / "f"))

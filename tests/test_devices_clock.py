@@ -4,10 +4,10 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import open_camera
 from fieldlum.devices.clock import ClockFault, FastClock, RealClock
 from fieldlum.devices.uri import integer_option, number, one_of, parse_uri
-from fieldlum.errors import DeviceError
 
 START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
 

@@ -16,13 +16,13 @@ from pathlib import Path
 import pytest
 
 from fieldlum.capture.verify import doubts
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure
 from fieldlum.devices import not_offered, open_camera
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.driver_process import Child
 from fieldlum.devices.gphoto import GphotoCamera, choose, setting_value
 from fieldlum.devices.gphoto_child import serve
-from fieldlum.errors import DeviceError
-from fieldlum.records import Exposure
 
 pytest.importorskip("gphoto2", reason="the gphoto2 extra is not installed")
 CLOCK = FastClock(datetime(2027, 3, 20, 15, tzinfo=UTC))

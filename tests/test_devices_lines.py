@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.devices import FORM_ALONE, Streaming, open_meter, open_pyranometer
 from fieldlum.devices.ascii_lines import (
     AsciiField,
@@ -39,7 +40,6 @@ from fieldlum.devices.learned_format import LineForm
 from fieldlum.devices.serial_lines import LineInstrument
 from fieldlum.devices.simulated.spn1 import PtyInstrument
 from fieldlum.devices.toa5 import parse_toa5
-from fieldlum.errors import DeviceError, InputError
 
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
 CLOCK = FastClock(START)

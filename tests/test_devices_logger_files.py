@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.devices.logger_files import read_logger_file
-from fieldlum.errors import InputError
-from fieldlum.records import Exposure, Site, SiteFile, Slot
 from fieldlum.session import create_session, day_files, open_session, read_day
 
 pytestmark = pytest.mark.contract

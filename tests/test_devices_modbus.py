@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.devices import open_pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.registers import (
@@ -24,7 +25,6 @@ from fieldlum.devices.registers import (
     raw_value,
 )
 from fieldlum.devices.simulated.spn1 import PtyInstrument
-from fieldlum.errors import DeviceError, InputError
 
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
 # Worked reply in the Kipp & Zonen SMP manual: mode 1, status 0, scale 0, 997 W/m2, 24.8 C, 23.4 V.
@@ -284,7 +284,7 @@ def test_info_tells_instrument_profiles(name: str, said: str) -> None:
     from click.testing import CliRunner
 
     from fieldlum.cli import main
-    from fieldlum.profiles import shipped
+    from fieldlum.optics.profiles import shipped
 
     done = CliRunner().invoke(
         main, ["info", str(shipped("calibration") / "instruments" / f"{name}.toml")]

@@ -12,13 +12,13 @@ import pytest
 from tiny_field import FAST, T0, Field, make_session
 
 from fieldlum.capture.verify import doubts
+from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.records import CameraSetup, Exposure
 from fieldlum.devices import ReportingCamera, open_camera
 from fieldlum.devices.clock import FastClock, RealClock
 from fieldlum.devices.rpicam import RpicamCamera, parse_cameras, parse_metadata
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.profiles import load_camera_profile
-from fieldlum.raw import read_exif, read_mosaic, write_dng
-from fieldlum.records import CameraSetup, Exposure
+from fieldlum.optics.profiles import load_camera_profile
+from fieldlum.optics.raw import read_exif, read_mosaic, write_dng
 from fieldlum.session import disk_is_full, read_journal
 from fieldlum.session.files.capture_json import CaptureFile
 

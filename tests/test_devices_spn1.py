@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import open_pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.devices.spn1 import Spn1, Spn1Reading, parse_reading, parse_status
-from fieldlum.errors import DeviceError
 
 START = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)
 # SPN1 User Manual v1.0, appendix B: the reply to S, with its echo, and the lines of I.

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from fieldlum.capture.verify import doubts
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure
 from fieldlum.devices import open_camera
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.theta import ThetaCamera
-from fieldlum.errors import DeviceError
-from fieldlum.raw import write_dng, write_jpeg
-from fieldlum.records import Exposure
+from fieldlum.optics.raw import write_dng, write_jpeg
 
 pytestmark = pytest.mark.contract
 

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.errors import ChangedFileWarning
+from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fieldlum.glare import glare_directions, panorama_views
-from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
-from fieldlum.light import Light, light_at
-from fieldlum.models import Prediction
-from fieldlum.models.data import Dataset
-from fieldlum.models.disc_in_view import disc_lx, disc_source, drawn_discs_lx
-from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.profiles import shipped
-from fieldlum.records import Room, SiteFile
-from fieldlum.scene import build, disc_visibility
-from fieldlum.site_toml import load_site
+from fieldlum.core.records import Room, SiteFile
+from fieldlum.learn.models import Prediction
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.disc_in_view import disc_lx, disc_source, drawn_discs_lx
+from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.optics.profiles import shipped
+from fieldlum.room.scene import build, disc_visibility
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky.light import Light, light_at
 from fieldlum.weather import shipped_seattle
+from fieldlum.year.glare import glare_directions, panorama_views
+from fieldlum.year.glare.metrics import dgp_with_disc, sun_per_lx
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
 HEADING_DEG, HEIGHT = SETUP.camera.heading_deg, 16

@@ -9,12 +9,13 @@ import pytest
 from click.testing import CliRunner
 from places import SEATTLE
 
-from fieldlum import doctor
+from fieldlum.capture import doctor
+from fieldlum.capture.doctor import awake, computer, instruments, planned
 from fieldlum.cli import main
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import FORM_ALONE, CameraInfo, IlluminanceReading, InstrumentInfo
-from fieldlum.doctor import awake, computer, instruments, planned
-from fieldlum.errors import InputError
-from fieldlum.profiles import (
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -24,7 +25,6 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import Journal, Session, create_session, write_plan
 
 NOW = datetime(2027, 3, 10, 12, tzinfo=UTC)

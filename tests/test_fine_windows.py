@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum import simulate
+from fieldlum.core.records import CameraSetup, Panorama, Room, SiteFile, SunSource, Window
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import DetailedPanorama
-from fieldlum.light import light_at
-from fieldlum.projection import LensGeometry, lens_pixels
-from fieldlum.records import CameraSetup, Panorama, Room, SiteFile, SunSource, Window
-from fieldlum.scene.sun_disc import DISC_RAYS, disc_rays
-from fieldlum.simulate.fine_windows import fine_windows
-from fieldlum.sky_view import SkyGrid, SkyPicture, read_sky_picture, write_sky_picture
+from fieldlum.optics.projection import LensGeometry, lens_pixels
+from fieldlum.room import simulate
+from fieldlum.room.scene.sun_disc import DISC_RAYS, disc_rays
+from fieldlum.room.simulate.fine_windows import fine_windows
+from fieldlum.sky.light import light_at
+from fieldlum.sky.sky_view import SkyGrid, SkyPicture, read_sky_picture, write_sky_picture
 
 LENS = LensGeometry((150.0, 150.0), 145.0, 180.0, "equidistant")
 SENSOR = (300, 300)

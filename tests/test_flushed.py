@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from tiny_field import FAST, T0, Field, make_session
 
-from fieldlum.records import IrradianceSample
+from fieldlum.core.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, replacing
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="folders are not flushed elsewhere")

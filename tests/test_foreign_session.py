@@ -16,12 +16,12 @@ import pytest
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
+from fieldlum.capture.notify import Message, Outbox
 from fieldlum.capture.remote import _latest_contact_sheet
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
 from fieldlum.devices.stored import names_more, require_permitted
-from fieldlum.errors import InputError
 from fieldlum.merge.shots import shots_of_slot
-from fieldlum.notify import Message, Outbox
-from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, slot_id
 from fieldlum.session import (
     Journal,
     Session,
@@ -153,7 +153,7 @@ def room_of(path: Path) -> Room:
 
 
 def traced(path: Path) -> np.ndarray:
-    from fieldlum import scene
+    from fieldlum.room import scene
 
     return scene.window_fraction(room_of(path), None, 8, 180.0)
 
@@ -203,7 +203,7 @@ def test_a_room_without_commands_needs_no_permission(tmp_path: Path) -> None:
 
 
 def test_a_permitted_room_asks_again_after_an_edit_of_a_nested_file(tmp_path: Path) -> None:
-    from fieldlum.scene.room_commands import what_runs
+    from fieldlum.room.scene.room_commands import what_runs
 
     nested, room = tmp_path / "nested.rad", tmp_path / "room.rad"
     nested.write_text(INERT)
@@ -233,7 +233,7 @@ def test_the_command_permit_shows_what_a_room_runs(tmp_path: Path) -> None:
 def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
     tmp_path: Path,
 ) -> None:
-    from fieldlum.site_toml import site_table
+    from fieldlum.session.site_toml import site_table
 
     room = tmp_path / "room.rad"
     (tmp_path / "ball.rad").write_text(INERT)

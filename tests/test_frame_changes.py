@@ -11,8 +11,8 @@ from test_merge_stage import SMALL, START, profile, take
 
 from fieldlum import merge
 from fieldlum.cli import main
-from fieldlum.profiles import save_profile
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot
+from fieldlum.optics.profiles import save_profile
 from fieldlum.session import Session, create_session, sha256
 
 

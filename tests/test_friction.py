@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from tiny_field import make_session
 
 from fieldlum.capture import import_card
+from fieldlum.capture.doctor.instruments import judge_camera
 from fieldlum.cli import main, terminal
 from fieldlum.cli.estimates import (
     bench_s,
@@ -21,11 +22,10 @@ from fieldlum.cli.estimates import (
     simulate_s,
     train_s,
 )
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Panorama
 from fieldlum.devices import CameraInfo
-from fieldlum.doctor.instruments import judge_camera
-from fieldlum.errors import InputError
-from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.records import Panorama
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.session import read_journal, sole_user
 
 pytestmark = pytest.mark.contract

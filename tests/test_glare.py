@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.glare import (
+from fieldlum.core.records import SunSource
+from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.year.glare import (
     dgp,
     glare_directions,
     panorama_to_fisheye,
@@ -16,13 +19,10 @@ from fieldlum.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.glare.fisheye import fisheye_solid_angles
-from fieldlum.glare.metrics import combine
-from fieldlum.glare.sources import group_pixels, sources_of, widen
-from fieldlum.glare.standards import disturbed_share
-from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.records import SunSource
-from fieldlum.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.year.glare.fisheye import fisheye_solid_angles
+from fieldlum.year.glare.metrics import combine
+from fieldlum.year.glare.sources import group_pixels, sources_of, widen
+from fieldlum.year.glare.standards import disturbed_share
 
 H, W = 90, 180
 

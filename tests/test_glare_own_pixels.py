@@ -11,13 +11,13 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.glare.own_pixels import disc_pixels, glare_of_pixels, region_ratios
-from fieldlum.glare.picture_grid import picture_grid
-from fieldlum.glare.picture_view import PictureView, parse_view, picture_rays
-from fieldlum.glare.reference import reference_glare_of_file
-from fieldlum.glare.single import picture_glare
-from fieldlum.images import write_radiance_hdr
-from fieldlum.records import SunSource
+from fieldlum.core.records import SunSource
+from fieldlum.optics.images import write_radiance_hdr
+from fieldlum.year.glare.own_pixels import disc_pixels, glare_of_pixels, region_ratios
+from fieldlum.year.glare.picture_grid import picture_grid
+from fieldlum.year.glare.picture_view import PictureView, parse_view, picture_rays
+from fieldlum.year.glare.reference import reference_glare_of_file
+from fieldlum.year.glare.single import picture_glare
 
 LEVEL = "-vd 0 -1 0 -vu 0 0 1"
 
@@ -94,7 +94,7 @@ def test_views_go_the_way_of_radiance(tmp_path: Path) -> None:
     """Authority: vwrays of Radiance gives the same rays, with shift and lift."""
     import subprocess
 
-    from fieldlum.images import radiance_program
+    from fieldlum.optics.images import radiance_program
 
     options = "-vp 0 0 0 -vd .3 -1 .4 -vu 0 .2 1 -vh 70 -vv 50 -vo 0 -va 0 -vs .3 -vl -.2"
     for kind in "ahsv":

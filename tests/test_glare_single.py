@@ -10,9 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.glare import FISHEYE_VIEW, panorama_to_fisheye
-from fieldlum.glare.contrast import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Flag, Panorama, SunSource
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.year.glare import FISHEYE_VIEW, panorama_to_fisheye
+from fieldlum.year.glare.contrast import (
     ViewRegions,
     contrast_levels,
     lightness,
@@ -20,11 +23,8 @@ from fieldlum.glare.contrast import (
     rammg,
     rammg_lightness,
 )
-from fieldlum.glare.pictures import parse_view, read_picture
-from fieldlum.glare.single import picture_glare
-from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Flag, Panorama, SunSource
+from fieldlum.year.glare.pictures import parse_view, read_picture
+from fieldlum.year.glare.single import picture_glare
 
 SOUTH = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from learning_room import dataset
 
-from fieldlum.models.data import Dataset
-from fieldlum.models.held_out_choice import (
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.held_out_choice import (
     HeldOutChoice,
     HeldOutErrors,
     choose,
     difference,
     trimmed_mean,
 )
-from fieldlum.models.hour_weights import DOUBTED_WEIGHT, beam_is_doubted, choice_weights
-from fieldlum.models.scores import Scores
+from fieldlum.learn.models.hour_weights import DOUBTED_WEIGHT, beam_is_doubted, choice_weights
+from fieldlum.learn.models.scores import Scores
+from fieldlum.learn.train.consistency_warnings import doubts
+from fieldlum.learn.train.notes import doubted_hours, notes_of
+from fieldlum.learn.train.selection import Trial, choose_model
 from fieldlum.pair.interval import is_doubted
-from fieldlum.train.consistency_warnings import doubts
-from fieldlum.train.notes import doubted_hours, notes_of
-from fieldlum.train.selection import Trial, choose_model
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from learning_room import dataset
 
-from fieldlum import train
-from fieldlum.errors import InputError
-from fieldlum.models import load, read_config
+from fieldlum.core.errors import InputError
+from fieldlum.learn import train
+from fieldlum.learn.models import load, read_config
 from fieldlum.session.files.arrays_npz import read_arrays
 
 pytestmark = pytest.mark.contract

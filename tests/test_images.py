@@ -10,15 +10,15 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fieldlum.errors import InputError
-from fieldlum.images import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Panorama, SunSource
+from fieldlum.optics.images import (
     encode_rgbe,
     read_panorama,
     read_radiance_hdr,
     write_panorama,
     write_radiance_hdr,
 )
-from fieldlum.records import Panorama, SunSource
 
 SHAPE = (8, 16)
 IN_A_FOLDER = settings(

@@ -10,10 +10,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from fieldlum.errors import InputError
-from fieldlum.images import read_exr
-from fieldlum.images.exr import NO_UNIT
-from fieldlum.records import Flag
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Flag
+from fieldlum.optics.images import read_exr
+from fieldlum.optics.images.exr import NO_UNIT
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 SHAPE = (6, 9)

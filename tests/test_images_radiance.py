@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fieldlum.errors import InputError
-from fieldlum.images import (
+from fieldlum.core.errors import InputError
+from fieldlum.optics.images import (
     RADIANCE_Y,
     encode_rgbe,
     radiance_program,

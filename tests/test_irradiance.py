@@ -16,14 +16,23 @@ from hypothesis import strategies as st
 from places import SEATTLE
 from tiny_field import T0, make_session
 
-from fieldlum import irradiance, light_clock, sun
-from fieldlum.errors import NotEnoughDataError
-from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
-from fieldlum.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
-from fieldlum.irradiance.series import local_period_s
-from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import IrradianceSample, Site, SiteFile, Slot
+from fieldlum.pair import irradiance
+from fieldlum.pair.irradiance import (
+    Mark,
+    check,
+    derive,
+    health,
+    minute_means,
+    series_of,
+    sky_geometry,
+)
+from fieldlum.pair.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
+from fieldlum.pair.irradiance.series import local_period_s
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.session.files import clean_csv
+from fieldlum.sky import light_clock, sun
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldlum import sun
-from fieldlum.irradiance.consistency import (
+from fieldlum.pair.irradiance.consistency import (
     closure_fails,
     k_index_fails,
     sensitivity_steps,
     shaded_horizon,
     tracker_off,
 )
+from fieldlum.sky import sun
 
 DAY = np.arange(0.0, 86400.0, 60.0)
 DAYS = 14

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from learning_room import scaled
 from places import SEATTLE
 
-from fieldlum.light import (
+from fieldlum.core.records import Room, Window
+from fieldlum.sky.light import (
     Facades,
     Kernel,
     Light,
@@ -20,7 +21,6 @@ from fieldlum.light import (
     light_features,
     one_facade,
 )
-from fieldlum.records import Room, Window
 
 
 def some_light(count: int = 40, seed: int = 1) -> Light:

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, Flag, Panorama, SunSource
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.errors import InputError
-from fieldlum.linear_light import vignetting_of
 from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_sensor, merge_shots
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
@@ -25,17 +25,17 @@ from fieldlum.merge.frames import RawSignal, lens_crop, load_raw
 from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.project import ProjectedImage, blend
 from fieldlum.merge.shots import sorted_shots
-from fieldlum.photometry import vertical_illuminance_lx
-from fieldlum.profiles import (
+from fieldlum.optics.linear_light import vignetting_of
+from fieldlum.optics.photometry import vertical_illuminance_lx
+from fieldlum.optics.profiles import (
     CameraProfile,
     Lens,
     Vignetting,
     bracket_exposures,
     load_camera_profile,
 )
-from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure, Flag, Panorama, SunSource
+from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.optics.raw import write_dng
 
 GAIN, READ_E = 4.0, 6.0
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldlum.core.records import Exposure
 from fieldlum.merge import merge_sensor, shots_of_files
 from fieldlum.merge.noise import SeenNoise
 from fieldlum.merge.shots import sorted_shots
-from fieldlum.photometry import snap_shutter_s, z_per_cdm2
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure
+from fieldlum.optics.photometry import snap_shutter_s, z_per_cdm2
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
+from fieldlum.optics.raw import write_dng
 
 pytestmark = pytest.mark.analytic
 

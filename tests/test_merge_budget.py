@@ -10,13 +10,20 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from fieldlum.core.records import Exposure
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.project import ProjectedImage, blend
 from fieldlum.merge.ratios import Sample, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
-from fieldlum.photometry import PairRatio, fit_ratios
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, NeutralDensity, ShutterTime
-from fieldlum.records import Exposure
+from fieldlum.optics.photometry import PairRatio, fit_ratios
+from fieldlum.optics.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    NeutralDensity,
+    ShutterTime,
+)
 from fieldlum.session.files.merge_report import NeighbourQuality
 
 

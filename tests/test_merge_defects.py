@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, merge_frames
 from fieldlum.merge.defects import good_pixels, odd_pixels
 from fieldlum.merge.frames import Crop
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure, Flag
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
+from fieldlum.optics.raw import write_dng
 
 pytestmark = pytest.mark.analytic
 

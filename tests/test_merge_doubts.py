@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
 from fieldlum.merge.exposures import Deviations
 from fieldlum.merge.frame_checks import orientation_conflict
@@ -19,12 +20,11 @@ from fieldlum.merge.quality import verdict
 from fieldlum.merge.ratios import beyond, free_fit
 from fieldlum.merge.sensor import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
-from fieldlum.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.projection import Equirect
-from fieldlum.projection.grids import Fisheye
-from fieldlum.raw import write_dng, write_jpeg
-from fieldlum.records import Exposure, Flag
+from fieldlum.optics.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
+from fieldlum.optics.projection import Equirect
+from fieldlum.optics.projection.grids import Fisheye
+from fieldlum.optics.raw import write_dng, write_jpeg
 
 SIZE = 160
 SMALL = MergeOptions(height=24)

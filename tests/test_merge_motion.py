@@ -11,15 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.cli import main
-from fieldlum.images import read_panorama
+from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge.bracket import merge_sensor
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import RawSignal, over_colours, over_mosaic
 from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.motion import Ballot, leave_out_moved, vote
 from fieldlum.merge.shots import Shot, sorted_shots
-from fieldlum.photometry import srgb_table, z_per_cdm2
-from fieldlum.profiles import (
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.photometry import srgb_table, z_per_cdm2
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -28,8 +29,7 @@ from fieldlum.profiles import (
     Sensor,
     save_profile,
 )
-from fieldlum.raw import write_dng, write_jpeg
-from fieldlum.records import Exposure, Flag
+from fieldlum.optics.raw import write_dng, write_jpeg
 
 GAIN, READ_E, FULL = 4.0, 6.0, 14000.0
 STEPS = (400.0, 100.0, 25.0, 6.25, 1.5625, 0.390625)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fieldlum.core.records import Flag
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
 from fieldlum.merge.jpeg_signal import JpegSignal
-from fieldlum.photometry import srgb_table
-from fieldlum.projection import Equirect, LensGeometry
-from fieldlum.records import Flag
+from fieldlum.optics.photometry import srgb_table
+from fieldlum.optics.projection import Equirect, LensGeometry
 
 SIZE = (192, 256)
 Y = (0.3, 0.6, 0.1)

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldlum.core.records import Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.shift import reduced, shifts
-from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import CameraProfile, bracket_exposures, load_camera_profile
-from fieldlum.projection import LensGeometry, lens_pixels, lens_rays
-from fieldlum.records import Panorama
+from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.profiles import CameraProfile, bracket_exposures, load_camera_profile
+from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays
 from fieldlum.session.files.quality_csv import QUALITY_COLUMNS
 
 HEIGHT = 180

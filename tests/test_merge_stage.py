@@ -13,22 +13,8 @@ from click.testing import CliRunner
 
 from fieldlum import merge
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import read_panorama, read_radiance_hdr
-from fieldlum.merge import MergeOptions, MergeResult, stage
-from fieldlum.merge.session_summary import drift_percent, typical_corrections
-from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import (
-    Bracket,
-    CameraBody,
-    CameraProfile,
-    Lens,
-    Sensor,
-    load_camera_profile,
-    save_profile,
-)
-from fieldlum.raw import write_dng
-from fieldlum.records import (
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import (
     CameraSetup,
     Exposure,
     IrradianceSample,
@@ -39,7 +25,21 @@ from fieldlum.records import (
     slot_id,
     utc_text,
 )
-from fieldlum.scheduler import in_processes
+from fieldlum.core.scheduler import in_processes
+from fieldlum.merge import MergeOptions, MergeResult, stage
+from fieldlum.merge.session_summary import drift_percent, typical_corrections
+from fieldlum.optics.images import read_panorama, read_radiance_hdr
+from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    Sensor,
+    load_camera_profile,
+    save_profile,
+)
+from fieldlum.optics.raw import write_dng
 from fieldlum.session import DayFiles, Session, create_session, exposure_text
 from fieldlum.session.files.sidecar import Sidecar
 

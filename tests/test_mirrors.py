@@ -14,23 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_room import dataset
 
-from fieldlum import models
-from fieldlum.errors import InputError
-from fieldlum.glare.contrast import ViewRegions
-from fieldlum.glare.geometry import panorama_views
-from fieldlum.glare.metrics import glare_directions
-from fieldlum.light import Light
-from fieldlum.models.data import Dataset
-from fieldlum.models.mirror_labels import split_images
-from fieldlum.models.mirrors import Mirror, place_deg, read_mirrors
-from fieldlum.predict import run as predict
-from fieldlum.predict.block_figures import view_figures
-from fieldlum.predict.blocks import blocks, room_of
-from fieldlum.predict.year import light_of
-from fieldlum.projection import direction, equirect_rays
+from fieldlum.core.errors import InputError
+from fieldlum.learn import models
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.mirror_labels import split_images
+from fieldlum.learn.models.mirrors import Mirror, place_deg, read_mirrors
+from fieldlum.learn.train import fit_and_score, run
+from fieldlum.optics.projection import direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.sun_disc import SunDisc, add_source
-from fieldlum.sun_images import (
+from fieldlum.sky.light import Light
+from fieldlum.sky.sun_disc import SunDisc, add_source
+from fieldlum.sky.sun_images import (
     SunImage,
     bright_spots,
     find_mirrors,
@@ -38,8 +32,14 @@ from fieldlum.sun_images import (
     mirrored,
     tolerance_rad,
 )
-from fieldlum.train import fit_and_score, run
 from fieldlum.weather import read_weather
+from fieldlum.year.glare.contrast import ViewRegions
+from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.predict import run as predict
+from fieldlum.year.predict.block_figures import view_figures
+from fieldlum.year.predict.blocks import blocks, room_of
+from fieldlum.year.predict.year import light_of
 
 DAYS = ("2027-03-19", "2027-03-21", "2027-05-02", "2027-06-21", "2027-09-24", "2027-10-20")
 ROOM = dataset(DAYS, seed=3, height=30)

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_room import dataset
 
-from fieldlum import models
-from fieldlum.errors import InputError
-from fieldlum.models import dense_network, dense_schedule, dense_training, distributed
-from fieldlum.models.dense_network import Net, Shape, decode, encode, parameter_count
-from fieldlum.models.dense_pixels import pixels_of
-from fieldlum.models.dense_schedule import Run, TrainingPlan
-from fieldlum.models.scores import compare, evaluate, summary, truth
+from fieldlum.core.errors import InputError
+from fieldlum.learn import models
+from fieldlum.learn.models import dense_network, dense_schedule, dense_training, distributed
+from fieldlum.learn.models.dense_network import Net, Shape, decode, encode, parameter_count
+from fieldlum.learn.models.dense_pixels import pixels_of
+from fieldlum.learn.models.dense_schedule import Run, TrainingPlan
+from fieldlum.learn.models.scores import compare, evaluate, summary, truth
 
 DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
 TEST = dataset(("2027-03-22",), seed=1, height=8)

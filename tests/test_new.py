@@ -20,11 +20,11 @@ from places import SEATTLE
 from fieldlum.capture.status import next_step
 from fieldlum.cli import main, new_
 from fieldlum.cli.site_text import site_text
-from fieldlum.profiles import load_camera_profile
-from fieldlum.raw import write_jpeg
-from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Window
-from fieldlum.scene.drawing import compass_walls, room_svg, wind
-from fieldlum.site_toml import load_site
+from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, Window
+from fieldlum.optics.profiles import load_camera_profile
+from fieldlum.optics.raw import write_jpeg
+from fieldlum.room.scene.drawing import compass_walls, room_svg, wind
+from fieldlum.session.site_toml import load_site
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 ROOM = Room(

@@ -14,13 +14,20 @@ import pytest
 from places import SEATTLE
 
 from fieldlum.capture.alerts import Alerts
+from fieldlum.capture.notify import (
+    Heartbeat,
+    Message,
+    Outbox,
+    apprise_post,
+    read_address,
+    read_targets,
+)
 from fieldlum.capture.preflight import wait_for_clock
 from fieldlum.capture.runner import Options, run
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import FastClock
-from fieldlum.errors import InputError
-from fieldlum.notify import Heartbeat, Message, Outbox, apprise_post, read_address, read_targets
-from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)

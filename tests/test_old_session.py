@@ -14,9 +14,9 @@ from click.testing import CliRunner
 
 from fieldlum import pair
 from fieldlum.cli import main
-from fieldlum.glare.single import picture_glare
-from fieldlum.models.data import load_pairs
+from fieldlum.learn.models.data import load_pairs
 from fieldlum.session import Session, open_session
+from fieldlum.year.glare.single import picture_glare
 
 pytestmark = pytest.mark.contract
 

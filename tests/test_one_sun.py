@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 from learning_room import dataset, write_pairs
 
-from fieldlum import simulate, sun
-from fieldlum.errors import InputError
-from fieldlum.images import read_panorama, write_panorama
-from fieldlum.light import Light, light_at
-from fieldlum.models.data import load_pairs
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Panorama, Slot, quiet, slot_id
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.images import read_panorama, write_panorama
+from fieldlum.optics.profiles import shipped
 from fieldlum.pair.patches import seen_and_patches
-from fieldlum.predict.blocks import ModelRoom, blocks
-from fieldlum.profiles import shipped
-from fieldlum.records import Panorama, Slot, quiet, slot_id
+from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
+from fieldlum.year.predict.blocks import ModelRoom, blocks
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 LOW = datetime(2027, 12, 21, 23, 40, tzinfo=UTC)  # 40 minutes before sunset in Seattle

@@ -20,20 +20,20 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fieldlum import sun
 from fieldlum.calibrate.readings_csv import read_table as read_readings
 from fieldlum.capture.logger_rows import adopt_rows
 from fieldlum.cli import main
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, Site, SiteFile, Slot
+from fieldlum.core.strict_csv import is_wm2, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
-from fieldlum.errors import InputError
-from fieldlum.predict.occupancy import read_occupancy
-from fieldlum.records import Exposure, Site, SiteFile, Slot
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.strict_csv import is_wm2, microvolts, split_heading, stated_unit
+from fieldlum.sky import sun
 from fieldlum.weather import read_weather
 from fieldlum.weather.files import lines_of
 from fieldlum.weather.formats import read_table
+from fieldlum.year.predict.occupancy import read_occupancy
 
 NORTH = Site("Town", 52.3, 4.8, "Europe/Amsterdam", 10.0)
 EAST = Site("Town", 35.7, 139.7, "Asia/Tokyo", 10.0)
@@ -690,7 +690,7 @@ def _asdict(row: Any) -> dict[str, Any]:
 
 def read_weather_rows(path: Path) -> list[tuple[Any, ...]]:
     """The rows of a weather file, by the reader of texts that `read_weather` uses."""
-    from fieldlum.strict_csv import read_text
+    from fieldlum.core.strict_csv import read_text
 
     rows = read_table(path, lines_of(read_text(path, "a file")), NORTH).rows
     return [tuple(map(repr, (r.when, r.dni, r.dhi, r.ghi))) for r in rows]

@@ -19,13 +19,13 @@ from outside_jpeg import GOOD, Value, exif_segment, jpeg, segment
 
 from fieldlum.capture.card import card_files, without_edited
 from fieldlum.capture.match_card import CardFrame
-from fieldlum.errors import InputError
-from fieldlum.images import read_exr, read_radiance_luminance
-from fieldlum.images.primaries import luminance_weights
-from fieldlum.raw import dng as dng_module
-from fieldlum.raw import jpeg as jpeg_module
-from fieldlum.raw import read_exif, read_jpeg, read_mosaic, write_dng
-from fieldlum.records import Exposure
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.images import read_exr, read_radiance_luminance
+from fieldlum.optics.images.primaries import luminance_weights
+from fieldlum.optics.raw import dng as dng_module
+from fieldlum.optics.raw import jpeg as jpeg_module
+from fieldlum.optics.raw import read_exif, read_jpeg, read_mosaic, write_dng
 
 EXPOSURE = Exposure(1 / 60, 5.6, 100.0)
 NAIVE = datetime(2027, 3, 20, 7, 30, tzinfo=UTC).replace(tzinfo=None)

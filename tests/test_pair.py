@@ -14,14 +14,9 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum import irradiance, pair, sun
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.glare.single import picture_glare
-from fieldlum.images import read_panorama, write_panorama
-from fieldlum.models.data import load_pairs
-from fieldlum.pair.interval import outside
-from fieldlum.pair.sun_strength import Seen, complete_sun
-from fieldlum.records import (
+from fieldlum import pair
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import (
     CLIPPED_SUN,
     CameraSetup,
     Exposure,
@@ -35,6 +30,11 @@ from fieldlum.records import (
     slot_id,
     utc_text,
 )
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.images import read_panorama, write_panorama
+from fieldlum.pair import irradiance
+from fieldlum.pair.interval import outside
+from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.clean_csv import CleanIrradiance
@@ -42,6 +42,8 @@ from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile
 from fieldlum.session.files.suns_csv import SunRow
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.session.simulated_pairs import write_simulated_pairs
+from fieldlum.sky import sun
+from fieldlum.year.glare.single import picture_glare
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SOUTH = SunSource(18.9, 178.0, 5000.0, 1.0, "clipped")
@@ -419,7 +421,7 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
     from fieldlum.devices import open_pyranometer
     from fieldlum.devices.clock import FastClock
     from fieldlum.devices.simulated.office import open_world
-    from fieldlum.sun import position
+    from fieldlum.sky.sun import position
 
     session = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 18.0, 180.0, ())], {})
     clock, days = FastClock(NOON - timedelta(seconds=60)), DayFiles(session, flush=False)

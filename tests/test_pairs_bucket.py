@@ -10,9 +10,9 @@ from click.testing import CliRunner
 from learning_room import dataset, write_pairs
 
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.models import pairs_bucket
-from fieldlum.models.data import load_pairs
+from fieldlum.core.errors import InputError
+from fieldlum.learn.models import pairs_bucket
+from fieldlum.learn.models.data import load_pairs
 from fieldlum.session.bucket import BucketStore, check_url
 
 pytestmark = pytest.mark.contract

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure, SunSource
 from fieldlum.devices.settings import nearest
-from fieldlum.errors import DeviceError
-from fieldlum.photometry import (
+from fieldlum.optics.photometry import (
     check_vignetting,
     dark_floor,
     fit_ratios,
@@ -27,7 +28,6 @@ from fieldlum.photometry import (
     vignetting_at,
     z_per_cdm2,
 )
-from fieldlum.records import Exposure, SunSource
 
 # ----------------------------------------------------------------------------------------------
 # exposure

@@ -9,13 +9,14 @@ import pytest
 from click.testing import CliRunner
 from places import SEATTLE
 
-from fieldlum import plan, sun
+from fieldlum import plan
 from fieldlum.cli import main
-from fieldlum.errors import NotEnoughDataError
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import CameraSetup, Site, SiteFile
+from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, save_profile
 from fieldlum.plan.texts import summary
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, save_profile
-from fieldlum.records import CameraSetup, Site, SiteFile
 from fieldlum.session import create_session, open_session
+from fieldlum.sky import sun
 from fieldlum.weather import Weather
 
 TODAY = date(2026, 11, 21)

@@ -11,17 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
-from fieldlum import plan, sun
+from fieldlum import plan
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.light import Features
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
+from fieldlum.optics.profiles import save_profile
 from fieldlum.plan import calendar, choose, coming, makeup
 from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
 from fieldlum.plan.days import DaylightHours, daylight_hours, set_days, span
-from fieldlum.profiles import save_profile
-from fieldlum.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
 from fieldlum.session import Journal, create_session, open_session
-from fieldlum.site_toml import site_table
+from fieldlum.session.site_toml import site_table
+from fieldlum.sky import sun
+from fieldlum.sky.light import Features
 from fieldlum.weather import Weather, synthetic_weather
 
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
@@ -330,7 +331,7 @@ def test_single_gain_is_the_drop_of_the_variance(weather: Weather, year: Dayligh
 def test_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
     import tomli_w
 
-    from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens
+    from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens
 
     profile = tmp_path / "camera.toml"
     save_profile(

@@ -16,18 +16,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_room import dataset
 
-from fieldlum import models
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.glare import standards
-from fieldlum.predict import Annual, read_annual, read_pictures, run
-from fieldlum.predict.annual import rounded
-from fieldlum.predict.blocks import ModelRoom, blocks
-from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
-from fieldlum.predict.year import light_of
-from fieldlum.records import Room as Room3d
-from fieldlum.records import Site
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Room as Room3d
+from fieldlum.core.records import Site
+from fieldlum.learn import models
 from fieldlum.weather import read_weather
+from fieldlum.year.glare import standards
+from fieldlum.year.predict import Annual, read_annual, read_pictures, run
+from fieldlum.year.predict.annual import rounded
+from fieldlum.year.predict.blocks import ModelRoom, blocks
+from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
+from fieldlum.year.predict.year import light_of
 
 DATA = dataset(("2027-03-20", "2027-06-21"), height=16)
 SITE = DATA.setup.site
@@ -160,7 +160,7 @@ def test_a_year_cut_off_by_a_kill_is_no_year(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("fieldlum.predict.year.write_pictures", killed)
+        patched.setattr("fieldlum.year.predict.year.write_pictures", killed)
         with pytest.raises(KeyboardInterrupt):
             run(model, other, out=tmp_path)
     assert not (tmp_path / "maps.zarr").exists()
@@ -181,7 +181,7 @@ def test_maps_in_a_bucket_open_only_when_complete(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("fieldlum.predict.maps_bucket.add_hours", killed)
+        patched.setattr("fieldlum.year.predict.maps_bucket.add_hours", killed)
         with pytest.raises(KeyboardInterrupt):
             run(model, weather, out=tmp_path, maps_to=url)
     with pytest.raises(FileNotFoundError):
@@ -316,7 +316,7 @@ def test_intervals_cover_the_truth() -> None:
 @pytest.mark.analytic
 def test_uncertainty_of_dgp_is_its_slope() -> None:
     """Against finite differences, Ev and sources moved apart."""
-    from fieldlum.glare import dgp
+    from fieldlum.year.glare import dgp
 
     ev, contrast = np.array([[1500.0]]), np.array([[4e6]])
     found = standards.dgp_uncertainty(ev, contrast, np.full((1, 1), 0.01), np.zeros((1, 1)))
@@ -335,10 +335,10 @@ def test_uncertainty_of_dgp_is_its_slope() -> None:
 @pytest.mark.analytic
 def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """A map known exactly leaves only the disc's share."""
-    from fieldlum.glare import panorama_views
-    from fieldlum.models import Prediction
-    from fieldlum.predict.block_figures import U_DISC, relative_uncertainty
-    from fieldlum.predict.blocks import HourBlock
+    from fieldlum.learn.models import Prediction
+    from fieldlum.year.glare import panorama_views
+    from fieldlum.year.predict.block_figures import U_DISC, relative_uncertainty
+    from fieldlum.year.predict.blocks import HourBlock
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)
@@ -504,7 +504,7 @@ def test_a_model_of_another_picture_size_is_refused(
 def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
-    from fieldlum.site_toml import site_table
+    from fieldlum.session.site_toml import site_table
 
     bare = site_table(replace(DATA.setup, room=None))
     with pytest.raises(InputError, match=r"has no \[room\]"):
@@ -518,8 +518,8 @@ def test_a_model_of_another_site_or_camera_is_refused(
     import shutil
     from dataclasses import replace
 
-    from fieldlum.images import write_panorama
-    from fieldlum.records import Panorama
+    from fieldlum.core.records import Panorama
+    from fieldlum.optics.images import write_panorama
     from fieldlum.session import create_session
 
     setup = replace(

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from fieldlum.errors import InputError
-from fieldlum.profiles import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Site
+from fieldlum.optics.profiles import (
     bracket_exposures,
     find_camera_profile,
     load_camera_profile,
     save_profile,
     shipped,
 )
-from fieldlum.records import Site
-from fieldlum.site_toml import load_site, site_from_table, site_table, wrong_sign_text
+from fieldlum.session.site_toml import load_site, site_from_table, site_table, wrong_sign_text
 
 PLACE = {
     "name": "here",
@@ -213,7 +213,7 @@ def test_a_site_without_heading_and_camera_is_planned_and_says_so(tmp_path: Path
     """Plan, sheet and doctor name each default that turns the answer; sizes are unknown."""
     from datetime import date
 
-    from fieldlum.doctor.planned import check_profile
+    from fieldlum.capture.doctor.planned import check_profile
     from fieldlum.plan import Request, run, sentences, summary, write_sheets
 
     path = tmp_path / "s.toml"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.projection import (
+from fieldlum.optics.projection import (
     Equirect,
     Fisheye,
     LensGeometry,

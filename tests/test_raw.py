@@ -12,9 +12,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fieldlum.errors import InputError
-from fieldlum.raw import channel_positions, read_exif, read_jpeg, read_mosaic, write_dng, write_jpeg
-from fieldlum.records import Exposure
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.raw import (
+    channel_positions,
+    read_exif,
+    read_jpeg,
+    read_mosaic,
+    write_dng,
+    write_jpeg,
+)
 
 WHEN = datetime(2027, 3, 20, 15, 30, 0, 250_000, tzinfo=UTC)
 EXPOSURE = Exposure(1 / 250, 5.6, 100.0, "nd3")
@@ -235,7 +242,7 @@ def test_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject
 def test_a_mosaic_other_than_bayers_is_named(size: int, named: str) -> None:
     import rawpy
 
-    from fieldlum.raw import mosaic
+    from fieldlum.optics.raw import mosaic
 
     raw = SimpleNamespace(raw_type=rawpy.RawType.Flat, raw_pattern=np.zeros((size, size), int))
     with pytest.raises(InputError) as refused:

@@ -15,9 +15,10 @@ import xarray as xr
 from click.testing import CliRunner
 from learning_room import SETUP, dataset, write_pairs
 
-from fieldlum import models, predict, report, train
+from fieldlum import report
 from fieldlum.cli import main
-from fieldlum.records import Exposure, Slot
+from fieldlum.core.records import Exposure, Slot
+from fieldlum.learn import models, train
 from fieldlum.report import annual as annual_page
 from fieldlum.report import captured, evidence
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
@@ -25,6 +26,7 @@ from fieldlum.session import Session, create_session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.year import predict
 
 pytestmark = pytest.mark.contract
 

@@ -8,11 +8,11 @@ import pytest
 from learning_room import dataset
 from test_transport import log_mse
 
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit
-from fieldlum.train.agreement import process_of
-from fieldlum.train.other_level import factor_of
-from fieldlum.train.room_changes import find_changes, find_lamp, without_changes
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.train.agreement import process_of
+from fieldlum.learn.train.other_level import factor_of
+from fieldlum.learn.train.room_changes import find_changes, find_lamp, without_changes
+from fieldlum.learn.transport import fit
 
 DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
 CLEAN = dataset(DAYS, height=12)

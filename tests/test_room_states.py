@@ -13,13 +13,13 @@ from click.testing import CliRunner
 from learning_room import dataset, write_pairs
 from test_transport import SETUP, TEST, TRAIN, log_mse, model_of_train
 
-from fieldlum import models
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.transport import fit
-from fieldlum.records import Slot
-from fieldlum.room_states import merged_state, parse_state
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Slot
+from fieldlum.core.room_states import merged_state, parse_state
+from fieldlum.learn import models
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.transport import fit
 from fieldlum.session import Journal, Session, create_session, marks, read_journal
 
 

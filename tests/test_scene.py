@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum import scene, sun
-from fieldlum.arrays import Floats32
-from fieldlum.errors import InputError
-from fieldlum.images import RADIANCE_LM_PER_W
-from fieldlum.profiles import shipped
-from fieldlum.projection import equirect_pixel
-from fieldlum.records import Obstruction, Room, Window
-from fieldlum.scene import geometry, radiance, view
-from fieldlum.site_toml import load_site
+from fieldlum.core.arrays import Floats32
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Obstruction, Room, Window
+from fieldlum.optics.images import RADIANCE_LM_PER_W
+from fieldlum.optics.profiles import shipped
+from fieldlum.optics.projection import equirect_pixel
+from fieldlum.room import scene
+from fieldlum.room.scene import geometry, radiance, view
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky import sun
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 BARE = Room(

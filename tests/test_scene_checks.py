@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scene_captures import ROOM, window_captures
 
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.models.data import Dataset
-from fieldlum.records import Site
-from fieldlum.scene_fit.checks import check_captures
-from fieldlum.scene_fit.stage import run
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Site
+from fieldlum.learn.models.data import Dataset
+from fieldlum.room.fit.checks import check_captures
+from fieldlum.room.fit.stage import run
 
 HEIGHT = 32
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")

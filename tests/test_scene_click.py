@@ -18,17 +18,17 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.images import write_panorama
-from fieldlum.projection import direction
-from fieldlum.records import CameraSetup, Exposure, Panorama, Room, SiteFile, Slot, Window
-from fieldlum.scene import sun_patches
-from fieldlum.scene.clicked import room_from_clicks
-from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows, read_clicks
-from fieldlum.scene.drawing import outline_pixels
-from fieldlum.scene.geometry import build
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, Panorama, Room, SiteFile, Slot, Window
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.projection import direction
+from fieldlum.room.scene import sun_patches
+from fieldlum.room.scene.clicked import room_from_clicks
+from fieldlum.room.scene.clicks import Click, ClickGrid, clicks_from_rows, read_clicks
+from fieldlum.room.scene.drawing import outline_pixels
+from fieldlum.room.scene.geometry import build
 from fieldlum.session import Session, create_session
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
 
 LENGTHS = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m")
 WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")

@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum import sun
+from fieldlum.core.records import Panorama, Room, Site, SunSource, Window
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
-from fieldlum.profiles import bracket_exposures, load_camera_profile
-from fieldlum.records import Panorama, Room, Site, SunSource, Window
-from fieldlum.scene_fit.guess import guess_of
-from fieldlum.scene_fit.parameters import LEVEL_SD_DEG
-from fieldlum.scene_fit.pose_prior import (
+from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
+from fieldlum.room.fit.guess import guess_of
+from fieldlum.room.fit.parameters import LEVEL_SD_DEG
+from fieldlum.room.fit.pose_prior import (
     PosePrior,
     pose_note,
     pose_of,
@@ -26,7 +25,8 @@ from fieldlum.scene_fit.pose_prior import (
 )
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
-from fieldlum.sky_view.measured_discs import MeasuredDiscs, read_discs
+from fieldlum.sky import sun
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, read_discs
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 TIMES = [datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.3 * k) for k in range(5)]

@@ -9,19 +9,19 @@ import pytest
 from matplotlib.text import Annotation
 from test_scene_search import HEIGHT, ROOM, captures
 
-from fieldlum.records import Obstruction, Room
-from fieldlum.scene_fit.evidence import PIXELS, gather
-from fieldlum.scene_fit.exterior import (
+from fieldlum.core.records import Obstruction, Room
+from fieldlum.room.fit.evidence import PIXELS, gather
+from fieldlum.room.fit.exterior import (
     exterior_parameters,
     is_outside,
     propose_exterior,
 )
-from fieldlum.scene_fit.furniture import lattice, propose_solids
-from fieldlum.scene_fit.guess import Guess, Solid, guess_of
-from fieldlum.scene_fit.pictures import plan_of
-from fieldlum.scene_fit.scene_search import PRIOR_HOURS, SOLID_GAIN, SceneSearch, pays
-from fieldlum.scene_fit.search import PRIOR_SHARE
-from fieldlum.scene_fit.stated_room import StatedRoom
+from fieldlum.room.fit.furniture import lattice, propose_solids
+from fieldlum.room.fit.guess import Guess, Solid, guess_of
+from fieldlum.room.fit.pictures import plan_of
+from fieldlum.room.fit.scene_search import PRIOR_HOURS, SOLID_GAIN, SceneSearch, pays
+from fieldlum.room.fit.search import PRIOR_SHARE
+from fieldlum.room.fit.stated_room import StatedRoom
 
 HIDDEN_ELEVATION_DEG = 22.0
 

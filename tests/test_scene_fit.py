@@ -5,12 +5,12 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from fieldlum import sun
-from fieldlum.errors import NotEnoughDataError
-from fieldlum.projection import rotation, turned
-from fieldlum.records import Site
-from fieldlum.sky_view.sun_discs import fit_pose
-from fieldlum.sky_view.sun_path import sun_earlier
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Site
+from fieldlum.optics.projection import rotation, turned
+from fieldlum.sky import sun
+from fieldlum.sky.sky_view.sun_discs import fit_pose
+from fieldlum.sky.sky_view.sun_path import sun_earlier
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 TRUE = {"heading": 1.3, "tilt": 0.4, "roll": -0.3, "clock": 0.1, "scale": 0.004}

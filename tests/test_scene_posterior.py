@@ -10,16 +10,16 @@ from click.testing import CliRunner
 from learning_room import SEATTLE, dataset, write_pairs
 
 import fieldlum
-from fieldlum import models
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.models.baselines import fit_mean
-from fieldlum.models.data import Dataset
-from fieldlum.predict.blocks import room_of
-from fieldlum.records import CameraSetup, Room, SiteFile, Window
-from fieldlum.scene.room_parameters import room_parameters
-from fieldlum.scene_fit.apply import in_scene
-from fieldlum.scene_fit.scene_file import Scene, read_scene, write_scene
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Room, SiteFile, Window
+from fieldlum.learn import models
+from fieldlum.learn.models.baselines import fit_mean
+from fieldlum.learn.models.data import Dataset
+from fieldlum.room.fit.apply import in_scene
+from fieldlum.room.fit.scene_file import Scene, read_scene, write_scene
+from fieldlum.room.scene.room_parameters import room_parameters
+from fieldlum.year.predict.blocks import room_of
 
 ROOM = Room(
     width_m=5.0,

@@ -14,29 +14,29 @@ from hypothesis import strategies as st
 from scene_captures import DAYS, room_captures
 from scene_captures import ROOM as ONE_PANE
 
-from fieldlum import sun
 from fieldlum.cli import main
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.models.data import Dataset
-from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile
-from fieldlum.scene import build, sun_patches
-from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
-from fieldlum.scene_fit.bars import propose_bars, window_picture
-from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
-from fieldlum.scene_fit.fit import fit_scene
-from fieldlum.scene_fit.furniture import propose_columns, solid_parameters
-from fieldlum.scene_fit.guess import Solid, WindowRect, guess_of, room_of
-from fieldlum.scene_fit.light_below import levelled
-from fieldlum.scene_fit.misfits import Misfits
-from fieldlum.scene_fit.parameters import (
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile
+from fieldlum.learn.models.data import Dataset
+from fieldlum.room.fit.apply import in_scene, scene_of, with_scene
+from fieldlum.room.fit.bars import propose_bars, window_picture
+from fieldlum.room.fit.evidence import SUB, SceneEvidence, gather
+from fieldlum.room.fit.fit import fit_scene
+from fieldlum.room.fit.furniture import propose_columns, solid_parameters
+from fieldlum.room.fit.guess import Solid, WindowRect, guess_of, room_of
+from fieldlum.room.fit.light_below import levelled
+from fieldlum.room.fit.misfits import Misfits
+from fieldlum.room.fit.parameters import (
     room_parameters,
     stated_albedo,
 )
-from fieldlum.scene_fit.renderer import PANE, lit_entries, surfaces, unit_patches
-from fieldlum.scene_fit.scene_file import read_scene, write_scene
-from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search
-from fieldlum.scene_fit.solid_cost import SolidCost
-from fieldlum.scene_fit.stage import choose_by_misfit
+from fieldlum.room.fit.renderer import PANE, lit_entries, surfaces, unit_patches
+from fieldlum.room.fit.scene_file import read_scene, write_scene
+from fieldlum.room.fit.search import PRIOR_SHARE, Objective, pattern_search
+from fieldlum.room.fit.solid_cost import SolidCost
+from fieldlum.room.fit.stage import choose_by_misfit
+from fieldlum.room.scene import build, sun_patches
+from fieldlum.sky import sun
 
 HEIGHT = 64
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
@@ -66,7 +66,7 @@ def evidence(data: Dataset) -> SceneEvidence:
 @pytest.mark.authority
 @pytest.mark.parametrize("wall", ["south", "west", "north", "east"])
 def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
-    """authority: fieldlum.scene, which is compared with rtrace in test_scene.py."""
+    """authority: fieldlum.room.scene, which is compared with rtrace in test_scene.py."""
     furnished = replace(
         ROOM,
         window=(
@@ -81,7 +81,7 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
     setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), furnished)
     exact = sun_patches(furnished, setup, suns, 1e5, height=HEIGHT, heading_deg=180.0, sub=SUB)
     guess = guess_of(furnished)
-    from fieldlum.scene.view import pixel_rays
+    from fieldlum.room.scene.view import pixel_rays
 
     pixel, rays = pixel_rays(HEIGHT, 180.0, SUB)
     ends = surfaces(guess, rays.astype(np.float32))

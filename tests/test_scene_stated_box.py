@@ -10,11 +10,11 @@ import pytest
 from scene_captures import ROOM, window_captures
 
 from fieldlum.bench import pieces
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport.features import training_arrays_of
-from fieldlum.records import Room, Site
-from fieldlum.scene_fit.corrected import with_patches
-from fieldlum.scene_fit.stated_box import judge_box, with_judged_box, with_same_box
+from fieldlum.core.records import Room, Site
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport.features import training_arrays_of
+from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.stated_box import judge_box, with_judged_box, with_same_box
 
 HEIGHT = 24
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
-from fieldlum.scene_fit.renderer import (
+from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.room.fit.renderer import (
     LitEntries,
     Surfaces,
     camera_rays,
@@ -16,7 +16,7 @@ from fieldlum.scene_fit.renderer import (
     solid_numbers,
     surfaces,
 )
-from fieldlum.scene_fit.sunlit import entered, shaded
+from fieldlum.room.fit.sunlit import entered, shaded
 
 pytestmark = pytest.mark.slow
 

@@ -7,23 +7,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fieldlum import scene, sun
-from fieldlum.errors import NotEnoughDataError
-from fieldlum.light import Light, light_at
-from fieldlum.models import Patch
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import Transport, fit
-from fieldlum.models.year_sample import light_of_year
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.scene_fit import stage
-from fieldlum.scene_fit.corrected import with_patches
-from fieldlum.scene_fit.evidence import gather
-from fieldlum.scene_fit.fit import SceneFit
-from fieldlum.scene_fit.guess import guess_of
-from fieldlum.scene_fit.misfits import Misfits
-from fieldlum.scene_fit.parameters import stated_albedo
-from fieldlum.scene_fit.sunny import direct_on_windows_lx, sunny_hours
-from fieldlum.scene_fit.verdict import (
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.learn.models import Patch
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.year_sample import light_of_year
+from fieldlum.learn.transport import Transport, fit
+from fieldlum.room import scene
+from fieldlum.room.fit import stage
+from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.evidence import gather
+from fieldlum.room.fit.fit import SceneFit
+from fieldlum.room.fit.guess import guess_of
+from fieldlum.room.fit.misfits import Misfits
+from fieldlum.room.fit.parameters import stated_albedo
+from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
+from fieldlum.room.fit.verdict import (
     GeometryCandidate,
     GeometryScore,
     SceneVerdict,
@@ -32,6 +31,8 @@ from fieldlum.scene_fit.verdict import (
     outside_hours,
     sun_blocks,
 )
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 ROOM = Room(

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scene_captures import ROOM
 
-from fieldlum.records import CameraSetup, Site, SiteFile
-from fieldlum.scene.view import pixel_rays
-from fieldlum.scene_fit.bars import propose_bars, seen_picture
-from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of
-from fieldlum.scene_fit.parameters import room_parameters
-from fieldlum.scene_fit.renderer import OUTSIDE, seen_in_opening, surfaces
-from fieldlum.scene_fit.search import aimed, pattern_search
-from fieldlum.scene_fit.window_view import WindowView, window_view
+from fieldlum.core.records import CameraSetup, Site, SiteFile
+from fieldlum.room.fit.bars import propose_bars, seen_picture
+from fieldlum.room.fit.guess import Bar, Guess, Solid, guess_of
+from fieldlum.room.fit.parameters import room_parameters
+from fieldlum.room.fit.renderer import OUTSIDE, seen_in_opening, surfaces
+from fieldlum.room.fit.search import aimed, pattern_search
+from fieldlum.room.fit.window_view import WindowView, window_view
+from fieldlum.room.scene.view import pixel_rays
 
 HEIGHT = 48
 

@@ -12,8 +12,8 @@ import scheduler_units as units
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.scheduler import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
     Scheduler,
@@ -24,8 +24,8 @@ from fieldlum.scheduler import (
     run_each,
     run_units,
 )
-from fieldlum.scheduler.units import perform, relative_folder, task_of
-from fieldlum.scheduler.workers import Here
+from fieldlum.core.scheduler.units import perform, relative_folder, task_of
+from fieldlum.core.scheduler.workers import Here
 from fieldlum.session import check_writable, remove_scraps
 
 pytestmark = pytest.mark.contract
@@ -236,7 +236,7 @@ def test_a_unit_that_ended_late_is_not_given_up(
         def give_up(self, future: object) -> str:
             raise AssertionError("it has ended")
 
-    monkeypatch.setattr("fieldlum.scheduler.run._workers", lambda *_: Slow())
+    monkeypatch.setattr("fieldlum.core.scheduler.run._workers", lambda *_: Slow())
     some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(3)]
     outcomes = list(run_units(some, Scheduler(unit_limit_s=0.0)))
     assert [o.result() for o in outcomes] == [0, 2, 4]

@@ -11,12 +11,9 @@ from dask_cluster import SOURCE, Cluster, cluster
 from test_frame_changes import one_bit, recorded
 from test_merge_stage import START, profile, take
 
-from fieldlum import merge, models, predict, simulate
-from fieldlum.models.data import load_pairs
-from fieldlum.pair.patches import seen_and_patches
-from fieldlum.profiles import save_profile, shipped
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, quiet
-from fieldlum.scheduler import (
+from fieldlum import merge
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, quiet
+from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
     Scheduler,
@@ -24,8 +21,14 @@ from fieldlum.scheduler import (
     parse_scheduler,
     run_units,
 )
+from fieldlum.learn import models
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.profiles import save_profile, shipped
+from fieldlum.pair.patches import seen_and_patches
+from fieldlum.room import simulate
 from fieldlum.session import Session, create_session, remove_scraps
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
+from fieldlum.year import predict
 
 pytestmark = [pytest.mark.contract, pytest.mark.slow]
 

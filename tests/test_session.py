@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
+from fieldlum.capture.doctor.planned import check_journal
 from fieldlum.cli import main
-from fieldlum.doctor.planned import check_journal
-from fieldlum.errors import InputError
-from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
     PLAN_COLUMNS,
     DayFiles,

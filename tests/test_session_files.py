@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum import doctor
-from fieldlum.capture import prepare
+from fieldlum.capture import doctor, prepare
 from fieldlum.capture.status import status
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, SiteFile, Slot
 from fieldlum.plan import makeup
-from fieldlum.records import Exposure, SiteFile, Slot
 from fieldlum.session import Session, create_session, store_grace
 from fieldlum.session.files.capture_json import CaptureFile, Frame
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from learning_room import dataset
 
-from fieldlum import train
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
+from fieldlum.learn import train
 from fieldlum.session import check_writable
 
 pytestmark = pytest.mark.contract

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum import sun
-from fieldlum.arrays import Floats32
-from fieldlum.light import Light, light_at
-from fieldlum.models import Fitted
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit
-from fieldlum.models.transport.misalignment import moved
-from fieldlum.models.transport.patch_edges import edge_range, slip_variance
-from fieldlum.models.transport.setting_scan import Setting, SettingFinding, setting_scan
-from fieldlum.models.transport.uncertainty import experience
-from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
-from fieldlum.scene import sun_patches
-from fieldlum.train.setting import scan, settle, warnings_of, with_right_clock
+from fieldlum.core.arrays import Floats32
+from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
+from fieldlum.learn.models import Fitted
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.train.setting import scan, settle, warnings_of, with_right_clock
+from fieldlum.learn.transport import fit
+from fieldlum.learn.transport.misalignment import moved
+from fieldlum.learn.transport.patch_edges import edge_range, slip_variance
+from fieldlum.learn.transport.setting_scan import Setting, SettingFinding, setting_scan
+from fieldlum.learn.transport.uncertainty import experience
+from fieldlum.room.scene import sun_patches
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
 
 ROOM = Room(
     width_m=5.0,

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
 from fieldlum.merge import MergeOptions, merge_frames
-from fieldlum.photometry import (
+from fieldlum.optics.photometry import (
     LAWS,
     PairRatio,
     law_of_frames,
@@ -19,7 +20,7 @@ from fieldlum.photometry import (
     times_under,
     z_per_cdm2,
 )
-from fieldlum.profiles import (
+from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
     CameraProfile,
@@ -28,8 +29,7 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.raw import write_dng
-from fieldlum.records import Exposure
+from fieldlum.optics.raw import write_dng
 
 FULL_STOPS_S = (1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60, 1 / 125, 1 / 250)
 HALF_STOPS_S = (1 / 20, 1 / 30, 1 / 45, 1 / 60, 1 / 90, 1 / 125, 1 / 180, 1 / 250)

@@ -14,17 +14,18 @@ from click.testing import CliRunner
 from learning_room import scaled
 from places import SEATTLE
 
-from fieldlum import simulate, weather
+from fieldlum import weather
 from fieldlum.cli import main
-from fieldlum.errors import InputError
-from fieldlum.images import read_panorama
-from fieldlum.light import Light, light_at
-from fieldlum.models.data import load_pairs
-from fieldlum.profiles import shipped
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
-from fieldlum.scene import geometry, radiance, view
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import simulate
+from fieldlum.room.scene import geometry, radiance, view
 from fieldlum.session import open_session
-from fieldlum.site_toml import load_site, site_table
+from fieldlum.session.site_toml import load_site, site_table
+from fieldlum.sky.light import Light, light_at
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 SMALL = SiteFile(

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fieldlum import sky
-from fieldlum.projection import direction
+from fieldlum.optics.projection import direction
+from fieldlum.sky import perez as sky
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(0.2665)))
 

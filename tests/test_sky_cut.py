@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum import sun
+from fieldlum.core.records import Panorama, Site
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
-from fieldlum.linear_light import sensor_pitch_deg
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.sky_cut import sun_tiles
-from fieldlum.profiles import bracket_exposures, load_camera_profile
-from fieldlum.projection import Equirect, LensGeometry, resampler, smallest_arc
-from fieldlum.records import Panorama, Site
-from fieldlum.sky_view import SkyGrid, SkyPicture
+from fieldlum.optics.linear_light import sensor_pitch_deg
+from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
+from fieldlum.optics.projection import Equirect, LensGeometry, resampler, smallest_arc
+from fieldlum.sky import sun
+from fieldlum.sky.sky_view import SkyGrid, SkyPicture
 
 
 @pytest.mark.property

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum.arrays import Floats
-from fieldlum.errors import InputError
-from fieldlum.light import Light, light_at
-from fieldlum.models.disc_in_view import disc_lx, disc_source
-from fieldlum.records import Room, Site, SiteFile, Window
-from fieldlum.sky_view import (
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Room, Site, SiteFile, Window
+from fieldlum.learn.models.disc_in_view import disc_lx, disc_source
+from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.sky_view import (
     Captured,
     SkyGrid,
     SkyPicture,
@@ -23,7 +23,7 @@ from fieldlum.sky_view import (
     drawn_shares,
     estimate,
 )
-from fieldlum.sky_view.pose import CameraPose
+from fieldlum.sky.sky_view.pose import CameraPose
 
 SITE = Site("place", 45.0, 8.0)
 GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south
@@ -236,9 +236,9 @@ def test_a_view_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.property
 def test_bright_directions_that_follow_no_sky_are_not_decided() -> None:
     """As bright as sky, but nothing shows that it is sky."""
-    from fieldlum.sky_view.estimate import _decided, _Stack
-    from fieldlum.sky_view.picture import SkyGrid
-    from fieldlum.sky_view.regression import SkyFactor
+    from fieldlum.sky.sky_view.estimate import _decided, _Stack
+    from fieldlum.sky.sky_view.picture import SkyGrid
+    from fieldlum.sky.sky_view.regression import SkyFactor
 
     grid = SkyGrid(2.0, -2.0, 1.0, 180.0, 2, 4)
     p = grid.height * grid.width

@@ -8,10 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum.errors import InputError
-from fieldlum.projection import equirect_rays
-from fieldlum.records import Flag, Panorama
-from fieldlum.sky_view import SkyGrid, SkyPicture, cut_panorama, read_sky_picture, write_sky_picture
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Flag, Panorama
+from fieldlum.optics.projection import equirect_rays
+from fieldlum.sky.sky_view import (
+    SkyGrid,
+    SkyPicture,
+    cut_panorama,
+    read_sky_picture,
+    write_sky_picture,
+)
 
 pytestmark = pytest.mark.analytic
 

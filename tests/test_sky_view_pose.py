@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Panorama
 from fieldlum.merge.disc import take_out_disc
-from fieldlum.projection import altitude_azimuth_deg, rotation
-from fieldlum.records import Panorama
-from fieldlum.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
-from fieldlum.sky_view.sun_discs import scaled
+from fieldlum.optics.projection import altitude_azimuth_deg, rotation
+from fieldlum.sky import sun
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
+from fieldlum.sky.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
+from fieldlum.sky.sky_view.sun_discs import scaled
 
 TIMES = tuple(
     datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.2 * k) for k in range(6)

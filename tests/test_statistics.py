@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldlum.projection import signed_angle_deg
-from fieldlum.statistics import (
+from fieldlum.core.statistics import (
     is_no_worse,
     median_standard_error,
     nan_percentiles,
     robust_sigma,
     standard_error,
 )
+from fieldlum.optics.projection import signed_angle_deg
 
 RNG = np.random.default_rng(3)
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
-from fieldlum import sun
-from fieldlum.records import Site
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
 
 SITES = tuple(
     Site(f"{latitude:+g}", latitude, longitude, f"Etc/GMT{-round(longitude / 15):+d}")

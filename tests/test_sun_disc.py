@@ -13,13 +13,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from learning_room import dataset
 
-from fieldlum.glare.single import picture_glare
-from fieldlum.images import write_panorama
+from fieldlum.core.records import Flag, Panorama, SunSource
 from fieldlum.merge.disc import take_out_disc
-from fieldlum.projection import direction, equirect_pixel, equirect_rays, equirect_solid_angles
-from fieldlum.records import Flag, Panorama, SunSource
-from fieldlum.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.sun_disc import LEAST_DISC_CDM2, add_disc, find_disc, split_disc, without_disc
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.projection import (
+    direction,
+    equirect_pixel,
+    equirect_rays,
+    equirect_solid_angles,
+)
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sky.sun_disc import LEAST_DISC_CDM2, add_disc, find_disc, split_disc, without_disc
+from fieldlum.year.glare.single import picture_glare
 
 HEADING_DEG = 180.0
 WALL_CDM2, SKY_CDM2 = 60.0, 9000.0

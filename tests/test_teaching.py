@@ -9,21 +9,21 @@ from learning_room import dataset, write_pairs
 from scene_captures import SEATTLE, window_captures
 from test_transport import TEST, TRAIN, log_mse, model_of_train
 
-from fieldlum.images import read_panorama, write_panorama
-from fieldlum.light import Kernel
-from fieldlum.models.data import load_pairs
-from fieldlum.models.teaching import joined_counts, pixel_counts
-from fieldlum.models.transport import fit
-from fieldlum.models.transport.features import (
+from fieldlum.core.records import Flag, Panorama
+from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.teaching import joined_counts, pixel_counts
+from fieldlum.learn.transport import fit
+from fieldlum.learn.transport.features import (
     light_variance,
     training_arrays_of,
     without_refuted,
 )
-from fieldlum.models.transport.patch_edges import edge_weights
-from fieldlum.models.transport.pixel_fit import Recipe, basis_of, find_patch_gain, fit_pixels
-from fieldlum.records import Flag, Panorama
-from fieldlum.scene.view import look
-from fieldlum.scene_fit.corrected import with_patches
+from fieldlum.learn.transport.patch_edges import edge_weights
+from fieldlum.learn.transport.pixel_fit import Recipe, basis_of, find_patch_gain, fit_pixels
+from fieldlum.optics.images import read_panorama, write_panorama
+from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.scene.view import look
+from fieldlum.sky.light import Kernel
 
 SHAPE = (4, 8)
 

@@ -10,23 +10,23 @@ import pytest
 from click.testing import CliRunner
 from learning_room import dataset, room, write_pairs
 
-from fieldlum import models, train
 from fieldlum.cli import main, train_
-from fieldlum.errors import NotEnoughDataError
-from fieldlum.models import dense_training
-from fieldlum.models.data import Dataset
-from fieldlum.models.dense_network import Shape
-from fieldlum.models.dense_schedule import validation_split
-from fieldlum.models.scores import Scores
-from fieldlum.models.year_sample import light_of_year
-from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import quiet
-from fieldlum.train import fit_and_score, run, year_of
-from fieldlum.train.captures import how_many, order_of_use
-from fieldlum.train.folds import day_folds, one_day_only
-from fieldlum.train.notes import notes_of
-from fieldlum.train.selection import Trial, choose_model
-from fieldlum.train.trials import evaluate_folds
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import quiet
+from fieldlum.learn import models, train
+from fieldlum.learn.models import dense_training
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.dense_network import Shape
+from fieldlum.learn.models.dense_schedule import validation_split
+from fieldlum.learn.models.scores import Scores
+from fieldlum.learn.models.year_sample import light_of_year
+from fieldlum.learn.train import fit_and_score, run, year_of
+from fieldlum.learn.train.captures import how_many, order_of_use
+from fieldlum.learn.train.folds import day_folds, one_day_only
+from fieldlum.learn.train.notes import notes_of
+from fieldlum.learn.train.selection import Trial, choose_model
+from fieldlum.learn.train.trials import evaluate_folds
+from fieldlum.optics.projection import equirect_solid_angles
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)

@@ -12,22 +12,22 @@ import pytest
 from learning_room import scaled
 from places import SEATTLE
 
-from fieldlum import models
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.light import Kernel, light_at
-from fieldlum.models.data import Dataset
-from fieldlum.models.held_out_choice import HeldOutErrors
-from fieldlum.models.transport import Transport, fit, selection
-from fieldlum.models.transport.features import training_arrays_of
-from fieldlum.models.transport.physics import physics_of
-from fieldlum.models.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixels
-from fieldlum.models.transport.ridge import Columns, held_out_days, held_out_days_shared, solve
-from fieldlum.models.transport.seasons import seasons
-from fieldlum.models.transport.selection import recipes_for
-from fieldlum.models.transport.uncertainty import seen_mse
-from fieldlum.projection import equirect_rays
-from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
-from fieldlum.sky import reinhart_patches
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
+from fieldlum.learn import models
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.held_out_choice import HeldOutErrors
+from fieldlum.learn.transport import Transport, fit, selection
+from fieldlum.learn.transport.features import training_arrays_of
+from fieldlum.learn.transport.physics import physics_of
+from fieldlum.learn.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixels
+from fieldlum.learn.transport.ridge import Columns, held_out_days, held_out_days_shared, solve
+from fieldlum.learn.transport.seasons import seasons
+from fieldlum.learn.transport.selection import recipes_for
+from fieldlum.learn.transport.uncertainty import seen_mse
+from fieldlum.optics.projection import equirect_rays
+from fieldlum.sky.light import Kernel, light_at
+from fieldlum.sky.perez import reinhart_patches
 
 SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))
 ROOM = Room(

@@ -10,17 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum import models, plan, simulate, sun
-from fieldlum.arrays import Floats32
-from fieldlum.errors import InputError
-from fieldlum.light import light_at
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.models.transport import Transport
-from fieldlum.profiles import shipped
-from fieldlum.records import slot_id
-from fieldlum.session import Session, create_session
-from fieldlum.simulate.troubles import (
+from fieldlum import plan
+from fieldlum.core.arrays import Floats32
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import slot_id
+from fieldlum.learn import models
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.train.consistency_warnings import doubts
+from fieldlum.learn.train.setting import scan, settle
+from fieldlum.learn.transport import Transport
+from fieldlum.optics.profiles import shipped
+from fieldlum.room import simulate
+from fieldlum.room.simulate.troubles import (
     LIMITS,
     Trouble,
     Troubles,
@@ -29,9 +31,10 @@ from fieldlum.simulate.troubles import (
     troubled_pictures,
     true_light,
 )
-from fieldlum.site_toml import load_site
-from fieldlum.train.consistency_warnings import doubts
-from fieldlum.train.setting import scan, settle
+from fieldlum.session import Session, create_session
+from fieldlum.session.site_toml import load_site
+from fieldlum.sky import sun
+from fieldlum.sky.light import light_at
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
 HARD = load_troubles(shipped("capture_plans") / "troubles" / "hard.toml")

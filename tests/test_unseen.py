@@ -16,30 +16,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_room import dataset
 
-from fieldlum import models, predict
 from fieldlum.cli import main
-from fieldlum.glare import glare_directions, panorama_views
-from fieldlum.glare.picture_grid import picture_grid
-from fieldlum.glare.picture_view import parse_view
-from fieldlum.glare.single import picture_glare
-from fieldlum.glare.unseen import (
-    brightest_cdm2,
-    picture_coverage,
-    unseen_dgp_bounds,
-    view_coverage,
-)
-from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.predict.pictures import telling_hours
-from fieldlum.profiles import coverage_text, load_camera_profile
-from fieldlum.projection import (
+from fieldlum.core.records import CameraSetup, Flag, Panorama
+from fieldlum.learn import models
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.optics.profiles import coverage_text, load_camera_profile
+from fieldlum.optics.projection import (
     LensGeometry,
     judged_text,
     seen_by_lenses,
     seen_shares,
     seen_words,
 )
-from fieldlum.records import CameraSetup, Flag, Panorama
 from fieldlum.report import annual as annual_page
+from fieldlum.year import predict
+from fieldlum.year.glare import glare_directions, panorama_views
+from fieldlum.year.glare.picture_grid import picture_grid
+from fieldlum.year.glare.picture_view import parse_view
+from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.unseen import (
+    brightest_cdm2,
+    picture_coverage,
+    unseen_dgp_bounds,
+    view_coverage,
+)
+from fieldlum.year.predict.pictures import telling_hours
 
 HEIGHT, HEADING_DEG = 16, 180.0
 LENS = LensGeometry((0.0, 0.0), 100.0, 180.0, "equidistant")

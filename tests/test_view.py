@@ -13,11 +13,11 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.records import Panorama
-from fieldlum.view.measured_picture import read_measured_picture
-from fieldlum.view.page import write_page
-from fieldlum.view.regions import parse_region, region_statistics
+from fieldlum.core.records import Panorama
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.report.view.measured_picture import read_measured_picture
+from fieldlum.report.view.page import write_page
+from fieldlum.report.view.regions import parse_region, region_statistics
 
 VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 BROWSER = (
@@ -150,8 +150,8 @@ def test_a_session_shows_its_latest_panorama(tmp_path: Path) -> None:
     from places import SEATTLE
 
     from fieldlum.cli.view_ import _latest_panorama
-    from fieldlum.errors import NotEnoughDataError
-    from fieldlum.records import SiteFile
+    from fieldlum.core.errors import NotEnoughDataError
+    from fieldlum.core.records import SiteFile
     from fieldlum.session import create_session
 
     session = create_session(tmp_path / "s", SiteFile(SEATTLE), [], {})

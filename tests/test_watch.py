@@ -28,9 +28,9 @@ from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
 
 from fieldlum.cli import watch_
+from fieldlum.core.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
-from fieldlum.images import write_panorama
-from fieldlum.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
+from fieldlum.optics.images import write_panorama
 from fieldlum.session import DayFiles, Journal, Session, create_session, encode_line, read_journal
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.access import Access

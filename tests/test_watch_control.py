@@ -22,10 +22,10 @@ from places import SEATTLE
 from tiny_field import LADDER, T0, Field, make_session
 
 from fieldlum.cli import main
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
-from fieldlum.errors import InputError
 from fieldlum.plan.extra import EXTRA, add_extra
-from fieldlum.records import SiteFile, Slot, utc_text
 from fieldlum.session import (
     MAX_PAUSE,
     Journal,

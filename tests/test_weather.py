@@ -9,9 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
-from fieldlum import sun, weather
-from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
-from fieldlum.records import Site
+from fieldlum import weather
+from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
 
 
 @pytest.mark.slow

@@ -12,9 +12,10 @@ import pvlib
 import pytest
 from places import SEATTLE
 
-from fieldlum import sun, weather
-from fieldlum.errors import InputError
-from fieldlum.records import Site
+from fieldlum import weather
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
 
 EAST = Site("Turin", 45.0, 8.0, "Europe/Rome")
 OFFSET_H = 0.1761  # of PVGIS at 45 N 8 E

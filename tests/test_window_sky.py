@@ -6,19 +6,19 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from fieldlum import sun
-from fieldlum.light import Light, light_at
-from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit, from_state
-from fieldlum.models.transport.features import training_arrays_of
-from fieldlum.models.transport.window_sky import scatter_of_skies, seen_sky
-from fieldlum.projection import equirect_rays
-from fieldlum.records import CameraSetup, Site, SiteFile, utc_text
-from fieldlum.simulate.troubles import Trouble, Troubles, true_light
-from fieldlum.sky import reinhart_patches
-from fieldlum.train.agreement import process_of
-from fieldlum.train.notes import seen_skies
-from fieldlum.train.room_changes import find_lamp
+from fieldlum.core.records import CameraSetup, Site, SiteFile, utc_text
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.train.agreement import process_of
+from fieldlum.learn.train.notes import seen_skies
+from fieldlum.learn.train.room_changes import find_lamp
+from fieldlum.learn.transport import fit, from_state
+from fieldlum.learn.transport.features import training_arrays_of
+from fieldlum.learn.transport.window_sky import scatter_of_skies, seen_sky
+from fieldlum.optics.projection import equirect_rays
+from fieldlum.room.simulate.troubles import Trouble, Troubles, true_light
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.perez import reinhart_patches
 
 SITE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")
 HEIGHT, WIDTH = 16, 32
@@ -92,7 +92,7 @@ def test_perez_skies_stay() -> None:
 @pytest.mark.analytic
 def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = fit(CLOUDED)
-    monkeypatch.setattr("fieldlum.models.transport.model.seen_sky", lambda arrays: None)
+    monkeypatch.setattr("fieldlum.learn.transport.model.seen_sky", lambda arrays: None)
     perez = fit(CLOUDED)
     assert seen.sky_field is not None and perez.sky_field is None
 

@@ -11,9 +11,9 @@ from typing import Any
 from places import SEATTLE
 
 from fieldlum.capture.runner import Live, Options, run
+from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import FastClock
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
     Session,
     create_session,

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.bench.pieces import bench_files, load
-from fieldlum.glare import glare_directions
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import Truth
-from fieldlum.train import patch_mode
-from fieldlum.train.trials import fit_timed
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.scores import Truth
+from fieldlum.learn.train import patch_mode
+from fieldlum.learn.train.trials import fit_timed
+from fieldlum.year.glare import glare_directions
 
 Array = NDArray[Any]
 

@@ -15,11 +15,12 @@ import time
 from datetime import date
 from pathlib import Path
 
-from fieldlum import plan, simulate
-from fieldlum.records import SiteFile, Slot
+from fieldlum import plan
+from fieldlum.core.records import SiteFile, Slot
+from fieldlum.room import simulate
+from fieldlum.room.simulate.truth import QUALITIES
 from fieldlum.session import open_session, sha256
-from fieldlum.simulate.truth import QUALITIES
-from fieldlum.site_toml import load_site
+from fieldlum.session.site_toml import load_site
 from fieldlum.weather import TYPICAL_YEAR, Weather
 
 HERE = Path(__file__).parent

@@ -20,6 +20,6 @@ from fieldlum.api.learning import predict_year as predict_year
 from fieldlum.api.pictures import evaluate_glare as evaluate_glare
 from fieldlum.api.pictures import merge_frames as merge_frames
 from fieldlum.api.pictures import plan_captures as plan_captures
-from fieldlum.errors import FieldlumError as FieldlumError
-from fieldlum.records import Panorama as Panorama
-from fieldlum.records import SunSource as SunSource
+from fieldlum.core.errors import FieldlumError as FieldlumError
+from fieldlum.core.records import Panorama as Panorama
+from fieldlum.core.records import SunSource as SunSource

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fieldlum.errors import InputError
-from fieldlum.profiles import CameraProfile
-from fieldlum.records import Panorama, Site, SiteFile
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Panorama, Site, SiteFile
+from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session import Session, replacing_path
 from fieldlum.weather import Weather
 
@@ -65,7 +65,7 @@ def load_site(file: str | Path) -> SiteFile:
     >>> fieldlum.load_site("office.toml").site.latitude_deg
     47.6
     """
-    from fieldlum import site_toml
+    from fieldlum.session import site_toml
 
     return site_toml.load_site(Path(file))
 
@@ -93,7 +93,7 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
     >>> fieldlum.load_camera_profile("sim-fisheye").bracket.f_number
     5.6
     """
-    from fieldlum import profiles
+    from fieldlum.optics import profiles
 
     return profiles.load_camera_profile(name)
 
@@ -151,7 +151,7 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     >>> grey = fieldlum.Panorama(np.full((115, 230), 500.0, np.float32), heading_deg=180.0)
     >>> fieldlum.write_panorama("grey.hdr", grey)
     """
-    from fieldlum import images
+    from fieldlum.optics import images
 
     path = Path(file)
     suffix = path.suffix.lower()

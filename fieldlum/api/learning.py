@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from fieldlum.api.files import place
-from fieldlum.records import Progress, Site, SiteFile, quiet
+from fieldlum.core.records import Progress, Site, SiteFile, quiet
 
 if TYPE_CHECKING:
-    from fieldlum.light import Light
-    from fieldlum.models import Fitted, Patch
-    from fieldlum.models.data import Dataset
-    from fieldlum.predict import Annual
+    from fieldlum.learn.models import Fitted, Patch
+    from fieldlum.learn.models.data import Dataset
     from fieldlum.session import Session
+    from fieldlum.sky.light import Light
+    from fieldlum.year.predict import Annual
 
 
 def load_pairs(
@@ -60,8 +60,8 @@ def load_pairs(
     >>> data.luminance_cdm2.shape
     (108, 230, 460)
     """
-    from fieldlum.models import data
-    from fieldlum.scene_fit.stated_box import training_captures
+    from fieldlum.learn.models import data
+    from fieldlum.room.fit.stated_box import training_captures
     from fieldlum.session import Session
 
     source = pairs.root if isinstance(pairs, Session) else Path(pairs)
@@ -119,7 +119,7 @@ def fit(
     >>> model.name
     'transport'
     """
-    from fieldlum import models, train
+    from fieldlum.learn import models, train
 
     options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
     if out is None:
@@ -154,7 +154,7 @@ def load_model(folder: str | Path) -> Fitted:
     >>> fieldlum.load_model("office-2027/models/auto").predict(light).luminance_cdm2.shape
     (1, 230, 460)
     """
-    from fieldlum import models
+    from fieldlum.learn import models
 
     return models.load(Path(folder))
 
@@ -194,7 +194,7 @@ def light_at(
     """
     import numpy as np
 
-    from fieldlum import light
+    from fieldlum.sky import light
 
     return light.light_at(times_utc, place(site), np.asarray(dni_wm2), np.asarray(dhi_wm2))
 
@@ -254,7 +254,7 @@ def predict_year(
     >>> year.views["dgp"].shape
     (4380, 10)
     """
-    from fieldlum import predict
+    from fieldlum.year import predict
 
     return predict.run(
         Path(model_folder),

@@ -7,12 +7,12 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from fieldlum.api.files import load_camera_profile, load_site
-from fieldlum.glare.answers import GlareAnswer
+from fieldlum.core.records import Panorama, Progress, SiteFile, quiet
 from fieldlum.merge import MergeResult
+from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
-from fieldlum.profiles import CameraProfile
-from fieldlum.records import Panorama, Progress, SiteFile, quiet
 from fieldlum.weather import Weather
+from fieldlum.year.glare.answers import GlareAnswer
 
 
 def plan_captures(
@@ -165,7 +165,7 @@ def evaluate_glare(
     >>> glare["views"][0]["dgp"], glare["views"][0]["verdict"]
     (0.31, 'imperceptible')
     """
-    from fieldlum.glare.single import panorama_glare, picture_glare
+    from fieldlum.year.glare.single import panorama_glare, picture_glare
 
     if isinstance(picture, Panorama):
         return panorama_glare(picture, view_azimuths_deg)

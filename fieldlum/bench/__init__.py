@@ -15,11 +15,11 @@ from typing import Any, TypedDict
 from fieldlum.bench import charts
 from fieldlum.bench.pieces import BenchData, BenchFiles, local_unit_of, pieces_of, unit_of
 from fieldlum.bench.rows import over_seeds
-from fieldlum.model_registry import MODELS
-from fieldlum.records import Progress, quiet
-from fieldlum.scheduler import LOCAL, Scheduler, run_each
+from fieldlum.core.records import Progress, quiet
+from fieldlum.core.scheduler import LOCAL, Scheduler, run_each
+from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.train.selection import Trial, choose_model
 from fieldlum.session import replacing, replacing_path
-from fieldlum.train.selection import Trial, choose_model
 
 TABLE = {
     "name": "model",

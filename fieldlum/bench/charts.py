@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.bench.stress import StressRow
-from fieldlum.plot_style import GRID, open_axes
+from fieldlum.core.plot_style import GRID, open_axes
 
 # Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"

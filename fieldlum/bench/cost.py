@@ -8,11 +8,11 @@ import time
 import numpy as np
 
 from fieldlum.bench.rows import ERRORS
-from fieldlum.models.data import Dataset
-from fieldlum.projection import equirect_rays
-from fieldlum.records import Progress, quiet
-from fieldlum.scene.geometry import build
-from fieldlum.scene.radiance import octree, rad_text, sun_text, trace
+from fieldlum.core.records import Progress, quiet
+from fieldlum.learn.models.data import Dataset
+from fieldlum.optics.projection import equirect_rays
+from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.radiance import octree, rad_text, sun_text, trace
 
 # The options of the paper's rpict (Liu, Colburn and Inanici 2020).
 PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1024")

@@ -18,16 +18,16 @@ import numpy as np
 from fieldlum.bench import stress, year
 from fieldlum.bench.cost import radiance_row
 from fieldlum.bench.rows import Spec, parse_specs, score_row, without_training_hours
-from fieldlum.errors import NotEnoughDataError
-from fieldlum.model_registry import MODELS
-from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.estimated_view import with_sky_view
-from fieldlum.models.scores import Truth, truth
-from fieldlum.records import Progress, counted, quiet
-from fieldlum.scene_fit.apply import in_scene
-from fieldlum.scene_fit.stated_box import training_captures, with_same_box
-from fieldlum.scheduler import WorkUnit
-from fieldlum.train.folds import day_folds
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.scheduler import WorkUnit
+from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.estimated_view import with_sky_view
+from fieldlum.learn.models.scores import Truth, truth
+from fieldlum.learn.train.folds import day_folds
+from fieldlum.room.fit.apply import in_scene
+from fieldlum.room.fit.stated_box import training_captures, with_same_box
 
 PieceKind = Literal["score", "random", "greedy", "periods", "stress", "rendering"]
 

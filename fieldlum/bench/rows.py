@@ -9,18 +9,18 @@ from typing import NotRequired, cast, get_args
 
 import numpy as np
 
-from fieldlum import models
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.model_registry import MODELS
-from fieldlum.models import Patch
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import Truth, evaluate, summary
-from fieldlum.records import Progress, quiet
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Progress, quiet
+from fieldlum.learn import models
+from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.models import Patch
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.scores import Truth, evaluate, summary
+from fieldlum.learn.train import patch_mode
+from fieldlum.learn.train.folds import day_folds
+from fieldlum.learn.train.selection import Trial
+from fieldlum.learn.train.trials import Spent, evaluate_folds, fit_timed
 from fieldlum.session.files.scores_json import ScoreFigures
-from fieldlum.train import patch_mode
-from fieldlum.train.folds import day_folds
-from fieldlum.train.selection import Trial
-from fieldlum.train.trials import Spent, evaluate_folds, fit_timed
 
 # The errors that every table of the benchmarks has, as named by `models.scores.summary`.
 ERRORS = (

@@ -19,18 +19,18 @@ from datetime import timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
-from fieldlum.arrays import Floats, Mask
 from fieldlum.bench.rows import Spec
-from fieldlum.light import Light
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import Scores, evaluate, truth
-from fieldlum.records import Progress, quiet
-from fieldlum.scene_fit.corrected import with_patches
-from fieldlum.train import patch_mode
-from fieldlum.train.consistency_warnings import doubts
-from fieldlum.train.setting import scan, settle
-from fieldlum.train.trials import fit_timed
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.records import Progress, quiet
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.scores import Scores, evaluate, truth
+from fieldlum.learn.train import patch_mode
+from fieldlum.learn.train.consistency_warnings import doubts
+from fieldlum.learn.train.setting import scan, settle
+from fieldlum.learn.train.trials import fit_timed
+from fieldlum.room.fit.corrected import with_patches
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light
 
 SEEDS = 5  # number of fits of the normal case, which differ only by chance; chosen
 FEWEST = 8  # hours of training and of test that a condition needs; chosen

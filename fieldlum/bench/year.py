@@ -8,15 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from fieldlum.arrays import Mask
 from fieldlum.bench.rows import ERRORS, Spec
-from fieldlum.models.data import Dataset
-from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.records import Progress, quiet
+from fieldlum.core.arrays import Mask
+from fieldlum.core.records import Progress, quiet
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.train import patch_mode
+from fieldlum.learn.train.captures import order_of_use
+from fieldlum.learn.train.trials import fit_timed
 from fieldlum.session.files.scores_json import ScoreFigures
-from fieldlum.train import patch_mode
-from fieldlum.train.captures import order_of_use
-from fieldlum.train.trials import fit_timed
 
 COUNTS = (25, 50, 100, 200, 500, 1000)  # captures of the learning curve; chosen
 TEST_HOURS = 300  # held-out hours of a year; chosen

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.arrays import Array
 from fieldlum.calibrate import lens as lenses
 from fieldlum.calibrate.lens import LensFit, Targets
 from fieldlum.calibrate.lens_circle import grey_picture
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.profiles import Lens
-from fieldlum.projection import LensGeometry, lens_pixels
+from fieldlum.core.arrays import Array
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.optics.profiles import Lens
+from fieldlum.optics.projection import LensGeometry, lens_pixels
 
 LEAST = 4  # boards; chosen so that poses and lens can be separated, not measured
 _MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured

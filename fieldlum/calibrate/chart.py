@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array, Floats
 from fieldlum.calibrate.chart_grid import grids
 from fieldlum.calibrate.frames import LinearFrame
-from fieldlum.errors import InputError
-from fieldlum.photometry import srgb_table
+from fieldlum.core.arrays import Array, Floats
+from fieldlum.core.errors import InputError
+from fieldlum.optics.photometry import srgb_table
 
 # Luminous reflectance Y in percent, illuminant C, row by row from dark skin: McCamy, Marcus,
 # Davidson, "A color-rendition chart", J. Appl. Photogr. Eng. 2(3), 1976.

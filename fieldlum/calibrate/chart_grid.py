@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Array, Floats, Mask
 
 Quads = Floats  # [n, 4, 2] corners, clockwise as seen
 Places = NDArray[np.int64]  # [n, 2] column and row on a lattice

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
 from fieldlum.calibrate.frames import LinearFrame, Place, linear_frame, transmission
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, held_out_errors
 from fieldlum.calibrate.readings_csv import needed, read_table
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.profiles import CameraProfile
-from fieldlum.statistics import robust_sigma
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.statistics import robust_sigma
+from fieldlum.optics.profiles import CameraProfile
 
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.

@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Floats32, Mask
-from fieldlum.errors import InputError
-from fieldlum.linear_light import (
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.core.statistics import standard_error
+from fieldlum.optics.linear_light import (
     black_dn,
     check_frame,
     frame_z_per_cdm2,
@@ -19,12 +21,10 @@ from fieldlum.linear_light import (
     response_tables,
     vignetting_of,
 )
-from fieldlum.photometry import saturation_plateau, vignetting_at
-from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import angle_of_radius, relative_radius
-from fieldlum.raw import channel_positions, is_jpeg, read_jpeg, read_mosaic
-from fieldlum.records import Exposure
-from fieldlum.statistics import standard_error
+from fieldlum.optics.photometry import saturation_plateau, vignetting_at
+from fieldlum.optics.profiles import CameraProfile, Lens
+from fieldlum.optics.projection import angle_of_radius, relative_radius
+from fieldlum.optics.raw import channel_positions, is_jpeg, read_jpeg, read_mosaic
 
 FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
 _MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.

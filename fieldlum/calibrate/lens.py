@@ -8,12 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Array, Mask
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import needed, read_table
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.profiles import Lens
-from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays, signed_angle_deg
+from fieldlum.core.arrays import Array, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.optics.profiles import Lens
+from fieldlum.optics.projection import (
+    LensGeometry,
+    direction,
+    lens_pixels,
+    lens_rays,
+    signed_angle_deg,
+)
 
 # least number of targets for the parameters of a lens with one free term, and its pose; chosen
 LEAST = 8

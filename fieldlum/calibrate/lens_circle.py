@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array
-from fieldlum.errors import InputError
-from fieldlum.profiles import Lens
-from fieldlum.projection import radius_of_angle
-from fieldlum.raw import read_mosaic
-from fieldlum.statistics import robust_sigma
+from fieldlum.core.arrays import Array
+from fieldlum.core.errors import InputError
+from fieldlum.core.statistics import robust_sigma
+from fieldlum.optics.profiles import Lens
+from fieldlum.optics.projection import radius_of_angle
+from fieldlum.optics.raw import read_mosaic
 
 EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 # Share of the rays inside the picture whose edge is on the circle; how near, of the radius and in

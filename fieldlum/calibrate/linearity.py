@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.linear_light import black_dn, check_frame, full_dn, true_shutter_s
-from fieldlum.photometry import linearity_factor
-from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions, read_mosaic
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.optics.linear_light import black_dn, check_frame, full_dn, true_shutter_s
+from fieldlum.optics.photometry import linearity_factor
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.raw import channel_positions, read_mosaic
 
 BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)

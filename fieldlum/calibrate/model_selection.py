@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats, Mask
-from fieldlum.statistics import is_no_worse
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.statistics import is_no_worse
 
 Model = TypeVar("Model")
 Parameters = TypeVar("Parameters")

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array
 from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.lens_circle import grey_picture
-from fieldlum.images import read_panorama
-from fieldlum.photometry import linearity_factor, response_table, vignetting_at
-from fieldlum.photometry.stray_light import kernel_per_sr
-from fieldlum.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
-from fieldlum.projection import equirect_pixel
+from fieldlum.core.arrays import Array
+from fieldlum.core.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.photometry import linearity_factor, response_table, vignetting_at
+from fieldlum.optics.photometry.stray_light import kernel_per_sr
+from fieldlum.optics.projection import equirect_pixel
 from fieldlum.session import replacing_path
 
 if TYPE_CHECKING:

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Mask
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
-from fieldlum.profiles import CameraProfile
-from fieldlum.raw import Mosaic, channel_positions, is_jpeg, possible_frames, read_mosaic
-from fieldlum.records import counted
+from fieldlum.core.arrays import Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import counted
+from fieldlum.optics.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, possible_frames, read_mosaic
 
 # Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
 # real sensors.

@@ -8,10 +8,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError
-from fieldlum.profiles import CameraProfile, Provenance, save_profile
-from fieldlum.session import sha256
-from fieldlum.strict_csv import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.strict_csv import (
     CsvTable,
     Line,
     lines_of,
@@ -20,6 +18,8 @@ from fieldlum.strict_csv import (
     split_header,
     table_of,
 )
+from fieldlum.optics.profiles import CameraProfile, Provenance, save_profile
+from fieldlum.session import sha256
 from fieldlum.version import __version__
 
 CsvRow = dict[str, Any]

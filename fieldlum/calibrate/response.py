@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats, Indices, Mask
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.steps import Steps, labelled_steps, steps_by_overlap
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.linear_light import check_frame, true_shutter_s
-from fieldlum.photometry import (
+from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.linear_light import check_frame, true_shutter_s
+from fieldlum.optics.photometry import (
     AUTO,
     EXACT,
     LAWS,
@@ -24,9 +25,8 @@ from fieldlum.photometry import (
     law_of_labels,
     response_table,
 )
-from fieldlum.profiles import CameraProfile, Response
-from fieldlum.raw import is_jpeg, read_jpeg
-from fieldlum.records import Exposure
+from fieldlum.optics.profiles import CameraProfile, Response
+from fieldlum.optics.raw import is_jpeg, read_jpeg
 
 PLACES = 500  # places used from a bracket; more did not change the table; chosen
 BLOCKS = 60_000  # blocks in which places are searched; limits memory; chosen

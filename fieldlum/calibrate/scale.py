@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.readings_csv import needed, read_table
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import calibration_mark
-from fieldlum.photometry import illuminance_lx
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import direction, equirect_rays
-from fieldlum.records import Flag, Panorama
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Flag, Panorama
+from fieldlum.optics.images import calibration_mark
+from fieldlum.optics.photometry import illuminance_lx
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import direction, equirect_rays
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of spot meters

@@ -17,17 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats
 from fieldlum.calibrate.model_selection import Candidate, choose, folds
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.linear_light import SAME_TIME, true_shutter_s
-from fieldlum.photometry import AUTO
-from fieldlum.profiles import CameraProfile, ShutterTime
-from fieldlum.records import counted, shutter_text
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import counted, shutter_text
+from fieldlum.core.statistics import median_standard_error, robust_sigma
+from fieldlum.optics.linear_light import SAME_TIME, true_shutter_s
+from fieldlum.optics.photometry import AUTO
+from fieldlum.optics.profiles import CameraProfile, ShutterTime
 from fieldlum.session import Session
 from fieldlum.session.files.merge_report import FrameQuality, NeighbourQuality
 from fieldlum.session.files.sidecar import Sidecar
-from fieldlum.statistics import median_standard_error, robust_sigma
 
 LEAST = 5  # least number of brackets with a pair of times; chosen so that a median is robust
 # largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;

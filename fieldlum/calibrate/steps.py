@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats, Indices
-from fieldlum.photometry import fit_response
-from fieldlum.statistics import robust_sigma
+from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.statistics import robust_sigma
+from fieldlum.optics.photometry import fit_response
 
 _FEWEST = 20  # places for which a step counts as measured; chosen
 _MEDIAN = 1.2533  # standard error of a median over that of a mean, sqrt(pi / 2), normal errors

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Mask
 from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import needed, read_table
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import calibration_mark
-from fieldlum.photometry.stray_light import kernel_per_sr
-from fieldlum.profiles import CameraProfile, StrayLight
-from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.records import Flag, Panorama
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Flag, Panorama
+from fieldlum.optics.images import calibration_mark
+from fieldlum.optics.photometry.stray_light import kernel_per_sr
+from fieldlum.optics.profiles import CameraProfile, StrayLight
+from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 # Angles of the tried kernels, in degrees; octaves, because haze falls roughly with a power. Chosen;

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Array, Mask
 from fieldlum.calibrate.frames import Place, linear_frame, nearest_lens, relative_angle
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import check_vignetting, vignetting_at
-from fieldlum.profiles import CameraProfile, Lens, Vignetting
-from fieldlum.projection import angle_of_radius, relative_radius
-from fieldlum.statistics import robust_sigma
+from fieldlum.core.arrays import Array, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.statistics import robust_sigma
+from fieldlum.optics.photometry import check_vignetting, vignetting_at
+from fieldlum.optics.profiles import CameraProfile, Lens, Vignetting
+from fieldlum.optics.projection import angle_of_radius, relative_radius
 
 # of the even polynomials that are tried; chosen, held-out readings select one
 ORDERS = (0, 2, 4, 6, 8)

@@ -12,8 +12,8 @@ from datetime import date, datetime, timedelta
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from fieldlum.notify import Message
-from fieldlum.records import parse_utc
+from fieldlum.capture.notify import Message
+from fieldlum.core.records import parse_utc
 from fieldlum.session.tables import EventFields
 
 # Not measured. Chosen so that a message means that somebody should act, and that faults which the

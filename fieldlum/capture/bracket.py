@@ -20,9 +20,9 @@ from fieldlum.capture.reconnect import (
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter, ReportingCamera
-from fieldlum.errors import DeviceError
-from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.inside import link_on_the_way

@@ -10,11 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.capture.match_card import CardFrame
-from fieldlum.errors import InputError
-from fieldlum.profiles import CameraBody, load_camera_profile
-from fieldlum.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
-from fieldlum.raw.exif import tags_of
-from fieldlum.records import Exposure, Progress, SiteFile, counted, quiet
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, Progress, SiteFile, counted, quiet
+from fieldlum.optics.profiles import CameraBody, load_camera_profile
+from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
+from fieldlum.optics.raw.exif import tags_of
 from fieldlum.session import sha256
 
 _OTHER_PICTURES = (

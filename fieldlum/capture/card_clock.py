@@ -24,8 +24,8 @@ from fieldlum.capture.match_card import (
     refine_offset,
     split_at_gaps,
 )
-from fieldlum.errors import InputError
-from fieldlum.records import SiteFile, Slot
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import SiteFile, Slot
 
 # Not measured. Chosen because the brackets of a day follow each other within hours, and clocks are
 # usually set between two days.

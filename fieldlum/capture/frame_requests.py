@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fieldlum.records import CameraSetup, Exposure, Slot
+from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.session.files.capture_json import CaptureFile, interval_of
 from fieldlum.session.ledger import SlotState
 from fieldlum.session.tables import DeviceTable

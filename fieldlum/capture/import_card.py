@@ -38,10 +38,18 @@ from fieldlum.capture.match_card import (
     true_time,
 )
 from fieldlum.capture.reassign_slots import withdraw
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import same_exposure
-from fieldlum.profiles import load_camera_profile
-from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import (
+    CameraSetup,
+    Exposure,
+    Progress,
+    Slot,
+    quiet,
+    shutter_text,
+    utc_text,
+)
+from fieldlum.optics.photometry import same_exposure
+from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.session import (
     Journal,
     Session,

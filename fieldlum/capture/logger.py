@@ -10,9 +10,9 @@ from dataclasses import replace
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
 from fieldlum.devices.clock import Clock
-from fieldlum.records import IrradianceSample
 from fieldlum.session import Session, sole_user, update_session
 
 _BAD_IN_A_ROW = 3  # failed readings before the port is opened again; not measured

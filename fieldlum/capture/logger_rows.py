@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import IrradianceSample, utc_text
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
-from fieldlum.errors import InputError
-from fieldlum.records import IrradianceSample, utc_text
 from fieldlum.session import (
     DAY_COLUMNS,
     DayFiles,

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.photometry import same_exposure
-from fieldlum.records import Exposure, Slot
+from fieldlum.core.records import Exposure, Slot
+from fieldlum.optics.photometry import same_exposure
 
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour; chosen
 # Not measured, unless a source is stated. Each limit is chosen between the two cases that it must

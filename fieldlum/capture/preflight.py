@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 
 from fieldlum.capture.utc_clock import synchronised
+from fieldlum.core.errors import DeviceError, NotEnoughDataError
+from fieldlum.core.records import Slot
 from fieldlum.devices import Camera, not_offered
 from fieldlum.devices.clock import Clock
-from fieldlum.errors import DeviceError, NotEnoughDataError
-from fieldlum.records import Slot
 from fieldlum.session import Session
 from fieldlum.session.ledger import Ledger, SlotState
 

@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import Any, Generic, Protocol, TypeVar
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import Clock
-from fieldlum.errors import DeviceError
 from fieldlum.session.tables import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.

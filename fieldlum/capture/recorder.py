@@ -17,8 +17,8 @@ from pathlib import Path
 from shutil import disk_usage
 from typing import Unpack
 
-from fieldlum.errors import InputError
-from fieldlum.records import IrradianceSample
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 from fieldlum.session.inside import open_inside
 from fieldlum.session.tables import EventFields

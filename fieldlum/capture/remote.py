@@ -11,7 +11,7 @@ from threading import Lock
 
 from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.live import Live
-from fieldlum.notify import Heartbeat, Message, Outbox, Post
+from fieldlum.capture.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.session import Session
 from fieldlum.session.inside import link_on_the_way
 from fieldlum.session.ledger import SETTLED

@@ -24,6 +24,8 @@ from fieldlum.capture.preflight import (
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.recorder import Listen, Recorder, unheard
 from fieldlum.capture.utc_clock import SteadyClock, synchronised
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import (
     Camera,
     IlluminanceMeter,
@@ -33,8 +35,6 @@ from fieldlum.devices import (
     open_pyranometer,
 )
 from fieldlum.devices.clock import Clock
-from fieldlum.errors import InputError
-from fieldlum.records import Slot, parse_utc
 from fieldlum.session import (
     Session,
     disk_is_full,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fieldlum.errors import InputError
-from fieldlum.records import JsonTable, Slot, utc_text
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.errors import InputError
-from fieldlum.photometry import SAME_SETTING_EV
-from fieldlum.raw import FrameInfo, is_jpeg, read_exif, read_jpeg, read_mosaic
-from fieldlum.records import Exposure
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import SAME_SETTING_EV
+from fieldlum.optics.raw import FrameInfo, is_jpeg, read_exif, read_jpeg, read_mosaic
 
 ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
 

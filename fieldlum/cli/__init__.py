@@ -17,7 +17,7 @@ import click
 
 from fieldlum.cli.options import LazyGroup
 from fieldlum.cli.terminal import say
-from fieldlum.errors import ChangedFileWarning, FieldlumError, InputError, install_text
+from fieldlum.core.errors import ChangedFileWarning, FieldlumError, InputError, install_text
 from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.

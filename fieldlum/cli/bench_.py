@@ -22,7 +22,7 @@ from fieldlum.cli.options import (
     sky_view_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
-from fieldlum.model_registry import MODELS
+from fieldlum.learn.model_registry import MODELS
 
 if TYPE_CHECKING:
     from fieldlum.bench.pieces import BenchData
@@ -142,7 +142,7 @@ def _needed_s(
 ) -> float:
     """Return how long the benchmark may take on one core [s]."""
     from fieldlum.bench import pieces, year
-    from fieldlum.train.folds import day_folds
+    from fieldlum.learn.train.folds import day_folds
 
     data = loaded.data
     specs = [spec for spec in map(loaded.spec, models) if spec.folder is None]

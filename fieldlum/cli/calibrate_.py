@@ -68,7 +68,7 @@ def _run(
     """Fit one part, draw it, print what it found, and write the profile."""
     from fieldlum.calibrate import pictures, save_calibration
     from fieldlum.cli import calibrate_fits, calibrate_lens
-    from fieldlum.profiles import load_camera_profile
+    from fieldlum.optics.profiles import load_camera_profile
 
     profile = load_camera_profile(camera)
     own |= {"camera": camera} if name == "shutter" else {}

@@ -24,9 +24,9 @@ from fieldlum.calibrate import (
     vignette,
 )
 from fieldlum.cli.calibrate_lens import FittedPart, Paths, lens_index, say_time, with_lens
-from fieldlum.photometry import illuminance_verdict
-from fieldlum.profiles import CameraProfile, find_camera_profile
-from fieldlum.records import JsonTable
+from fieldlum.core.records import JsonTable
+from fieldlum.optics.photometry import illuminance_verdict
+from fieldlum.optics.profiles import CameraProfile, find_camera_profile
 from fieldlum.session import open_session, sha256
 
 # ----------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from fieldlum.calibrate import boards, lens_circle, pictures
 from fieldlum.calibrate import lens as lenses
 from fieldlum.cli import terminal
 from fieldlum.cli.estimates import estimate_text, frames_s
-from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.records import JsonTable
+from fieldlum.core.records import JsonTable
+from fieldlum.optics.profiles import CameraProfile, Lens
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,10 +17,10 @@ from fieldlum.cli.options import (
     scheduler_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fieldlum.campaign.stages import Stage
+    from fieldlum.report.campaign.stages import Stage
 
 campaign_argument = click.argument("campaign_file", metavar="CAMPAIGN.toml", type=PATH)
 
@@ -43,7 +43,7 @@ def command() -> None:
 
 def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json: bool) -> None:
     """Run a stage and print one line for each room; exit with 3 if any room failed."""
-    from fieldlum.campaign import read_campaign, run_stage
+    from fieldlum.report.campaign import read_campaign, run_stage
 
     campaign = read_campaign(campaign_file)
     where = scheduler_of(scheduler)
@@ -115,9 +115,9 @@ def report_command(
     Example:
       fieldlum campaign report rooms/CAMPAIGN.toml --table hours.csv
     """
-    from fieldlum.campaign import read_campaign
-    from fieldlum.campaign.overview import write_hours, write_overview
-    from fieldlum.records import counted
+    from fieldlum.core.records import counted
+    from fieldlum.report.campaign import read_campaign
+    from fieldlum.report.campaign.overview import write_hours, write_overview
 
     if table is not None and table.suffix.lower() != ".csv":
         raise click.UsageError(f"--table {table}: suffix '{table.suffix}'; name a .csv file")

@@ -12,10 +12,10 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import PATH, device_options, device_uris, session_argument
-from fieldlum.errors import DeviceError
+from fieldlum.core.errors import DeviceError
 
 if TYPE_CHECKING:
-    from fieldlum.notify import Post
+    from fieldlum.capture.notify import Post
 
 
 @click.command("capture")
@@ -102,13 +102,13 @@ def command(
     """
     from fieldlum import capture
     from fieldlum.capture.live import Live
+    from fieldlum.capture.notify import read_address
     from fieldlum.capture.preflight import wait_for_clock
     from fieldlum.capture.remote import informed
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
-    from fieldlum.notify import read_address
-    from fieldlum.raw import unreadable
-    from fieldlum.records import counted
+    from fieldlum.core.records import counted
+    from fieldlum.optics.raw import unreadable
     from fieldlum.session import open_session, sha256
 
     session = open_session(session_folder)
@@ -181,7 +181,7 @@ def command(
 
 def _post(option: str) -> Post | None:
     """Return the function that sends a message to the targets of --notify; None without targets."""
-    from fieldlum.notify.targets import VARIABLE, apprise_post, read_targets
+    from fieldlum.capture.notify.targets import VARIABLE, apprise_post, read_targets
 
     targets, note = read_targets(option, os.environ.get(VARIABLE, ""))
     if note:

@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli.options import PATH
 from fieldlum.cli.terminal import progress, say
-from fieldlum.records import Progress
+from fieldlum.core.records import Progress
 
 
 @contextmanager

@@ -37,7 +37,7 @@ def command(
     Example:
       fieldlum doctor office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
-    from fieldlum import doctor
+    from fieldlum.capture import doctor
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
@@ -62,7 +62,7 @@ def _drawing(session: Session) -> Path | None:
 
     None for a session without a box room.
     """
-    from fieldlum.scene.drawing import room_svg
+    from fieldlum.room.scene.drawing import room_svg
     from fieldlum.session import replacing
 
     drawing = room_svg(session.site_file())

@@ -13,7 +13,7 @@ from fieldlum.cli.options import FILE_PATH, PATH, json_lines_option, part_option
 from fieldlum.cli.terminal import emit_json, say, write_csv
 
 if TYPE_CHECKING:
-    from fieldlum.glare.answers import GlareAnswer
+    from fieldlum.year.glare.answers import GlareAnswer
 
 # Columns of --csv, which are a contract: new ones are only added at the end.
 CSV_COLUMNS = (
@@ -107,8 +107,8 @@ def command(
     """
     if not all(math.isfinite(azimuth) for azimuth in azimuths):
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
-    from fieldlum.errors import InputError
-    from fieldlum.glare.single import picture_glare
+    from fieldlum.core.errors import InputError
+    from fieldlum.year.glare.single import picture_glare
 
     rows: list[dict[str, Any]] = []
     bad = 0

@@ -132,7 +132,7 @@ def command(
             "--irradiance"
         )
     from fieldlum.capture import import_card
-    from fieldlum.records import counted
+    from fieldlum.core.records import counted
     from fieldlum.session import open_session
 
     session = open_session(session_folder)

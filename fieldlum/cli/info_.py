@@ -9,7 +9,7 @@ import click
 
 from fieldlum.cli.options import PATH, json_lines_option, part_option
 from fieldlum.cli.terminal import emit_json, say
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 
 Facts = dict[str, object]  # facts about a file by name, as --json prints them
 _LINE = 200  # characters of a value without --json; chosen
@@ -50,7 +50,7 @@ def command(files: tuple[Path, ...], part: str, as_json: bool) -> None:
 
 def _shipped_profile(path: Path) -> Path:
     """Return the path of a shipped camera profile for its name, else the path unchanged."""
-    from fieldlum.profiles import camera_names, find_camera_profile
+    from fieldlum.optics.profiles import camera_names, find_camera_profile
 
     if not path.exists() and path.name == str(path) and path.name in camera_names():
         return find_camera_profile(path.name)
@@ -95,8 +95,8 @@ def _exr(path: Path, part: str) -> Facts:
     """Return facts about a panorama, or about a picture with the view that `glare` uses."""
     import numpy as np
 
-    from fieldlum.images import read_exr
-    from fieldlum.records import utc_text
+    from fieldlum.core.records import utc_text
+    from fieldlum.optics.images import read_exr
     from fieldlum.session.panorama_sun import read_panorama_with_sun
 
     picture, view = read_exr(path, part)
@@ -126,7 +126,7 @@ def _exr(path: Path, part: str) -> Facts:
 def _radiance(path: Path) -> Facts:
     import numpy as np
 
-    from fieldlum.images import read_radiance_hdr
+    from fieldlum.optics.images import read_radiance_hdr
 
     image = read_radiance_hdr(path)
     height, width = image.rgb.shape[:2]
@@ -141,9 +141,9 @@ def _radiance(path: Path) -> Facts:
 
 
 def _toml(path: Path) -> Facts:
-    from fieldlum.profiles import CameraProfile as Profile
-    from fieldlum.site_toml import site_from_table
-    from fieldlum.strict_toml import build, read_toml
+    from fieldlum.core.strict_toml import build, read_toml
+    from fieldlum.optics.profiles import CameraProfile as Profile
+    from fieldlum.session.site_toml import site_from_table
 
     table = read_toml(path)
     if "site" in table:
@@ -228,7 +228,7 @@ def _csv(path: Path) -> Facts:
 
 
 def _jpeg(path: Path) -> Facts:
-    from fieldlum.raw import read_jpeg
+    from fieldlum.optics.raw import read_jpeg
     from fieldlum.session import exposure_text
 
     frame = read_jpeg(path)
@@ -241,7 +241,7 @@ def _jpeg(path: Path) -> Facts:
 
 
 def _raw(path: Path) -> Facts:
-    from fieldlum.raw import read_mosaic
+    from fieldlum.optics.raw import read_mosaic
     from fieldlum.session import exposure_text
 
     mosaic = read_mosaic(path)

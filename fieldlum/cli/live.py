@@ -13,7 +13,7 @@ from zoneinfo import ZoneInfo
 
 from fieldlum.capture.live import Live, Watch
 from fieldlum.cli import terminal
-from fieldlum.records import JsonTable, Site, parse_utc, utc_text
+from fieldlum.core.records import JsonTable, Site, parse_utc, utc_text
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
-from fieldlum.records import counted
+from fieldlum.core.records import counted
 
 
 @click.command("log")

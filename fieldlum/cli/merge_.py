@@ -20,12 +20,12 @@ from fieldlum.cli.options import (
     scheduler_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
+    from fieldlum.core.scheduler import Scheduler
     from fieldlum.merge import MergeOptions
     from fieldlum.merge.stage import Verdict
-    from fieldlum.scheduler import Scheduler
     from fieldlum.session import Session
 
 
@@ -182,7 +182,7 @@ def _merge_files(
     as_json: bool,
 ) -> None:
     from fieldlum.merge import files_to_picture
-    from fieldlum.profiles import load_camera_profile
+    from fieldlum.optics.profiles import load_camera_profile
 
     with progress("Merge") as bar:
         result, facts = files_to_picture(

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import click
 
 from fieldlum.cli.options import PATH
-from fieldlum.errors import InputError
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 
 T = TypeVar("T")
 # Smallest width and height of a window; chosen. The left edge and the sill stay twice this length
@@ -46,14 +46,14 @@ def command(site_file: Path, start: str | None, photo: Path | None) -> None:
       fieldlum new my-z1.toml --camera ricoh-theta-z1-uncalibrated --photo R0010001.DNG
     """
     from fieldlum.cli.site_text import site_text
-    from fieldlum.profiles import (
+    from fieldlum.optics.profiles import (
         assumed_texts,
         coverage_text,
         load_camera_profile,
         uncalibrated_text,
     )
-    from fieldlum.scene.drawing import room_svg
-    from fieldlum.site_toml import load_site
+    from fieldlum.room.scene.drawing import room_svg
+    from fieldlum.session.site_toml import load_site
 
     if site_file.exists():
         raise InputError(site_file, "the file exists already", "a new file", "choose another name")
@@ -93,8 +93,8 @@ def command(site_file: Path, start: str | None, photo: Path | None) -> None:
 
 
 def _site() -> Site:
-    from fieldlum.site_toml import wrong_sign_text
-    from fieldlum.sun import zone_off_sun_h
+    from fieldlum.session.site_toml import wrong_sign_text
+    from fieldlum.sky.sun import zone_off_sun_h
 
     name = _ask("Name of the site", _name)
     latitude = _ask("Latitude in degrees (like 47.61, 47.61 N)", _angle(90.0, "NS"))
@@ -120,7 +120,7 @@ def _site() -> Site:
 
 def _own_profiles(folder: Path) -> list[str]:
     """Return the paths of the camera profiles in a folder."""
-    from fieldlum.profiles import load_camera_profile
+    from fieldlum.optics.profiles import load_camera_profile
 
     own = []
     for path in sorted(folder.glob("*.toml")):
@@ -134,7 +134,7 @@ def _own_profiles(folder: Path) -> list[str]:
 
 def _camera(folder: Path) -> CameraSetup:
     """Ask for the camera; folder: where own profiles are listed from."""
-    from fieldlum.profiles import camera_names, find_camera_profile, load_camera_profile
+    from fieldlum.optics.profiles import camera_names, find_camera_profile, load_camera_profile
 
     names = [*_own_profiles(folder), *camera_names()]
     click.echo("Cameras with a profile:")
@@ -181,7 +181,7 @@ def _camera(folder: Path) -> CameraSetup:
 
 def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
     """Ask about the room until a room is possible; return the site with it."""
-    from fieldlum.scene.geometry import build
+    from fieldlum.room.scene.geometry import build
 
     while True:
         setup = SiteFile(site, camera, _room(camera))
@@ -219,7 +219,7 @@ def _room(camera: CameraSetup) -> Room:
 
 def _window(number: int, width: float, depth: float, height: float, azimuth: float) -> Window:
     """Ask for a window; azimuth: that the main wall faces, by which walls get compass names."""
-    from fieldlum.scene.drawing import compass_walls
+    from fieldlum.room.scene.drawing import compass_walls
 
     walls = compass_walls(azimuth)
 
@@ -363,7 +363,7 @@ def _known_zone(text: str) -> str:
 
 def _own_zone(longitude_deg: float) -> str | None:
     """Return this computer's time zone if it is plausible for the longitude, else None."""
-    from fieldlum.sun import zone_off_sun_h
+    from fieldlum.sky.sun import zone_off_sun_h
 
     try:
         name = str(Path("/etc/localtime").resolve()).partition("zoneinfo/")[2]

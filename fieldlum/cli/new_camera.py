@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from fieldlum.profiles import CameraProfile
-    from fieldlum.raw import FrameInfo, Mosaic
+    from fieldlum.optics.profiles import CameraProfile
+    from fieldlum.optics.raw import FrameInfo, Mosaic
 
 # Relative standard uncertainties of a profile that nobody calibrated; chosen, as in the shipped
 # uncalibrated profiles.
@@ -19,7 +19,7 @@ _GUESS_U_VIGNETTING, _GUESS_U_COLOUR, _GUESS_U_SCALE = 0.15, 0.2, 0.5
 
 def write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     """Write an own profile that starts from another one, with size and camera of a photo."""
-    from fieldlum.profiles import load_camera_profile, save_profile, uncalibrated_text
+    from fieldlum.optics.profiles import load_camera_profile, save_profile, uncalibrated_text
 
     profile = started_profile(load_camera_profile(start), start)
     if photo is not None:
@@ -36,7 +36,7 @@ def write_own_camera(path: Path, start: str, photo: Path | None) -> None:
 
 def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
     """Return a profile with size, camera and aperture of a frame; print its levels if it is raw."""
-    from fieldlum.raw import is_jpeg, jpeg_size, read_exif, read_mosaic
+    from fieldlum.optics.raw import is_jpeg, jpeg_size, read_exif, read_mosaic
 
     fixed = profile.camera.fixed_f_number
     info = read_exif(photo, lens_f_number=fixed)
@@ -53,7 +53,7 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
 
     Uncertainties become those of a guess: a value that another camera calibrated is not measured.
     """
-    from fieldlum.profiles import Provenance
+    from fieldlum.optics.profiles import Provenance
 
     vague = [
         replace(
@@ -84,7 +84,7 @@ def with_frame(
     size_px : width and height of the frame; image circles are scaled with the height. info : of
     its EXIF. mosaic : of a raw frame, for its colours and white level; None for a JPEG.
     """
-    from fieldlum.profiles import Sensor
+    from fieldlum.optics.profiles import Sensor
 
     (width, height), exposure = size_px, info.exposure
     body = replace(

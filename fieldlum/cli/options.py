@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from fieldlum.scheduler import Scheduler
+    from fieldlum.core.scheduler import Scheduler
     from fieldlum.session import Session
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -115,8 +115,8 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
 def _permit_device(uri: str) -> None:
     """Permit a URI that the user named, for later commands that take it from the session."""
     from fieldlum.cli.terminal import say
+    from fieldlum.core.errors import DeviceError
     from fieldlum.devices.stored import names_more
-    from fieldlum.errors import DeviceError
     from fieldlum.session.permits import permit
 
     try:
@@ -206,7 +206,7 @@ scheduler_option = click.option(
 def scheduler_of(text: str) -> Scheduler:
     """Return the scheduler for the text of --scheduler. Raises InputError for an unknown text."""
     from fieldlum.cli.terminal import say
-    from fieldlum.scheduler import parse_scheduler
+    from fieldlum.core.scheduler import parse_scheduler
 
     return parse_scheduler(text, say)
 

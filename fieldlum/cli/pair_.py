@@ -32,9 +32,10 @@ def command(session_folder: Path, scheduler_text: str, pairs_to: str, force: boo
     Example:
       fieldlum pair office-2027
     """
-    from fieldlum import irradiance, pair
-    from fieldlum.irradiance.day_curves import draw_days
-    from fieldlum.records import counted
+    from fieldlum import pair
+    from fieldlum.core.records import counted
+    from fieldlum.pair import irradiance
+    from fieldlum.pair.irradiance.day_curves import draw_days
     from fieldlum.session import open_session
     from fieldlum.session.bucket import BucketStore, check_url
 
@@ -69,8 +70,8 @@ def command(session_folder: Path, scheduler_text: str, pairs_to: str, force: boo
 
 def _upload(session: Session, url: str) -> None:
     """Write the training data of the session to a bucket."""
-    from fieldlum.models.data import load_pairs
-    from fieldlum.models.pairs_bucket import store_of, write_pairs
+    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.learn.models.pairs_bucket import store_of, write_pairs
 
     with terminal.progress("reading pictures") as progress:
         data = load_pairs(session, progress=progress)

@@ -22,7 +22,7 @@ def command(paths: tuple[Path, ...]) -> None:
     Example:
       fieldlum permit office.rad
     """
-    from fieldlum.scene.room_commands import commands, what_runs
+    from fieldlum.room.scene.room_commands import commands, what_runs
     from fieldlum.session.inside import link_subject
     from fieldlum.session.permits import permit
 

@@ -20,7 +20,7 @@ from fieldlum.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from fieldlum.records import Site, SiteFile
+    from fieldlum.core.records import Site, SiteFile
     from fieldlum.weather import Weather
 
 WeatherFile = tuple[Path | None, float]
@@ -151,7 +151,7 @@ def _planned(
     target: Path, asked: tuple, sky: WeatherFile, out: Path, ics: bool, html: bool
 ) -> tuple[dict, list[str]]:
     from fieldlum import plan
-    from fieldlum.site_toml import load_site
+    from fieldlum.session.site_toml import load_site
 
     setup = load_site(target)
     set_, start, year, days, count = asked
@@ -175,7 +175,7 @@ def _planned(
 
 def _permit_room(setup: SiteFile) -> None:
     """Permit the room file of a SITE.toml that the user named, with a note of what it could run."""
-    from fieldlum.scene.room_commands import described, what_runs
+    from fieldlum.room.scene.room_commands import described, what_runs
     from fieldlum.session.permits import permit
 
     if setup.room is None or setup.room.kind == "box":

@@ -90,9 +90,9 @@ def command(
     Example:
       fieldlum predict office-2027/models/auto --weather seattle.epw --views 10
     """
-    from fieldlum.models import read_config
-    from fieldlum.predict import run
-    from fieldlum.projection import compass_name
+    from fieldlum.learn.models import read_config
+    from fieldlum.optics.projection import compass_name
+    from fieldlum.year.predict import run
 
     scheduler = scheduler_of(scheduler_text)
     config = read_config(model_folder)

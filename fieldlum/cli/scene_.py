@@ -10,10 +10,10 @@ import click
 from fieldlum.cli.options import PATH, json_option, pairs_argument, site_option
 from fieldlum.cli.scene_click import command as click_command
 from fieldlum.cli.terminal import emit_json, progress, say
-from fieldlum.records import JsonTable
+from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
-    from fieldlum.scene_fit.scene_file import Scene
+    from fieldlum.room.fit.scene_file import Scene
 
 
 @click.group("scene")
@@ -48,8 +48,8 @@ def fit(
       fieldlum scene fit office-2027
       fieldlum scene fit renderings/pairs.csv --site office.toml --out office-scene
     """
-    from fieldlum.models.data import load_pairs
-    from fieldlum.scene_fit.stage import run
+    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.room.fit.stage import run
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "scene"
     with progress("reading pictures") as show:

@@ -76,8 +76,8 @@ def command(
         with terminal.unattended():
             served.run()
         return
-    from fieldlum.scene.clicked import room_from_clicks
-    from fieldlum.scene.clicks import read_clicks
+    from fieldlum.room.scene.clicked import room_from_clicks
+    from fieldlum.room.scene.clicks import read_clicks
 
     clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
     table = click_room.clicked_table(clicked)

@@ -25,7 +25,7 @@ from fieldlum.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from fieldlum.records import Progress, SiteFile
+    from fieldlum.core.records import Progress, SiteFile
     from fieldlum.session import Session
     from fieldlum.weather import Weather
 
@@ -118,10 +118,10 @@ def command(
     """
     height = panorama_height(size)
     import_module("pyradiance")  # so that a missing package is reported before any file is written
-    from fieldlum import simulate
+    from fieldlum.room import simulate
+    from fieldlum.room.simulate.truth import box_room
     from fieldlum.session import open_session
-    from fieldlum.simulate.truth import box_room
-    from fieldlum.site_toml import load_site
+    from fieldlum.session.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:
@@ -182,7 +182,8 @@ def _planned(
     out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress
 ) -> Session:
     """Write a new session of planned slots, or of a `year_sample` of weather hours."""
-    from fieldlum import plan, simulate
+    from fieldlum import plan
+    from fieldlum.room import simulate
 
     set_, start, year, count, year_sample, seed = asked
     if year_sample is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from fieldlum.records import Room, SiteFile, Window
-from fieldlum.scene.drawing import compass_walls
+from fieldlum.core.records import Room, SiteFile, Window
+from fieldlum.room.scene.drawing import compass_walls
 
 
 def site_text(setup: SiteFile) -> str:

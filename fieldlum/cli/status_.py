@@ -11,7 +11,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import json_option, session_argument
 
 if TYPE_CHECKING:
-    from fieldlum.records import JsonTable
+    from fieldlum.core.records import JsonTable
 
 
 @click.command("status")
@@ -47,7 +47,7 @@ def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -
 
 
 def _lines(s: JsonTable) -> list[str]:
-    from fieldlum.records import counted
+    from fieldlum.core.records import counted
     from fieldlum.session.journal import damage_text
 
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]

@@ -16,8 +16,8 @@ from typing import Any
 import click
 
 from fieldlum.cli.estimates import duration_text
-from fieldlum.errors import InputError, install_text
-from fieldlum.records import Progress
+from fieldlum.core.errors import InputError, install_text
+from fieldlum.core.records import Progress
 
 LINE_EVERY_S = 60.0  # seconds between lines of progress in a log; chosen
 

@@ -20,7 +20,7 @@ from fieldlum.cli.options import (
     sky_view_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
-from fieldlum.model_registry import MODELS
+from fieldlum.learn.model_registry import MODELS
 
 if TYPE_CHECKING:
     from fieldlum.session.files.scores_json import TrainAnswer
@@ -78,11 +78,11 @@ def command(
       fieldlum train my-session --budget 10
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
     """
-    from fieldlum.models.data import load_pairs
-    from fieldlum.models.estimated_view import with_sky_view
-    from fieldlum.models.pairs_bucket import read_pairs
-    from fieldlum.scene_fit.stated_box import training_captures
-    from fieldlum.train import default_folder, run
+    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.learn.models.estimated_view import with_sky_view
+    from fieldlum.learn.models.pairs_bucket import read_pairs
+    from fieldlum.learn.train import default_folder, run
+    from fieldlum.room.fit.stated_box import training_captures
 
     started = time.monotonic()
     if isinstance(pairs, str):

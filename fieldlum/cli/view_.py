@@ -56,9 +56,9 @@ def command(
     Example:
       fieldlum view office.hdr --out office.html --region cone:180,-30,15 --csv regions.csv
     """
-    from fieldlum.errors import InputError
-    from fieldlum.view.measured_picture import MeasuredPicture, read_measured_picture
-    from fieldlum.view.regions import COLUMNS, parse_region, region_statistics
+    from fieldlum.core.errors import InputError
+    from fieldlum.report.view.measured_picture import MeasuredPicture, read_measured_picture
+    from fieldlum.report.view.regions import COLUMNS, parse_region, region_statistics
 
     files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
@@ -76,11 +76,11 @@ def command(
             say(f"fieldlum view: {error}")
     rows = [region_statistics(region, picture) for picture in pictures for region in regions]
     if pictures and out.suffix.lower() == ".png":
-        from fieldlum.view.false_colour import write_png
+        from fieldlum.report.view.false_colour import write_png
 
         write_png(out, pictures, regions, isolines)
     elif pictures:
-        from fieldlum.view.page import write_page
+        from fieldlum.report.view.page import write_page
 
         write_page(out, pictures, rows)
     for picture in pictures:
@@ -97,7 +97,7 @@ def command(
 
 def _latest_panorama(path: Path) -> Path:
     """Return the latest panorama of a session, or the path itself if it is no folder."""
-    from fieldlum.errors import NotEnoughDataError
+    from fieldlum.core.errors import NotEnoughDataError
     from fieldlum.session import open_session
 
     if not path.is_dir():

@@ -9,7 +9,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 
 DEFAULT_PORT = 8765  # chosen, because other programs rarely use it; scene click has the next number
 

@@ -22,10 +22,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure, IrradianceSample
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, parse_uri
-from fieldlum.errors import DeviceError
-from fieldlum.records import Exposure, IrradianceSample
 from fieldlum.session import Session
 
 FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no checksum

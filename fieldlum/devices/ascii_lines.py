@@ -18,12 +18,12 @@ from operator import xor
 from pathlib import Path
 from typing import Literal
 
+from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.records import IrradianceSample
+from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
 from fieldlum.devices.serial_port import SerialLine
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.profiles import shipped
-from fieldlum.records import IrradianceSample
-from fieldlum.strict_toml import build, read_toml
+from fieldlum.optics.profiles import shipped
 
 _NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
 _LONGEST = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.

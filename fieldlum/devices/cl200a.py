@@ -14,11 +14,11 @@ from functools import reduce
 from operator import xor
 from typing import Literal
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import IlluminanceReading, InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort
 from fieldlum.devices.uri import DeviceUri, one_of
-from fieldlum.errors import DeviceError
 
 # Commands and frame marks of CS-A32T.
 PC_MODE = b"00541   "

@@ -15,7 +15,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from fieldlum.errors import DeviceError
+from fieldlum.core.errors import DeviceError
 from fieldlum.session import disk_is_full
 
 Serve = Callable[[Connection], None]

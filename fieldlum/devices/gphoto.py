@@ -9,13 +9,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+from fieldlum.core.errors import DeviceError, install_text
+from fieldlum.core.records import Exposure
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.driver_process import Child, Serve
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
-from fieldlum.errors import DeviceError, install_text
-from fieldlum.records import Exposure
 from fieldlum.session import Session
 
 # Timeouts in seconds; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from fieldlum.devices.driver_process import failure
-from fieldlum.raw import RAW_SUFFIXES
+from fieldlum.optics.raw import RAW_SUFFIXES
 
 # Names of the three settings by brand; the first name that a camera has is used.
 WIDGETS = {

@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, timedelta
 from pathlib import Path
 
-from fieldlum.devices.ascii_lines import sample_of
-from fieldlum.devices.toa5 import LoggerColumns, check_count, is_toa5, parse_toa5, scaled
-from fieldlum.errors import InputError
-from fieldlum.records import IrradianceSample
-from fieldlum.session import DAY_COLUMNS, read_day
-from fieldlum.strict_csv import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import IrradianceSample
+from fieldlum.core.strict_csv import (
     COMMAS,
     Line,
     check_names,
@@ -25,6 +22,9 @@ from fieldlum.strict_csv import (
     split_row,
     stated_unit,
 )
+from fieldlum.devices.ascii_lines import sample_of
+from fieldlum.devices.toa5 import LoggerColumns, check_count, is_toa5, parse_toa5, scaled
+from fieldlum.session import DAY_COLUMNS, read_day
 
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 _UTC_TIMES = ("t_utc", "time_utc", "timestamp_utc", "datetime_utc", "utc", "time(utc)")

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.registers import (
@@ -21,8 +23,6 @@ from fieldlum.devices.registers import (
 )
 from fieldlum.devices.serial_port import SerialLine, SerialPort, device_errors
 from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
-from fieldlum.errors import DeviceError
-from fieldlum.records import IrradianceSample
 from fieldlum.session import Session
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.devices.serial_port import SerialLine
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.profiles import shipped
-from fieldlum.strict_toml import build, read_toml
+from fieldlum.optics.profiles import shipped
 
 Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
 WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}

@@ -10,13 +10,13 @@ import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
+from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.records import Exposure
 from fieldlum.devices import CameraInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.photometry import same_exposure
-from fieldlum.raw import FrameInfo, read_exif
-from fieldlum.records import Exposure
+from fieldlum.optics.photometry import same_exposure
+from fieldlum.optics.raw import FrameInfo, read_exif
 from fieldlum.session import Session
 
 _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", ".md"}

@@ -22,12 +22,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from fieldlum.core.errors import DeviceError, reason_of
+from fieldlum.core.records import Exposure, shutter_text
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, number
-from fieldlum.errors import DeviceError, reason_of
-from fieldlum.photometry import SAME_SETTING_EV
-from fieldlum.records import Exposure, shutter_text
+from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
 
 PROGRAM = "rpicam-still"

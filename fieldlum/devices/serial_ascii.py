@@ -5,10 +5,10 @@ PLACE is a device file or usb=VID:PID:SERIAL.
 
 from __future__ import annotations
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
-from fieldlum.errors import DeviceError
 from fieldlum.session import Session
 
 

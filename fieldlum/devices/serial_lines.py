@@ -6,13 +6,13 @@ import time
 from collections.abc import Mapping, Sequence
 from statistics import median
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import FORM_ALONE, InstrumentInfo
 from fieldlum.devices.ascii_lines import AsciiProfile, body_of, parse_line, sample_of
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.learned_format import LineForm
 from fieldlum.devices.serial_port import SerialPort
-from fieldlum.errors import DeviceError
-from fieldlum.records import IrradianceSample
 
 _POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; chosen
 # this many bytes without an end mark mean a wrong baud rate; chosen, not measured

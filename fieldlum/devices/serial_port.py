@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from fieldlum.errors import DeviceError
+from fieldlum.core.errors import DeviceError
 
 try:
     from termios import error as _TermiosError

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from fieldlum.errors import DeviceError
-from fieldlum.photometry import SAME_SETTING_EV
-from fieldlum.records import shutter_text
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import shutter_text
+from fieldlum.optics.photometry import SAME_SETTING_EV
 
 
 def nearest(

@@ -13,11 +13,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort
-from fieldlum.errors import DeviceError
-from fieldlum.records import IrradianceSample
 
 AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)

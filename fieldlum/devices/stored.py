@@ -11,8 +11,8 @@ import shlex
 import shutil
 from pathlib import Path
 
+from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.devices.uri import DeviceUri, parse_uri
-from fieldlum.errors import DeviceError, InputError
 from fieldlum.session import sha256
 from fieldlum.session.permits import Subject, is_permitted, subject
 

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
-from fieldlum.errors import DeviceError
-from fieldlum.records import Exposure
 from fieldlum.session import Session
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point

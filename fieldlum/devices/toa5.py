@@ -14,12 +14,19 @@ from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import IrradianceSample
+from fieldlum.core.strict_csv import (
+    COMMAS,
+    check_names,
+    decimal_commas,
+    is_wm2,
+    microvolts,
+    split_row,
+)
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.learned_format import ENOUGH, constant
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
-from fieldlum.errors import InputError
-from fieldlum.records import IrradianceSample
-from fieldlum.strict_csv import COMMAS, check_names, decimal_commas, is_wm2, microvolts, split_row
 
 _TIME = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,6})?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")

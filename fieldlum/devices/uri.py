@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import Any, TypeVar
 from urllib.parse import parse_qsl, unquote
 
-from fieldlum.errors import DeviceError
+from fieldlum.core.errors import DeviceError
 
 Number = TypeVar("Number", int, float)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.linear_light import lens_geometry
+from fieldlum.core.records import Flag, JsonTable, Panorama, Progress, quiet
 from fieldlum.merge.disc import MEASURED, sun_on_sensor, take_out_disc
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.project import blend, finish, view_through
@@ -19,13 +19,13 @@ from fieldlum.merge.rim import dark_rims
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sky_cut import sky_cut
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import Equirect
-from fieldlum.records import Flag, JsonTable, Panorama, Progress, quiet
+from fieldlum.optics.linear_light import lens_geometry
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import Equirect
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun
-from fieldlum.sky_view import SkyPicture
-from fieldlum.sun_disc import SunDisc
+from fieldlum.sky.sky_view import SkyPicture
+from fieldlum.sky.sun_disc import SunDisc
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.images import read_panorama
+from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.sidecar import Sidecar
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Indices, Mask
+from fieldlum.core.arrays import Indices, Mask
+from fieldlum.core.records import Flag
 from fieldlum.merge.frames import Crop
-from fieldlum.profiles import CameraProfile
-from fieldlum.records import Flag
+from fieldlum.optics.profiles import CameraProfile
 
 
 def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> Mask | None:

@@ -13,12 +13,12 @@ from datetime import datetime
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Floats32, Mask
-from fieldlum.profiles import Lens
-from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
-from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
-from fieldlum.sun import position
-from fieldlum.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
+from fieldlum.optics.profiles import Lens
+from fieldlum.optics.projection import LensGeometry, direction, lens_pixels, lens_rays
+from fieldlum.sky.sun import position
+from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
 _LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees; chosen
 # Relative errors of the luminance of a disc one pixel wide, and of a point, on a mosaic

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats32, Mask
-from fieldlum.records import Flag, Progress, quiet
+from fieldlum.core.arrays import Floats32, Mask
+from fieldlum.core.records import Flag, Progress, quiet
 
 # a frame with a lower ratio does not fill pixels that other frames lost; not measured
 _READABLE_SNR = 5.0

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.arrays import Floats
-from fieldlum.linear_light import true_shutter_s
+from fieldlum.core.arrays import Floats
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.ratios import (
     RatioCurve,
@@ -22,8 +21,9 @@ from fieldlum.merge.ratios import (
     unexplained,
 )
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
-from fieldlum.photometry import PairRatio, RatioFit, ShutterLaw, fit_ratios, law_of_frames
-from fieldlum.profiles import CameraProfile
+from fieldlum.optics.linear_light import true_shutter_s
+from fieldlum.optics.photometry import PairRatio, RatioFit, ShutterLaw, fit_ratios, law_of_frames
+from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.merge_report import NeighbourQuality
 
 # Smaller relative differences between frames never count as motion. The value equals the prior

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.arrays import Floats
+from fieldlum.core.arrays import Floats
 from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.jpeg_signal import JpegSignal

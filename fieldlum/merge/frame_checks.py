@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fieldlum.merge.shots import Shot
-from fieldlum.photometry import saturation_plateau
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import signed_angle_deg
-from fieldlum.raw import channel_positions, read_mosaic, roll_deg_of
+from fieldlum.optics.photometry import saturation_plateau
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.optics.raw import channel_positions, read_mosaic, roll_deg_of
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)

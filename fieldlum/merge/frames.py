@@ -9,9 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats32, Indices, Mask
-from fieldlum.errors import InputError
-from fieldlum.linear_light import (
+from fieldlum.core.arrays import Floats32, Indices, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.merge.estimator import Strip
+from fieldlum.merge.frame_checks import Plateau
+from fieldlum.merge.shift import Small, reduced
+from fieldlum.merge.shots import Shot
+from fieldlum.optics.linear_light import (
     black_dn,
     check_frame,
     frame_z_per_cdm2,
@@ -19,13 +23,9 @@ from fieldlum.linear_light import (
     gain_e_per_dn,
     nd_factors,
 )
-from fieldlum.merge.estimator import Strip
-from fieldlum.merge.frame_checks import Plateau
-from fieldlum.merge.shift import Small, reduced
-from fieldlum.merge.shots import Shot
-from fieldlum.photometry import linearity_factor
-from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions, read_mosaic
+from fieldlum.optics.photometry import linearity_factor
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.raw import channel_positions, read_mosaic
 
 # of the saturation: brighter pixels do not predict; noise is added to the limit; chosen
 _GATE = 0.97

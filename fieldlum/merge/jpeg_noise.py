@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.records import Flag
+from fieldlum.core.statistics import MAD_TO_SIGMA
 from fieldlum.merge.estimator import Merged, Signal, Strip
 from fieldlum.merge.frame_cache import FrameStore
-from fieldlum.projection import LensGeometry
-from fieldlum.projection.grids import Target
-from fieldlum.records import Flag
-from fieldlum.statistics import MAD_TO_SIGMA
+from fieldlum.optics.projection import LensGeometry
+from fieldlum.optics.projection.grids import Target
 
 _BANDS = 64  # rows of cells that are evaluated, enough for a smooth field; chosen
 # Cells in one step of the curve over the level, and largest number of steps. Not measured.

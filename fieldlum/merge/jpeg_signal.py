@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Array, Floats32, Indices, Mask
-from fieldlum.linear_light import check_frame, frame_z_per_cdm2, nd_factors, response_tables
+from fieldlum.core.arrays import Array, Floats32, Indices, Mask
 from fieldlum.merge.estimator import Strip
 from fieldlum.merge.frames import Crop, evenly_spread
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot
-from fieldlum.profiles import CameraProfile
-from fieldlum.raw import read_jpeg
+from fieldlum.optics.linear_light import check_frame, frame_z_per_cdm2, nd_factors, response_tables
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.raw import read_jpeg
 
 # Noise of a JPEG pixel besides its quantisation, in codes. The sensor has 0.5; rounding to YCbCr
 # and of its cosines 0.7. These errors are correlated between colours and neighbours, so that sums

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.errors import InputError
-from fieldlum.images import write_panorama, write_radiance_hdr
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Progress, quiet
 from fieldlum.merge.bracket import MergeResult, merge_frames
 from fieldlum.merge.options import MergeOptions
-from fieldlum.photometry import vertical_illuminance_lx
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import Equirect
-from fieldlum.projection.grids import Target
-from fieldlum.records import Progress, quiet
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.optics.photometry import vertical_illuminance_lx
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import Equirect
+from fieldlum.optics.projection.grids import Target
 from fieldlum.session import replacing_path
 
 

@@ -17,9 +17,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats32, Indices, Mask
+from fieldlum.core.records import Flag
 from fieldlum.merge.estimator import Merged, Signal, Strip, merge_signals
-from fieldlum.records import Flag
 
 Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.arrays import Floats
+from fieldlum.core.arrays import Floats
+from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.ratios import Sample
-from fieldlum.photometry import PairRatio
-from fieldlum.statistics import robust_sigma
+from fieldlum.optics.photometry import PairRatio
 
 _STEPS = 12  # levels of the signal at which a pair is evaluated; chosen
 # least number of pixels in a step, and most pixels of a pair; chosen

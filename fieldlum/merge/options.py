@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import Equirect, Fisheye
-from fieldlum.projection.grids import Target
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import Equirect, Fisheye
+from fieldlum.optics.projection.grids import Target
 
 DEFAULT_HEIGHT = 230  # rows: 0.8 degrees a pixel (docs/design.md); chosen
 

@@ -9,17 +9,17 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats, Floats32, Mask
-from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
-from fieldlum.linear_light import curve_u_rel, lens_geometry, vignetting_of
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.records import Flag, Panorama
 from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.sensor import SensorImage
-from fieldlum.photometry import vignetting_at
-from fieldlum.photometry.stray_light import stray_cdm2
-from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import Equirect, Resampler, resampler, wrapped
-from fieldlum.projection.grids import Target
-from fieldlum.records import Flag, Panorama
+from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
+from fieldlum.optics.linear_light import curve_u_rel, lens_geometry, vignetting_of
+from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.photometry.stray_light import stray_cdm2
+from fieldlum.optics.profiles import CameraProfile, Lens
+from fieldlum.optics.projection import Equirect, Resampler, resampler, wrapped
+from fieldlum.optics.projection.grids import Target
 
 # Share of a target pixel's weight that must have a flag before the target pixel gets the flag. For
 # clipping nearly any share suffices, because the pixel is then a lower bound. The other shares are

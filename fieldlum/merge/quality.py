@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core.records import Flag
 from fieldlum.merge.frame_checks import orientation_conflict
 from fieldlum.merge.sensor import Findings
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection.grids import Target
-from fieldlum.records import Flag
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection.grids import Target
 from fieldlum.session.files.merge_report import DarkRim, FrameQuality, MergeReport, ShiftQuality
 
 # Limits of the verdict, chosen with simulated and real brackets (docs/merge.md, "Verdicts").

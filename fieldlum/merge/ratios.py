@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
-from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
+from fieldlum.optics.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 from fieldlum.session.files.merge_report import NeighbourQuality
-from fieldlum.statistics import robust_sigma
 
 # rows (of raw frames: row pairs) and approximate number of columns to sample; chosen to limit time
 _ROWS, _COLUMNS = 96, 640

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fieldlum.arrays import Floats
+from fieldlum.core.arrays import Floats
 from fieldlum.merge.project import TAPER_RAD, ProjectedImage
 from fieldlum.session.files.merge_report import DarkRim
 

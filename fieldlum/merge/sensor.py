@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from fieldlum.arrays import Mask
-from fieldlum.linear_light import lens_geometry
+from fieldlum.core.arrays import Mask
+from fieldlum.core.records import Progress, quiet
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, Signal, merge_signals
 from fieldlum.merge.exposures import (
@@ -31,11 +31,11 @@ from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.shift import Moved, shifts
 from fieldlum.merge.shots import Shot, stated_law
-from fieldlum.photometry import RatioFit, ShutterLaw
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import LensGeometry
-from fieldlum.projection.grids import Target
-from fieldlum.records import Progress, quiet
+from fieldlum.optics.linear_light import lens_geometry
+from fieldlum.optics.photometry import RatioFit, ShutterLaw
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import LensGeometry
+from fieldlum.optics.projection.grids import Target
 
 
 @dataclass(frozen=True, slots=True)

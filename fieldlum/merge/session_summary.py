@@ -15,9 +15,9 @@ from datetime import datetime
 
 import numpy as np
 
+from fieldlum.core.records import utc_text
 from fieldlum.merge.contact_sheet import write_contact_sheets
 from fieldlum.merge.quality import RESIDUAL_WARN_PERCENT
-from fieldlum.records import utc_text
 from fieldlum.session import Session, exposure_text, read_day
 from fieldlum.session.files.quality_csv import QUALITY_COLUMNS, QualityRow, write_quality
 from fieldlum.session.files.sidecar import Sidecar, readable_sidecars

@@ -17,9 +17,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
-from fieldlum.statistics import MAD_TO_SIGMA
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.statistics import MAD_TO_SIGMA
+from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
 
 LONGEST = 800  # longest side of the reduced frames [px], to limit the time; chosen
 _LEVELS = 4  # number of sizes, each half of the one before; chosen

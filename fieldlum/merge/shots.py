@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats
-from fieldlum.errors import InputError
-from fieldlum.linear_light import true_shutter_s
-from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
-from fieldlum.profiles import CameraProfile
-from fieldlum.raw import is_jpeg, possible_frames, read_exif
-from fieldlum.records import Exposure
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.linear_light import true_shutter_s
+from fieldlum.optics.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.raw import is_jpeg, possible_frames, read_exif
 from fieldlum.session import sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.inside import refuse_link

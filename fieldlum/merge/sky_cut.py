@@ -11,14 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fieldlum.arrays import Array, Floats, Indices, Mask
-from fieldlum.linear_light import lens_geometry, sensor_pitch_deg
+from fieldlum.core.arrays import Array, Floats, Indices, Mask
+from fieldlum.core.records import Flag
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop
 from fieldlum.merge.project import ProjectedImage, blend, view_through
 from fieldlum.merge.sensor import SensorImage
-from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import (
+from fieldlum.optics.linear_light import lens_geometry, sensor_pitch_deg
+from fieldlum.optics.profiles import CameraProfile, Lens
+from fieldlum.optics.projection import (
     Equirect,
     LensGeometry,
     Resampler,
@@ -27,9 +28,8 @@ from fieldlum.projection import (
     resampler,
     smallest_arc,
 )
-from fieldlum.projection.grids import Target
-from fieldlum.records import Flag
-from fieldlum.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
+from fieldlum.optics.projection.grids import Target
+from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 
 _TILE_DEG = 2  # divides 180; chosen
 # Pixels along a block of tiles: decides speed only. A block's matrices have 1 MB at most. Chosen.

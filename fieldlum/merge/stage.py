@@ -7,24 +7,31 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
-from fieldlum.images import write_panorama
+from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
+from fieldlum.core.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
+from fieldlum.core.scheduler import (
+    LOCAL,
+    Scheduler,
+    UnitOutcome,
+    WorkUnit,
+    is_worker_trouble,
+    run_each,
+)
 from fieldlum.merge.bracket import MergeResult, merge_shots
 from fieldlum.merge.disc import disc_px, expected_sun_deg, mosaic_u_rel
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.session_summary import summary_due, write_summary
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
-from fieldlum.photometry import vertical_illuminance_lx
-from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
-from fieldlum.raw import unreadable
-from fieldlum.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
-from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.photometry import vertical_illuminance_lx
+from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
+from fieldlum.optics.raw import unreadable
 from fieldlum.session import Session, check_writable, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
 from fieldlum.session.provenance import digest, made_from
-from fieldlum.sky_view import write_sky_picture
+from fieldlum.sky.sky_view import write_sky_picture
 from fieldlum.version import __version__
 
 # The verdict reports the relative uncertainty of the sun's illuminance from this value on. Chosen.

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from fieldlum import sun
-from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
-from fieldlum.images import read_panorama
-from fieldlum.light_clock import lit_at_night
+from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
+from fieldlum.core.records import Progress, Site, SiteFile, parse_utc, quiet, utc_text
+from fieldlum.core.scheduler import LOCAL, Scheduler
+from fieldlum.optics.images import read_panorama
 from fieldlum.pair.interval import Outside, outside
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.sun_strength import Seen, complete_sun
-from fieldlum.records import Progress, Site, SiteFile, parse_utc, quiet, utc_text
-from fieldlum.scheduler import LOCAL, Scheduler
 from fieldlum.session import Session, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
@@ -27,7 +25,9 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.files.suns_csv import SunRow, write_suns
 from fieldlum.session.simulated_pairs import keep_simulated_pairs
-from fieldlum.sky import direct_normal_illuminance_lx
+from fieldlum.sky import sun
+from fieldlum.sky.light_clock import lit_at_night
+from fieldlum.sky.perez import direct_normal_illuminance_lx
 
 POOR_SUN_PERCENT = 5.0  # larger uncertainty of the sun's illuminance is reported; not measured
 NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cause; not measured

@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from fieldlum.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.session.files.clean_csv import MEASURED, CleanIrradiance
 
 # Relative range of the global irradiance in a bracket. Not measured.

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.images import read_panorama, write_panorama
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import JsonTable, Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
+from fieldlum.core.strict_toml import plain
+from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
-from fieldlum.records import JsonTable, Panorama, Progress, Room, SiteFile, utc_text
-from fieldlum.scene import iter_sun_patches
-from fieldlum.scene.view import patch_rays
-from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
+from fieldlum.room.scene import iter_sun_patches
+from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.json_file import write_object
 from fieldlum.session.provenance import digest, made_from
-from fieldlum.strict_toml import plain
+from fieldlum.sky import sun
 
 # number of slots in a unit; few are enough, because the room's rays are traced once per process;
 # chosen

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.photometry import vertical_illuminance_lx
-from fieldlum.projection import direction
-from fieldlum.records import CLIPPED_SUN, Panorama, SunSource
+from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
+from fieldlum.optics.photometry import vertical_illuminance_lx
+from fieldlum.optics.projection import direction
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 
 METER, DNI = "meter", "dni"

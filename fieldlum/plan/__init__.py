@@ -10,9 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
-from fieldlum.arrays import Mask
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.core.arrays import Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure, Progress, SiteFile, Slot, quiet
+from fieldlum.optics.profiles import (
+    Bracket,
+    assumed_texts,
+    bracket_exposures,
+    coverage_text,
+    load_camera_profile,
+    uncalibrated_text,
+)
 from fieldlum.plan import choose
 from fieldlum.plan.calendar import ics
 from fieldlum.plan.coverage import coverage
@@ -21,16 +29,8 @@ from fieldlum.plan.sheet import Cost, html
 from fieldlum.plan.texts import plan_warnings, sentences, summary
 from fieldlum.plan.values import Months, Plan, Request
 from fieldlum.plan.window import sun_enters, sun_in_view
-from fieldlum.profiles import (
-    Bracket,
-    assumed_texts,
-    bracket_exposures,
-    coverage_text,
-    load_camera_profile,
-    uncalibrated_text,
-)
-from fieldlum.records import Exposure, Progress, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session, replacing
+from fieldlum.sky import sun
 from fieldlum.weather import Weather
 
 # Hours of the sets `even` and `best` (Liu, Colburn and Inanici 2020; docs/planning.md).

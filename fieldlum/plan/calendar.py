@@ -11,8 +11,8 @@ from datetime import date, datetime, timedelta
 from itertools import groupby
 from zoneinfo import ZoneInfo
 
-from fieldlum import sun
-from fieldlum.records import Site, Slot, utc_text
+from fieldlum.core.records import Site, Slot, utc_text
+from fieldlum.sky import sun
 
 ALARM_BEFORE = timedelta(minutes=20)  # time to set up the camera; chosen, not measured
 

@@ -8,11 +8,11 @@ from datetime import date
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats, Indices
-from fieldlum.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
+from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.records import Progress, Room, Site, quiet
 from fieldlum.plan.days import DaylightHours, span
-from fieldlum.records import Progress, Room, Site, quiet
+from fieldlum.sky import sun
+from fieldlum.sky.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
 from fieldlum.weather import Weather
 
 # The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]

@@ -11,17 +11,17 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, NotEnoughDataError, reason_of
-from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError, NotEnoughDataError, reason_of
+from fieldlum.core.records import JsonTable, Progress, Site, quiet, slot_id, utc_text
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
-from fieldlum.records import JsonTable, Progress, Site, quiet, slot_id, utc_text
 from fieldlum.session import Session
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.sky import sun
+from fieldlum.sky.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
 from fieldlum.weather import Weather
 
 AHEAD_DAYS = 14  # days ahead that are ranked; chosen

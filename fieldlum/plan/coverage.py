@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fieldlum import sun
-from fieldlum.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.plot_style import AMBER, INK, RED, SAND, open_axes
+from fieldlum.core.records import Site
 from fieldlum.plan.days import DaylightHours
-from fieldlum.plot_style import AMBER, INK, RED, SAND, open_axes
-from fieldlum.records import Site
+from fieldlum.sky import sun
 from fieldlum.weather import Weather
 
 if TYPE_CHECKING:

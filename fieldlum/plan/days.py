@@ -11,9 +11,9 @@ from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.records import Site, Slot
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site, Slot
+from fieldlum.sky import sun
 
 # Days of docs/planning.md.
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}

@@ -6,13 +6,13 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Slot
 from fieldlum.plan import make_slots
 from fieldlum.plan.days import DaylightHours
 from fieldlum.plan.makeup import add_slots
-from fieldlum.records import Slot
 from fieldlum.session import Session
+from fieldlum.sky import sun
 
 EXTRA = "extra"  # tag of such a slot
 # the capture reads the plan each second, and a camera needs time to wake up; chosen

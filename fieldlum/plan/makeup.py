@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import sun
+from fieldlum.core.records import Site, SiteFile, Slot, slot_id
 from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import hours_of, span
-from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.ledger import read_ledger
 from fieldlum.session.makeups import MAKEUP, made_up_for
 from fieldlum.session.tables import PlanTable
+from fieldlum.sky import sun
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
 # Chosen as that half.

@@ -15,15 +15,15 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import SiteFile, Slot
+from fieldlum.optics.profiles import assumed_texts
 from fieldlum.plan.calendar import by_day
 from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
 from fieldlum.plan.days import SEASON_TAGS, hours_of
-from fieldlum.profiles import assumed_texts
-from fieldlum.records import SiteFile, Slot
-from fieldlum.scene.drawing import room_svg
+from fieldlum.room.scene.drawing import room_svg
 from fieldlum.session import exposure_text
+from fieldlum.sky import sun
 from fieldlum.weather import Weather
 
 SIZE_PX = 300.0  # of the sky chart; chosen for a third of a page

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from zoneinfo import ZoneInfo
 
-from fieldlum import sun
+from fieldlum.core.records import Site, counted
 from fieldlum.plan.coverage import Coverage
 from fieldlum.plan.days import DaylightHours, dark_days
 from fieldlum.plan.values import Months, Plan, Request
-from fieldlum.records import Site, counted
 from fieldlum.session import Session
+from fieldlum.sky import sun
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import date
 
+from fieldlum.core.records import Slot
 from fieldlum.plan.coverage import Coverage
 from fieldlum.plan.days import DaylightHours, hours_of
-from fieldlum.records import Slot
 from fieldlum.session.tables import PlanTable
 
 

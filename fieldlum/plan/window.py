@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum import sun
-from fieldlum.arrays import Floats, Mask
-from fieldlum.records import Room
-from fieldlum.scene.geometry import BoxScene, Opening, build
-from fieldlum.scene.patches import disc_visibility
-from fieldlum.scene.trace import blocked
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.records import Room
+from fieldlum.room.scene.geometry import BoxScene, Opening, build
+from fieldlum.room.scene.patches import disc_visibility
+from fieldlum.room.scene.trace import blocked
+from fieldlum.sky import sun
 
 Points = Floats
 GRID = 6  # test points across and up a window; chosen, not measured

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.errors import NotEnoughDataError
-from fieldlum.predict import Annual, read_annual, read_pictures
-from fieldlum.records import Progress, quiet, slot_id
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, quiet, slot_id
 from fieldlum.report.page import Page, Section, Table, render
 from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -22,6 +21,7 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
+from fieldlum.year.predict import Annual, read_annual, read_pictures
 
 _MOST_LISTED = 12  # values of a setting that are shown one by one; chosen
 
@@ -41,7 +41,7 @@ def find(session: Session) -> SessionArtefacts:
 
     Newest is by the time of the files. Raises InputError for a damaged year or model.
     """
-    from fieldlum.models import read_config
+    from fieldlum.learn.models import read_config
 
     years = sorted(
         session.annual_folders(), key=lambda folder: (folder / "predict.json").stat().st_mtime
@@ -163,7 +163,7 @@ def _facts(
 
 def _assumed(session: Session) -> list[str]:
     """Return the warnings of a heading or camera that SITE.toml did not state."""
-    from fieldlum.profiles import assumed_texts
+    from fieldlum.optics.profiles import assumed_texts
 
     texts = assumed_texts(session.site_file().camera)
     return [f"{text[0].upper()}{text[1:]}." for text in texts]

@@ -8,12 +8,8 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.glare import panorama_to_fisheye
-from fieldlum.predict import Annual
-from fieldlum.predict.annual import Pictures
-from fieldlum.predict.glare_summary import best_and_worst
-from fieldlum.projection import NOT_SEEN, PARTLY_SEEN
-from fieldlum.records import SunSource
+from fieldlum.core.records import SunSource
+from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report.figures import (
     exceedance_svg,
     false_colour,
@@ -41,7 +37,11 @@ from fieldlum.report.page import (
     svg_figure,
 )
 from fieldlum.session.files.predict_json import DirectionYear
-from fieldlum.sun import shown_altitude_deg, standard_time
+from fieldlum.sky.sun import shown_altitude_deg, standard_time
+from fieldlum.year.glare import panorama_to_fisheye
+from fieldlum.year.predict import Annual
+from fieldlum.year.predict.annual import Pictures
+from fieldlum.year.predict.glare_summary import best_and_worst
 
 CLASS_WORDS = {
     "high": "high protection",

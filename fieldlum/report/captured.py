@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.records import Site, counted
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site, counted
 from fieldlum.report.figures import sky_domain_svg, sun_path_svg
 from fieldlum.report.page import Row, Section, Table, svg_figure
 from fieldlum.session import Session, read_journal
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.quality_csv import read_quality
+from fieldlum.sky import sun
 
 
 def column(rows: Sequence[PairRow], name: str) -> Floats:

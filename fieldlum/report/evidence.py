@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.records import counted
+from fieldlum.core.records import counted
 from fieldlum.report.figures import (
     agreement_svg,
     comparison_png,

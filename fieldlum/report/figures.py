@@ -13,9 +13,9 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats
-from fieldlum.plot_style import BLUE, GREEN, INK, PALE, RED, styled
-from fieldlum.projection import compass_name
+from fieldlum.core.arrays import Floats
+from fieldlum.core.plot_style import BLUE, GREEN, INK, PALE, RED, styled
+from fieldlum.optics.projection import compass_name
 
 LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)  # range of the colour scale; not measured
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats
-from fieldlum.projection import compass_name
+from fieldlum.core.arrays import Floats
+from fieldlum.optics.projection import compass_name
 
 NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fieldlum.errors import InputError, install_text
-from fieldlum.records import JsonTable
+from fieldlum.core.errors import InputError, install_text
+from fieldlum.core.records import JsonTable
 
 _ROOT = "zarr.json"  # of the store; without it nothing opens the store (Zarr v3)
 _MADE_FROM = "made_from_sha256"

@@ -10,8 +10,8 @@ import zlib
 from datetime import UTC
 from pathlib import Path
 
-from fieldlum.errors import InputError
-from fieldlum.records import IrradianceSample, parse_utc, utc_text
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.inside import open_inside, refuse_link
 from fieldlum.session.lines import append_complete, cut_torn_tail

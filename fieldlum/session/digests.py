@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from fieldlum.errors import ChangedFileWarning
+from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.session.writing import replacing, sha256
 
 

@@ -11,14 +11,14 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Literal, cast
 
-from fieldlum.errors import InputError, input_errors
-from fieldlum.records import SiteFile, Slot
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.records import SiteFile, Slot
 from fieldlum.session.inside import is_plain, open_inside, refuse_links
 from fieldlum.session.lines import NO_LOCKS, lock_now
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
+from fieldlum.session.site_toml import site_from_table, site_table
 from fieldlum.session.tables import PlanTable, SessionTable, misfit
 from fieldlum.session.writing import replacing, sha256
-from fieldlum.site_toml import site_from_table, site_table
 from fieldlum.version import __version__
 
 # the sun moves by 1.3 degrees in this time; chosen, `capture --grace` sets another

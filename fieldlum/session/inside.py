@@ -13,7 +13,7 @@ import stat
 from collections.abc import Container, Iterator
 from pathlib import Path, PurePosixPath
 
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 from fieldlum.session.permits import Subject, is_permitted, subject
 
 _MAX_NAME = 255  # bytes of a name in all usual file systems; NAME_MAX in Linux

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from datetime import datetime
 from typing import Unpack, get_type_hints
 
-from fieldlum.records import counted, parse_utc, utc_text
-from fieldlum.room_states import merged_state
+from fieldlum.core.records import counted, parse_utc, utc_text
+from fieldlum.core.room_states import merged_state
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
 from fieldlum.session.inside import open_inside

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Literal
 
-from fieldlum.records import Slot, parse_utc
+from fieldlum.core.records import Slot, parse_utc
 from fieldlum.session.files.capture_json import Frame, frame_from
 from fieldlum.session.folder import Session
 from fieldlum.session.journal import read_journal

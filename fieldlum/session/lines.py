@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 from fieldlum.session.inside import open_file
 
 # Seconds. A line and its flush take milliseconds. After this time the line is appended without the

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from fieldlum.records import Slot
+from fieldlum.core.records import Slot
 
 MAKEUP = "makeup:"  # tag, followed by the missed slot's id
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from fieldlum.errors import InputError, input_errors
-from fieldlum.room_states import USAGE, merged_state
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.session.folder import Session
 from fieldlum.session.journal import append_event, read_journal
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from fieldlum.images import read_panorama
-from fieldlum.records import CLIPPED_SUN, Panorama
+from fieldlum.core.records import CLIPPED_SUN, Panorama
+from fieldlum.optics.images import read_panorama
 from fieldlum.session.files.suns_csv import SunRow, read_suns
 
 # origins with which the picture itself measured the disc

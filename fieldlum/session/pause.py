@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime, timedelta
 
-from fieldlum.errors import InputError
-from fieldlum.records import parse_utc, utc_text
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.journal import append_event
 from fieldlum.session.writing import replacing

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from fieldlum.errors import InputError, input_errors
-from fieldlum.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
+from fieldlum.core.strict_csv import read_table
 from fieldlum.session.writing import write_table
-from fieldlum.strict_csv import read_table
 
 PLAN_COLUMNS = (
     "slot",

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.records import JsonTable
+from fieldlum.core.records import JsonTable
 
 
 def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:

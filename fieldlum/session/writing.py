@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from fieldlum.errors import InputError, input_errors
+from fieldlum.core.errors import InputError, input_errors
 
 OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
 

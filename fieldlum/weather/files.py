@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, NotEnoughDataError, input_errors
-from fieldlum.profiles import shipped
-from fieldlum.projection import direction
-from fieldlum.records import Site
-from fieldlum.strict_csv import lines_of, read_text
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
+from fieldlum.core.records import Site
+from fieldlum.core.strict_csv import lines_of, read_text
+from fieldlum.optics.profiles import shipped
+from fieldlum.optics.projection import direction
+from fieldlum.sky import sun
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
 from fieldlum.weather.label_shift import label_notes
 from fieldlum.weather.plausibility import check_hourly, check_sense

@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.errors import InputError
-from fieldlum.records import Site
-from fieldlum.strict_csv import (
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Site
+from fieldlum.core.strict_csv import (
     check_names,
     is_wm2,
     numbered,
@@ -29,6 +28,7 @@ from fieldlum.strict_csv import (
     split_heading,
     split_rows,
 )
+from fieldlum.sky import sun
 from fieldlum.weather.plausibility import hours_against
 from fieldlum.weather.year import TYPICAL_YEAR
 

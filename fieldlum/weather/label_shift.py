@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.records import Site
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
 from fieldlum.weather.year import Weather
 
 # Seven files that are right have at most 8 min; labels at an end of the hour give 22 to 38 min.

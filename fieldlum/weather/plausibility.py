@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats, Mask
-from fieldlum.errors import InputError
-from fieldlum.records import Site
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
 from fieldlum.weather.label_shift import MOST_SHIFT_MIN, label_shift_min
 from fieldlum.weather.year import Weather
 

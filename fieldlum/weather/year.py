@@ -10,9 +10,9 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.records import Site
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
 
 # Hours of a typical year are dated in this year: any year without 29 February serves. Chosen.
 TYPICAL_YEAR = 2027

@@ -20,8 +20,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import IO
 
-from fieldlum.errors import InputError
-from fieldlum.records import JsonTable, utc_text
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable, utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar

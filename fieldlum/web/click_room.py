@@ -14,17 +14,17 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from fieldlum import sun
-from fieldlum.errors import InputError
-from fieldlum.images import read_panorama
-from fieldlum.projection import direction
-from fieldlum.records import JsonTable, Room, parse_utc
-from fieldlum.scene import sun_patches
-from fieldlum.scene.clicked import ClickedRoom, room_from_clicks
-from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows
-from fieldlum.scene.drawing import outline_pixels, wind
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable, Room, parse_utc
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.projection import direction
+from fieldlum.room.scene import sun_patches
+from fieldlum.room.scene.clicked import ClickedRoom, room_from_clicks
+from fieldlum.room.scene.clicks import Click, ClickGrid, clicks_from_rows
+from fieldlum.room.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
-from fieldlum.site_toml import site_table
+from fieldlum.session.site_toml import site_table
+from fieldlum.sky import sun
 from fieldlum.web.pictures import scale_of
 from fieldlum.web.request_body import json_body
 from fieldlum.web.server import picture_routes, static_route

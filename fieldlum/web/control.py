@@ -18,9 +18,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable
 from fieldlum.plan.extra import add_extra
-from fieldlum.records import JsonTable
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
 from fieldlum.web.request_body import json_body
 

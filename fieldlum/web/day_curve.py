@@ -7,9 +7,9 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum import sun
-from fieldlum.arrays import Floats
-from fieldlum.records import JsonTable, Site
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import JsonTable, Site
+from fieldlum.sky import sun
 from fieldlum.web.follow import BIN_S, IrradianceFollower
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats
-from fieldlum.records import parse_utc
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import parse_utc
 from fieldlum.session import Session, decode_sample
 from fieldlum.session.journal import decode_event
 from fieldlum.session.ledger import Ledger, fold

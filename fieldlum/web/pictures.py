@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats32
-from fieldlum.images import read_panorama
-from fieldlum.records import Flag
-from fieldlum.view.false_colour import COLOURS
-from fieldlum.view.regions import rounded_scale
+from fieldlum.core.arrays import Floats32
+from fieldlum.core.records import Flag
+from fieldlum.optics.images import read_panorama
+from fieldlum.report.view.false_colour import COLOURS
+from fieldlum.report.view.regions import rounded_scale
 
 MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory; chosen
 _UNSEEN_RGB = (120, 120, 120)  # grey is no colour of the scale; chosen

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
-from fieldlum import doctor
-from fieldlum.doctor.awake import has_lid, inhibitors
-from fieldlum.errors import FieldlumError, InputError
+from fieldlum.capture import doctor
+from fieldlum.capture.doctor.awake import has_lid, inhibitors
+from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
-from fieldlum.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.ledger import SETTLED

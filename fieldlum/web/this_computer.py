@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from fieldlum.capture.utc_clock import boot_id
-from fieldlum.records import JsonTable
+from fieldlum.core.records import JsonTable
 from fieldlum.web.follow import JournalState
 
 

@@ -7,10 +7,10 @@ options: seed, noise (W/m2).
 
 from __future__ import annotations
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import Camera, Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, integer_option, number
-from fieldlum.errors import DeviceError
 from fieldlum.session import Session
 
 _SEED = integer_option(0, 2**31)
@@ -30,10 +30,10 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     Raises DeviceError for another place than office or an unknown option, InputError for a bad
     profile, SITE.toml or truth/ of the session.
     """
+    from fieldlum.core.records import CameraSetup
     from fieldlum.devices.simulated.camera import SimulatedCamera
     from fieldlum.devices.simulated.office import open_world
-    from fieldlum.profiles import load_camera_profile
-    from fieldlum.records import CameraSetup
+    from fieldlum.optics.profiles import load_camera_profile
 
     _check_place(uri)
     options = uri.read(

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats32
+from fieldlum.core.arrays import Floats32
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices import CameraInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics, sensor
 from fieldlum.devices.simulated.world import World, detail_of
-from fieldlum.errors import DeviceError
-from fieldlum.linear_light import lens_geometry, true_shutter_s, vignetting_of
-from fieldlum.photometry import vignetting_at
-from fieldlum.profiles import CameraProfile
-from fieldlum.projection import relative_radius
-from fieldlum.raw import write_dng, write_jpeg
-from fieldlum.records import Exposure, Panorama
-from fieldlum.sky_view import SkyGrid
+from fieldlum.optics.linear_light import lens_geometry, true_shutter_s, vignetting_of
+from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import relative_radius
+from fieldlum.optics.raw import write_dng, write_jpeg
+from fieldlum.sky.sky_view import SkyGrid
 
 
 class SimulatedCamera:

@@ -13,11 +13,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from fieldlum import projection, sun
-from fieldlum.arrays import Floats
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
 from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld, World
-from fieldlum.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
+from fieldlum.optics import projection
 from fieldlum.session import Session
+from fieldlum.sky import sun
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 # The office of Liu, Colburn and Inanici (2020): 6 x 14 x 4.5 m, one glazed south wall.

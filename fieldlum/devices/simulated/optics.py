@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import projection
-from fieldlum.arrays import Floats, Floats32, Indices
+from fieldlum.core.arrays import Floats, Floats32, Indices
+from fieldlum.core.records import Panorama, SunSource
 from fieldlum.devices.simulated.world import detail_of
-from fieldlum.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
-from fieldlum.records import Panorama, SunSource
-from fieldlum.scene.sun_disc import DISC_RAYS, disc_rays
-from fieldlum.sky_view import SkyGrid, SkyPicture
+from fieldlum.optics import projection
+from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
+from fieldlum.room.scene.sun_disc import DISC_RAYS, disc_rays
+from fieldlum.sky.sky_view import SkyGrid, SkyPicture
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -110,7 +110,7 @@ def channels(panorama: Panorama) -> Floats32:
 
     A panorama without colour gives its luminance [H * W, 1].
     """
-    from fieldlum.images import RADIANCE_LM_PER_W
+    from fieldlum.optics.images import RADIANCE_LM_PER_W
 
     if panorama.rgb is None:
         return np.asarray(panorama.luminance_cdm2, np.float32).reshape(-1, 1)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats, Floats32
-from fieldlum.images import RADIANCE_Y
-from fieldlum.linear_light import gain_e_per_dn, nd_factors, response_tables
-from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions
-from fieldlum.records import Exposure
+from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.records import Exposure
+from fieldlum.optics.images import RADIANCE_Y
+from fieldlum.optics.linear_light import gain_e_per_dn, nd_factors, response_tables
+from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.raw import channel_positions
 
 # Nominal shutter times of cameras, in thirds of a stop.
 _SECONDS = "30 25 20 15 13 10 8 6 5 4 3.2 2.5 2 1.6 1.3 1"

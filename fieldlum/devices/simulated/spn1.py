@@ -10,10 +10,10 @@ from contextlib import suppress
 
 import numpy as np
 
+from fieldlum.core.errors import DeviceError
 from fieldlum.devices import Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated.world import SimulatedLight, World
-from fieldlum.errors import DeviceError
 
 TIME_CONSTANT_S = 0.1  # the SPN1 reaches 95 % within 200 ms (User Manual)
 _STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA%d\r"

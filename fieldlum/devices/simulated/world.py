@@ -16,10 +16,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldlum.errors import DeviceError
-from fieldlum.records import Panorama
+from fieldlum.core.errors import DeviceError
+from fieldlum.core.records import Panorama
 from fieldlum.session.files.truth_csv import TruthIrradiance
-from fieldlum.sky_view import SUFFIX, SkyPicture, read_sky_picture
+from fieldlum.sky.sky_view import SUFFIX, SkyPicture, read_sky_picture
 
 # A panorama of the truth is used for times up to this far away, because slots are an hour apart.
 # Chosen.
@@ -100,7 +100,7 @@ class TruthWorld:
 
 
 def _read_panorama(path: Path) -> Panorama:
-    from fieldlum.images import read_panorama
+    from fieldlum.optics.images import read_panorama
 
     panorama, fine = read_panorama(path), path.with_suffix(SUFFIX)
     if not fine.is_file():

@@ -8,7 +8,7 @@ from typing import IO
 
 import numpy as np
 
-from fieldlum.arrays import Array
+from fieldlum.core.arrays import Array
 
 # Most bytes of a compressed member, which could expand to a huge array. Models of 0.1.0 compress
 # their mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels. Chosen.

@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from fieldlum.records import Exposure, utc_text
+from fieldlum.core.records import Exposure, utc_text
 from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
 from fieldlum.session.inside import plain
 from fieldlum.session.tables import FrameTable

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, input_errors
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
 

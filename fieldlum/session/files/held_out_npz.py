@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.arrays import Floats, Indices
-from fieldlum.errors import input_errors
+from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.errors import input_errors
 from fieldlum.session.files.arrays_npz import NPZ_ERRORS
 from fieldlum.session.writing import replacing
 

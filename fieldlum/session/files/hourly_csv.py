@@ -11,12 +11,12 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.arrays import Floats
-from fieldlum.errors import input_errors
-from fieldlum.records import parse_utc, utc_text
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import input_errors
+from fieldlum.core.records import parse_utc, utc_text
+from fieldlum.core.strict_csv import read_table
 from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
-from fieldlum.strict_csv import read_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "hourly.csv"

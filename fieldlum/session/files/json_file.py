@@ -13,11 +13,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fieldlum.errors import InputError, input_errors
-from fieldlum.records import JsonTable, parse_utc
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.records import JsonTable, parse_utc
+from fieldlum.core.strict_toml import build
 from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.writing import replacing
-from fieldlum.strict_toml import build
 
 T = TypeVar("T")
 

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from typing import Any
 
-from fieldlum.photometry import ShutterLaw
-from fieldlum.records import Exposure, JsonTable, utc_text
+from fieldlum.core.records import Exposure, JsonTable, utc_text
+from fieldlum.optics.photometry import ShutterLaw
 from fieldlum.session.files.json_file import from_json, to_json
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 

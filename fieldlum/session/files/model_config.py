@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
-from fieldlum.errors import InputError
+from fieldlum.core.errors import InputError
 from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
 
 FORMAT = 1  # of the file; docs/file-formats.md

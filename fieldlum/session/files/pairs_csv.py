@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldlum.errors import InputError
-from fieldlum.records import parse_utc, utc_text
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import parse_utc, utc_text
+from fieldlum.core.strict_csv import CsvTable, read_table
 from fieldlum.session.digests import change_of, sealed
 from fieldlum.session.folder import session_around
 from fieldlum.session.inside import inside, refuse_link
 from fieldlum.session.writing import write_table
-from fieldlum.strict_csv import CsvTable, read_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 PAIR_COLUMNS = (

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError
-from fieldlum.records import JsonTable
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable
 from fieldlum.session.files.json_file import (
     content_of,
     from_json,

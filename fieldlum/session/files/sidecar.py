@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from fieldlum.errors import InputError
-from fieldlum.records import JsonTable, utc_text
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable, utc_text
 from fieldlum.session.files.json_file import (
     content_of,
     from_json,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from fieldlum.errors import InputError, reason_of
-from fieldlum.records import SunSource
+from fieldlum.core.errors import InputError, reason_of
+from fieldlum.core.records import SunSource
+from fieldlum.core.strict_csv import read_table
 from fieldlum.session.files.json_file import from_json
 from fieldlum.session.writing import write_table
-from fieldlum.strict_csv import read_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"

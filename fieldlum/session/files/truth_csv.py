@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.arrays import Floats
-from fieldlum.errors import InputError, input_errors
-from fieldlum.records import parse_utc, utc_text
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.records import parse_utc, utc_text
+from fieldlum.core.strict_csv import read_table
 from fieldlum.session.writing import write_table
-from fieldlum.strict_csv import read_table
 
 TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 

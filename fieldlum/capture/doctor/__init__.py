@@ -1,0 +1,76 @@
+"""Check, before a campaign, what could ruin a month of captures; each finding is one line."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from datetime import datetime
+from typing import Any
+
+from fieldlum.capture.doctor.awake import has_lid, inhibitors, lock_to_be_had
+from fieldlum.capture.doctor.computer import (
+    check_clock,
+    check_disk,
+    check_sleep,
+    check_writing,
+    kernel_clock,
+)
+from fieldlum.capture.doctor.findings import Finding, owed_slots
+from fieldlum.capture.doctor.instruments import check_camera, check_meter, check_pyranometer
+from fieldlum.capture.doctor.planned import check_calendar, check_journal, check_plan, check_profile
+from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.records import JsonTable, Progress, quiet
+from fieldlum.session import Session
+
+
+def run(
+    session: Session,
+    camera_uri: str,
+    pyranometer_uri: str,
+    now_utc: datetime,
+    progress: Progress = quiet,
+    *,
+    meter_uri: str = "",
+) -> list[Finding]:
+    """Run all checks and return their findings; a check that raises an error is a failure.
+
+    progress: called with the number of checks done, their total and the name of the next one. An
+    empty URI means that the device is not used.
+    """
+    checks: list[tuple[str, Callable[[], list[Finding]]]] = [
+        ("plan", lambda: check_plan(session, now_utc)),
+        ("journal", lambda: check_journal(session)),
+        ("profile", lambda: check_profile(session, now_utc.date())),
+        ("camera", lambda: check_camera(session, camera_uri, now_utc)),
+        ("pyranometer", lambda: check_pyranometer(session, pyranometer_uri)),
+        ("meter", lambda: check_meter(meter_uri)),
+        ("clock", lambda: [check_clock(kernel_clock())]),
+        ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
+        ("writing", lambda: check_writing(session.root)),
+        ("sleep", lambda: [check_sleep(inhibitors(), has_lid(), lock_to_be_had())]),
+        ("calendar", lambda: check_calendar(session, now_utc)),
+    ]
+    findings: list[Finding] = []
+    for number, (name, check) in enumerate(checks):
+        progress(number, len(checks), name)
+        try:
+            findings += check()
+        except (FieldlumError, OSError, ValueError, KeyError) as error:
+            code = 3 if isinstance(error, InputError) else 4
+            findings.append(Finding(name, "fail", str(error), code))
+    return findings
+
+
+def exit_code(findings: Sequence[Finding]) -> int:
+    """Return 0 if no check failed, else the exit code of the failure.
+
+    A bad file (3) precedes a device (4), because without files the other checks have no meaning.
+    """
+    codes = [finding.exit_code for finding in findings if finding.verdict == "fail"]
+    return min(codes, default=0)
+
+
+def as_table(findings: Sequence[Finding]) -> JsonTable:
+    """Return the object that `doctor --json` prints about the findings."""
+    return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}

@@ -1,0 +1,326 @@
+"""Define the values that stages exchange: frozen, with units in their names and times in UTC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import IntFlag
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Floats
+
+Progress = Callable[[int, int, str], None]
+"Called as progress(done, total, text) by any work that takes over two seconds."
+
+
+def quiet(finished: int, total: int, text: str) -> None:
+    """Do nothing: the default where a progress function is expected."""
+
+
+# ----------------------------------------------------------------------------------------------
+# time
+
+
+def utc_text(t_utc: datetime) -> str:
+    """Return a time in UTC as ``2027-03-20T15:30:00Z``.
+
+    A fraction of a second is cut to three digits; full seconds have none. Raises ValueError for a
+    naive time.
+    """
+    if t_utc.tzinfo is None:
+        raise ValueError(f"naive time {t_utc}: add a time zone")
+    t = t_utc.astimezone(UTC)
+    return (
+        t.strftime("%Y-%m-%dT%H:%M:%S")
+        + (f".{t.microsecond // 1000:03d}" if t.microsecond else "")
+        + "Z"
+    )
+
+
+def parse_utc(text: str) -> datetime:
+    """Return the UTC time of an ISO text with an offset, such as that of `utc_text`.
+
+    Raises ValueError for another text and for a time without an offset.
+    """
+    t = datetime.fromisoformat(text)
+    if t.tzinfo is None:
+        raise ValueError(
+            f"time {text!r} has no time zone: write it as UTC, such as 2027-03-20T15:30:00Z"
+        )
+    return t.astimezone(UTC)
+
+
+def slot_id(t_utc: datetime) -> str:
+    """Return the name of a slot, its UTC start: ``20270320T153000Z``.
+
+    Raises ValueError for a naive time.
+    """
+    if t_utc.tzinfo is None:
+        raise ValueError(f"naive time {t_utc}: add a time zone")
+    return t_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+
+
+# ----------------------------------------------------------------------------------------------
+# flags
+
+
+class Flag(IntFlag):
+    """Bits that state why a pixel's value must be used with care; a pixel without bits is good."""
+
+    CLIPPED_HIGH = 1  # every frame is saturated, so that the value is a lower bound
+    BELOW_NOISE = 2  # no frame rises above its noise
+    BLOOM = 4  # a neighbouring pixel is saturated
+    MOTION = 8  # frames disagree beyond their noise
+    ND = 16  # the value comes from frames through a neutral-density filter
+    FILLED = 32  # interpolated from neighbours
+    OUTSIDE_LENS = 64  # no lens saw it
+
+
+# ----------------------------------------------------------------------------------------------
+# site and room
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A place and its time zone.
+
+    Latitude is positive to the north, longitude to the east. timezone: IANA name. altitude_m:
+    above sea level.
+    """
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    timezone: str = "UTC"
+    altitude_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSetup:
+    """The camera of a session.
+
+    profile: name of a profile in calibration/, or a path; "" for the default simulated camera;
+    heading_deg: azimuth of the panorama's centre column, clockwise from true north; headings:
+    azimuths to which a head turns a single fisheye for each bracket, empty for a fixed camera;
+    height_m: of the lens above the floor; assumed: keys that SITE.toml did not state, although
+    they turn the results.
+    """
+
+    profile: str = ""
+    heading_deg: float = 180.0
+    headings: tuple[float, ...] = ()
+    height_m: float = 1.6
+    assumed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A glazed rectangle in a wall of a box room.
+
+    left_m: from the wall's left end, seen from inside, to the rectangle; sill_m: height of its
+    lower edge above the floor; width_m, height_m: its size; transmittance: of the glass. panes:
+    equal panes next to each other, separated by vertical bars; frame_m: width of the frame and
+    of the bars; transom_m: height of a horizontal bar above the floor, 0 for none.
+    """
+
+    wall: Literal["south", "west", "north", "east"]
+    left_m: float
+    width_m: float
+    sill_m: float
+    height_m: float
+    transmittance: float = 0.88
+    panes: int = 1
+    frame_m: float = 0.05
+    transom_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Obstruction:
+    """A box inside or outside of the room, in the coordinates of `Room`.
+
+    x_m, y_m, z_m: its corner with the smallest coordinates; width_m, depth_m, height_m: its size
+    along x, y, z. y is 0 at the south wall and grows into the room; z is 0 at the floor.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    width_m: float
+    depth_m: float
+    height_m: float
+    reflectance: float = 0.35
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A box room (kind box), or the Radiance file of a room (kind radiance).
+
+    The "south" wall of a box is y = 0 and faces ``wall_azimuth_deg``. width_m is along x, which
+    is east if the south wall faces south: it grows towards the right-hand end of that wall seen
+    from OUTSIDE. depth_m is along y, away from the south wall; height_m along z.
+    wall_azimuth_deg: azimuth of the south wall's outward normal, clockwise from true north.
+    camera_tilt_deg: angle by which the panorama's centre column points up, and camera_roll_deg:
+    by which its right-hand side is low (both kind box only). file: .rad or .oct, and
+    viewpoint_m: x east, y north, z up (both kind radiance only).
+    """
+
+    kind: Literal["box", "radiance"] = "box"
+    width_m: float = 6.0
+    depth_m: float = 14.0
+    height_m: float = 4.5
+    camera_x_m: float = 3.0
+    camera_y_m: float = 3.0
+    camera_z_m: float = 1.6
+    camera_tilt_deg: float = 0.0
+    camera_roll_deg: float = 0.0
+    wall_azimuth_deg: float = 180.0
+    wall_thickness_m: float = 0.25
+    reflectance_walls: float = 0.5
+    reflectance_ceiling: float = 0.8
+    reflectance_floor: float = 0.2
+    reflectance_ground: float = 0.2
+    reflectance_frame: float = 0.4
+    window: tuple[Window, ...] = ()
+    obstruction: tuple[Obstruction, ...] = ()
+    file: str = ""
+    viewpoint_m: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PyranometerSetup:
+    """The instrument of a session as SITE.toml states it: its kind and the name of its profile."""
+
+    kind: str = ""
+    profile: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SiteFile:
+    """The content of SITE.toml: place, camera, room (None if not described) and pyranometer."""
+
+    site: Site
+    camera: CameraSetup = field(default_factory=CameraSetup)
+    room: Room | None = None
+    pyranometer: PyranometerSetup = field(default_factory=PyranometerSetup)
+
+
+# ----------------------------------------------------------------------------------------------
+# capture
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """Camera settings of one frame: nominal shutter time [s], f-number, ISO and filter.
+
+    nd: name of a neutral-density filter of the profile, "" for none.
+    """
+
+    shutter_s: float
+    f_number: float
+    iso: float = 100.0
+    nd: str = ""
+
+
+JsonTable = dict[str, Any]
+"""A JSON object; tests/test_json_keys.py has the keys of those that commands print."""
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 room" or "3 rooms"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def shutter_text(shutter_s: float) -> str:
+    """Return a time in s as cameras label it, without the unit: 1/250, 0.4, 2.
+
+    Times below 0.3 s become fractions.
+    """
+    return f"1/{1 / shutter_s:.6g}" if shutter_s < 0.3 else f"{shutter_s:.6g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One planned bracket: its start, the sun's position then, the exposures and tags.
+
+    tags: words that the plan attaches to the bracket; empty without any. sun_altitude_deg: true
+    altitude, without refraction; sun_azimuth_deg: clockwise from north.
+    """
+
+    t_utc: datetime
+    sun_altitude_deg: float
+    sun_azimuth_deg: float
+    exposures: tuple[Exposure, ...]
+    tags: tuple[str, ...] = ()
+
+    @property
+    def id(self) -> str:
+        """Name of the slot, which is its UTC start."""
+        return slot_id(self.t_utc)
+
+
+@dataclass(frozen=True, slots=True)
+class IrradianceSample:
+    """One reading of a pyranometer in W/m²; None for components that it does not measure.
+
+    ghi: global horizontal irradiance; dhi: diffuse horizontal; dni: direct normal;
+    temperature_c: as the instrument reports it [deg C]. status: as the instrument reports it,
+    "" for no fault; raw: the line or register words as received.
+    """
+
+    t_utc: datetime
+    ghi_wm2: float | None
+    dhi_wm2: float | None = None
+    dni_wm2: float | None = None
+    temperature_c: float | None = None
+    status: str = ""
+    raw: str = ""
+
+
+# ----------------------------------------------------------------------------------------------
+# luminance
+
+
+CLIPPED_SUN = "clipped"  # origin of a sun that is clipped in every frame, which is a lower bound
+
+
+@dataclass(frozen=True, slots=True)
+class SunSource:
+    """The sun as the lens sees it, separate from the map.
+
+    normal_illuminance_lx: on a plane normal to the sun, at the lens; a lower bound if origin is
+    "clipped". visible_fraction: share (0 to 1) of the disc's area that is not hidden. origin:
+    where the illuminance comes from; "" if unknown. azimuth_deg: clockwise from north.
+    normal_illuminance_lx is that of the visible part. Values of origin: nd-frames, merge,
+    clipped, meter, dni, rendering, picture.
+    """
+
+    altitude_deg: float
+    azimuth_deg: float
+    normal_illuminance_lx: float
+    visible_fraction: float = 1.0
+    origin: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Panorama:
+    """A luminance map of all directions; a sun disc that fieldlum measured is separate, in `sun`.
+
+    luminance_cdm2, u_cdm2 (standard uncertainty), flags (`Flag` bits) : [H, W = 2H], row 0 at the
+    zenith, azimuth clockwise to the right; rgb : [H, W, 3]. heading_deg : azimuth of the centre
+    column, clockwise from true north. t_utc, u_cdm2, flags, rgb : None if unknown. sun : None if no
+    sun was removed from the map or added to it; a map of another program may then contain the disc.
+    attributes : further texts of the picture's file.
+    """
+
+    luminance_cdm2: Floats
+    heading_deg: float
+    u_cdm2: Floats | None = None
+    flags: NDArray[np.integer] | None = None
+    t_utc: datetime | None = None
+    sun: SunSource | None = None
+    rgb: Floats | None = None  # such that 179 * (.265 .670 .065) gives the luminance
+    attributes: dict[str, str] = field(default_factory=dict)

@@ -1,0 +1,64 @@
+"""Define the states of a room with which captures can be marked: lamps, blinds, snow.
+
+A state is text such as ``lamp=on;blind=half``; an empty text is the usual room (lamps off, blinds
+up, no snow). Lamps add light; the other words change the room's response to daylight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+
+KNOWN = {"lamp": ("off", "on"), "blind": ("up", "half", "down"), "snow": ("no", "yes")}
+"""Words and their values; the first value of each is the usual one and is not written."""
+
+ADDED = "lamp"  # the word for light that does not follow the daylight
+OFF = "lamp=off"  # in a prediction, it also switches off a lamp that is always on
+USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in KNOWN.items())
+
+
+def parse_state(text: str) -> tuple[str, ...]:
+    """Return the unusual parts of a state, sorted by word, such as ("blind=half", "lamp=on").
+
+    text: parts ``word=value`` separated by semicolons. Parts with their usual value (lamp=off,
+    blind=up, snow=no) are omitted, so the result is empty for a usual room. Raises ValueError for a
+    word or a value that is not in KNOWN, or for a repeated word.
+    """
+    parts: dict[str, str] = {}
+    for part in filter(None, (piece.strip() for piece in text.split(";"))):
+        word, _, value = (piece.strip() for piece in part.partition("="))
+        if word not in KNOWN or value not in KNOWN[word] or word in parts:
+            raise ValueError(f"'{part}' is not a state of a room; known: {USAGE}")
+        parts[word] = value
+    return tuple(
+        f"{word}={value}" for word, value in sorted(parts.items()) if value != KNOWN[word][0]
+    )
+
+
+def state_text(parts: Iterable[str]) -> str:
+    """Join the parts of a state, sorted, with semicolons; the inverse of `parse_state`."""
+    return ";".join(sorted(parts))
+
+
+def merged_state(text: str, change: str) -> str:
+    """Return the state `text`, such as ``lamp=on;blind=half``, after the parts of `change` apply.
+
+    A word in `change` replaces the same word in `text`; other words stay. Words with their usual
+    value are not in the result. Raises ValueError for an unknown word or value in either text.
+    """
+    parse_state(change)
+    words = {part.partition("=")[0].strip() for part in change.split(";") if part.strip()}
+    unchanged = [part for part in parse_state(text) if part.partition("=")[0] not in words]
+    return state_text((*unchanged, *parse_state(change)))
+
+
+def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> Floats:
+    """Return a table [len(states), len(columns)]: 1 where a state contains a part, else 0.
+
+    states: texts such as ``lamp=on;blind=half``; columns: one part each, such as "lamp=on".
+    """
+    rows = [[float(part in parse_state(text)) for part in columns] for text in states]
+    return np.array(rows, float).reshape(len(states), len(columns))

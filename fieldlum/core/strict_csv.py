@@ -1,0 +1,305 @@
+"""Read tables that other programs write: one encoding, closed quotes, equally many cells in rows.
+
+Every csv reader uses this module, so that the same damage has the same answer everywhere.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from fieldlum.core.errors import InputError, input_errors
+
+Line = tuple[int, str]
+"""The number of a line in its file, from 1, and its text."""
+
+# First bytes of files that are no text (their formats' specifications).
+_NOT_TEXT = {
+    b"CDF": "a netCDF file",
+    b"\x89HDF": "a netCDF or HDF5 file",
+    b"PK\x03\x04": "a zip archive or a spreadsheet (xlsx)",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet (xls)",
+    b"\x1f\x8b": "a gzip archive",
+    b"%PDF": "a PDF",
+}
+# Share of zero bytes. UTF-16 without its mark has about half; a damaged block has few. Chosen.
+_MAX_ZERO_BYTES = 0.25
+COMMAS = ", because numbers have decimal commas"
+_INTEGER = re.compile(r"[+-]?\d+")
+_UNIT_AT_END = re.compile(r"(.*?)[\s_]*[(\[{]([^()\[\]{}]*)[)\]}\s]*")
+_WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
+_MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
+
+
+# ----------------------------------------------------------------------------------------------
+# text
+
+
+def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
+    """Return the text of a file in UTF-8, UTF-16 with its mark, or a Western 8-bit encoding.
+
+    Raises InputError for a file that cannot be read, and for other files, with their kind.
+    """
+    with input_errors(path, expected, remedy, OSError):
+        data = path.read_bytes()
+    for start, kind in _NOT_TEXT.items():
+        if data.startswith(start):
+            raise InputError(path, kind, expected, "export it as csv")
+    try:
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            text = data.decode("utf-16")
+        else:
+            text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        if error.encoding.startswith("utf-16"):
+            raise InputError(
+                path, "damaged UTF-16 text", expected, "save it again as UTF-8"
+            ) from None
+        text = _western(data)
+    if text.count("\0") > _MAX_ZERO_BYTES * len(text):
+        found = "a binary file, or UTF-16 without its byte order mark"
+        raise InputError(path, found, expected, "save it as UTF-8")
+    return text
+
+
+def _western(data: bytes) -> str:
+    try:
+        return data.decode("cp1252")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def lines_of(text: str) -> list[str]:
+    """Return the lines of a text with any line ends; csv cells with line ends are not supported."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return lines[:-1] if lines[-1] == "" else lines
+
+
+def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
+    """Return the lines that are neither empty nor comments (#), with their numbers."""
+    return [
+        (number, line)
+        for number, line in enumerate(lines, start=first)
+        if line.strip()[:1] not in ("", "#")
+    ]
+
+
+# ----------------------------------------------------------------------------------------------
+# rows
+
+
+@dataclass(frozen=True, slots=True)
+class CsvTable:
+    """Column names, and the number and cells of each line below them; as many cells as names."""
+
+    path: Path
+    names: tuple[str, ...]
+    rows: tuple[tuple[int, tuple[str, ...]], ...]
+
+    def dicts(self) -> list[tuple[int, dict[str, str]]]:
+        """Return the number and the cells by column of each line."""
+        return [(line, dict(zip(self.names, cells, strict=True))) for line, cells in self.rows]
+
+
+def split_row(line: str, mark: str = ",", *, padded: bool = True) -> list[str]:
+    """Return the cells of a line; padded: remove spaces around them.
+
+    Raises ValueError for a quotation mark without its counterpart.
+    """
+    if '"' not in line:
+        cells = line.split(mark)
+    else:
+        try:
+            cells = next(csv.reader([line], delimiter=mark, strict=True, skipinitialspace=padded))
+        except csv.Error:
+            raise ValueError("a quotation mark without its counterpart") from None
+    return [cell.strip() for cell in cells] if padded else cells
+
+
+def split_header(path: Path, line: Line, mark: str = ",") -> list[str]:
+    """Return the cells of a header line.
+
+    Raises InputError for a stray quotation mark, and for another separator than commas.
+    """
+    try:
+        names = split_row(line[1], mark)
+    except ValueError as error:
+        raise InputError(
+            path, f"line {line[0]}: {error}", "a line of names", "correct that line"
+        ) from None
+    if len(names) == 1 and mark == "," and (other := re.search(r"[;\t|]", names[0])):
+        raise InputError(
+            path,
+            f"columns separated by {other[0]!r}",
+            "commas",
+            "save it as CSV with commas between and points in the numbers",
+        )
+    return names
+
+
+def split_rows(
+    path: Path, lines: Iterable[Line], count: int | None = None, mark: str = ","
+) -> list[tuple[int, tuple[str, ...]]]:
+    """Return the number and the cells of each line.
+
+    count: how many cells each line has; None: as most lines have. Raises InputError, with the first
+    such line, for another number of cells and for a quotation mark without its counterpart.
+    """
+    rows = []
+    for number, line in lines:
+        try:
+            rows.append((number, tuple(split_row(line, mark))))
+        except ValueError as error:
+            raise InputError(
+                path, f"line {number}: {error}", "paired quotation marks", "correct that line"
+            ) from None
+    if count is None:
+        count = Counter(len(cells) for _, cells in rows).most_common(1)[0][0] if rows else 0
+    wrong = [row for row in rows if len(row[1]) != count]
+    if wrong:
+        line, cells = wrong[0]
+        others = f" (and {len(wrong) - 1} more such lines)" if len(wrong) > 1 else ""
+        commas = decimal_commas(cells, count, [cells for _, cells in rows if len(cells) == count])
+        why = COMMAS if commas else ""
+        raise InputError(
+            path,
+            f"line {line}: {len(cells)} cells{why}{others}",
+            f"{count} cells, one for each column",
+            "write decimals with a point"
+            if commas
+            else "correct that line, or write the file again",
+        )
+    return rows
+
+
+def decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]] = ()) -> bool:
+    """Return whether a row has more than `count` cells because commas separate its decimals.
+
+    Then pairs of integers are as many as the surplus cells, and the row has fewer decimal points
+    than rows with `count` cells (`right`), or no row has any.
+    """
+    surplus, pairs, k = len(cells) - count, 0, 0
+    while k + 1 < len(cells):
+        pair = _INTEGER.fullmatch(cells[k]) and cells[k + 1].isdecimal()
+        pairs += bool(pair)
+        k += 2 if pair else 1
+    points = max((sum("." in cell for cell in row) for row in right), default=0)
+    missing = points - sum("." in cell for cell in cells)
+    return 0 < surplus <= pairs and "" not in cells and (points == 0 or missing >= surplus)
+
+
+def read_table(
+    path: Path, expected: str, remedy: str, *, needed: Sequence[str] = (), mark: str = ","
+) -> CsvTable:
+    """Return the header and the rows of a csv without comments (#) and empty lines.
+
+    expected, remedy: for errors. Raises InputError for a file that cannot be read, a missing or
+    repeated column, and what `split_rows` refuses.
+    """
+    lines = numbered(lines_of(read_text(path, expected, remedy)))
+    if not lines:
+        raise InputError(path, "an empty file", expected, remedy)
+    table = table_of(path, lines, mark)
+    if missing := [name for name in needed if name not in table.names]:
+        raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
+    return table
+
+
+def table_of(path: Path, lines: Sequence[Line], mark: str = ",") -> CsvTable:
+    """Return the table below the header in the first line.
+
+    Empty columns at the right, which spreadsheets write, are left out. Raises InputError for a
+    repeated name, a cell below an empty name there, and what `split_rows` refuses.
+    """
+    names = split_header(path, lines[0], mark)
+    check_names(path, names)
+    rows = split_rows(path, lines[1:], len(names), mark)
+    width = max((k + 1 for k, name in enumerate(names) if name), default=0)
+    for line, cells in rows:
+        if any(cells[width:]):
+            raise InputError(
+                path, f"line {line}: a cell without a column name", "a name", "name its column"
+            )
+    return CsvTable(path, tuple(names[:width]), tuple((n, cells[:width]) for n, cells in rows))
+
+
+def check_names(path: Path, names: Sequence[str]) -> None:
+    """Raise InputError for a column name that occurs twice; empty names are no names."""
+    counts = Counter(name for name in names if name)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise InputError(
+            path,
+            f"{counts[twice[0]]} columns named {twice[0]}",
+            "each name once",
+            "rename or remove one of the columns",
+        )
+
+
+# ----------------------------------------------------------------------------------------------
+# cells
+
+
+def read_time(text: str, *, utc: bool = False) -> datetime:
+    """Return the time in an ISO text; without a zone in the text, it has one only with `utc`.
+
+    Raises ValueError for another text and for a date without a time of day.
+    """
+    try:
+        t = datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"time {text[:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
+    if _is_date(text):
+        raise ValueError(f"{text!r} is a date without a time of day")
+    return t.replace(tzinfo=UTC) if utc and t.tzinfo is None else t
+
+
+def _is_date(text: str) -> bool:
+    try:
+        date.fromisoformat(text)
+    except ValueError:
+        return False
+    return True
+
+
+def split_heading(heading: str) -> tuple[str, str]:
+    """Return the name and the unit of a column heading such as ``DNI (W/m^2)`` or ``dni_wm2``."""
+    match = _UNIT_AT_END.fullmatch(heading.strip())
+    if match and match[2].strip():
+        name, unit = match[1], match[2]
+        return (name, unit) if is_unit(unit) else (heading.strip(), "")
+    words = re.split(r"[\s_]+", heading.strip())
+    for k in range(max(len(words) - 4, 1), len(words)):  # "Watts per square meter" has four words
+        if is_unit(unit := " ".join(words[k:])):
+            return " ".join(words[:k]).rstrip(","), unit
+    return heading.strip(), ""
+
+
+def stated_unit(heading: str) -> str:
+    """Return the unit that a heading states, also one that is no irradiance; empty without one."""
+    match = _UNIT_AT_END.fullmatch(heading.strip())
+    stated = match[2].strip() if match else ""
+    return stated if "/" in stated else split_heading(heading)[1]
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit of irradiance (W/m2) or of voltage."""
+    return is_wm2(text) or microvolts(text) is not None
+
+
+def is_wm2(unit: str) -> bool:
+    """Return whether a unit is W/m2, in any of its spellings."""
+    text = unit.lower().replace("â", "").translate(str.maketrans("²⁻−–", "2---"))
+    text = re.sub(r"met(?:er|re)s?", "m", re.sub(r"watts?", "w", text))
+    text = re.sub(r"(?:square|sq\.?)[\s._]*m", "m2", re.sub(r"\s*\bper\b\s*", "/", text))
+    return re.sub(r"[\s^*._·⋅()]", "", text) in _WM2
+
+
+def microvolts(unit: str) -> float | None:
+    """Return the microvolts in a unit of voltage; None for another unit."""
+    return _MICROVOLTS.get(unit.strip().lower())

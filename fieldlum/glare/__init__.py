@@ -1,6 +1,0 @@
-"""Compute glare in every direction around a panorama, and of single pictures."""
-
-from fieldlum.glare.fisheye import FISHEYE_VIEW, panorama_to_fisheye
-from fieldlum.glare.geometry import Views, panorama_views, position_index, view_azimuths_deg
-from fieldlum.glare.metrics import dgp, glare_directions
-from fieldlum.glare.reference import reference_glare, reference_version

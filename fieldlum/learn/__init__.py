@@ -1,0 +1,1 @@
+"""Learn a room's light: models, light transport, and their training and choice."""

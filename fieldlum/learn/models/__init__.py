@@ -1,0 +1,202 @@
+"""Models of a room: what a fitted model must provide, and its folder on disk.
+
+A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
+Fitted`` (or another name stated in `model_registry.MODELS`), and one that loads,
+``from_state(state: ModelState) -> Fitted``. Model folders contain `config.json` and `weights.npz`:
+settings and plain arrays without pickle, so that a model from another person cannot run code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.models.mirrors import arrays_of, table_of
+from fieldlum.session import replacing
+from fieldlum.session.files.arrays_npz import NPZ_ERRORS, read_arrays
+from fieldlum.session.files.model_config import ModelConfig, write_config
+from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
+from fieldlum.version import __version__
+
+if TYPE_CHECKING:
+    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.mirrors import Mirror
+    from fieldlum.sky.light import Light
+
+Patch = Literal["absolute", "gain", "none"]
+"""How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
+
+
+# What rebuilding a damaged or hostile model can raise, next to `NPZ_ERRORS`.
+_BROKEN = (IndexError, TypeError, ArithmeticError, MemoryError)
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Predicted maps without the sun's disc, and their uncertainty.
+
+    luminance_cdm2: [n, H, W] float32; log10_sd: standard deviation of log10 L [n, H, W], None if
+    the model gives none; expected_mse: the model's own estimate of each map's log10 MSE, weighted
+    by solid angle [n] (NaN: unknown); trusted: True for hours that are like the captured ones [n].
+    """
+
+    luminance_cdm2: Floats32
+    log10_sd: Floats32 | None
+    expected_mse: Floats
+    trusted: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class ModelState:
+    """The content of a model folder.
+
+    config: keys of config.json; before writing, only the model's own keys, after reading also those
+    that all models share. arrays: plain arrays of weights.npz by name.
+    """
+
+    config: Mapping[str, Any]
+    arrays: Mapping[str, Array]
+
+
+# An hour is not trusted if the model expects a larger error factor. Measured on the office's nine
+# days: no hour of clean days is beyond it; with a lamp on, a camera displaced by 1 px on three
+# days, snow, or four days only, 5 to 77 % of the hours are (docs/models.md).
+TRUSTED_FACTOR = 1.2
+TRUSTED_MSE = float(np.log10(TRUSTED_FACTOR) ** 2)
+
+
+# Part of a warning of `train`: every hour of a model with this warning is untrusted.
+POOR_WORDS = "do not trust single maps of this model"
+
+
+def trusted_hours(prediction: Prediction) -> Mask:
+    """Return a mask [n], True for trusted hours.
+
+    These are the hours with `prediction.trusted`, without those whose expected error (root of
+    `expected_mse`, in log10) is above log10(1.2). An unknown expected error (NaN) does not exclude
+    an hour.
+    """
+    return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
+
+
+class Fitted(Protocol):
+    """A trained model.
+
+    `state` may add a key `with_patch` to config.json: whether `predict` requires sun patches.
+    Without this key they are required unless the model was trained with patch "none". parameters:
+    number of fitted values. held_out_mse: log10 MSE of each training map, weighted by solid angle
+    and predicted by a fit without its day [n]; None if not computed.
+    """
+
+    name: str
+    parameters: int  # number of fitted values, which `train` reports
+    # Weighted log10 MSE [n] of each training map, predicted by a fit without its day; None if not
+    # computed.
+    held_out_mse: Floats | None
+
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
+        """Predict maps of the n hours of `light`.
+
+        patch_cdm2: luminance of direct sun only [n, H, W], for models that require it. Memory grows
+        with the number of hours, so predict in chunks.
+        """
+        ...
+
+    def state(self) -> ModelState:
+        """Return what config.json and weights.npz must contain for the model's `from_state`."""
+        ...
+
+
+def fit(name: str, data: Dataset, **options: Any) -> Fitted:
+    """Fit the model with a name of `MODELS`; options: arguments of that model's fit.
+
+    Raises KeyError for an unknown name, and what that model's fit raises.
+    """
+    kind = MODELS[name]
+    return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
+
+
+def save(
+    folder: Path, fitted: Fitted, data: Dataset, *, mirrors: Sequence[Mirror] = (), **more: Any
+) -> None:
+    """Write weights.npz, sky_view.exr, then config.json, each atomically, into a folder.
+
+    data: the training data; config.json describes them, and weights.npz has their seen pixels.
+    mirrors: plane mirrors of the sun. more: further keys of config.json.
+    """
+    state = fitted.state()
+    arrays = {"seen": data.seen, **arrays_of(mirrors), **state.arrays}
+    with replacing(folder / "weights.npz") as file:
+        np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
+    table = {
+        "model": fitted.name,
+        "software": {"fieldlum": __version__},
+        **data.about(),
+        **({"mirrors": table_of(mirrors)} if mirrors else {}),
+        **more,
+        **state.config,
+    }
+    if data.sky_view is not None:
+        data.sky_view.write(folder / SKY_VIEW)
+    else:
+        (folder / SKY_VIEW).unlink(missing_ok=True)
+    write_config(folder, table)
+
+
+def read_config(folder: Path) -> ModelConfig:
+    """Read config.json of a model folder.
+
+    Raises InputError if the file is missing, damaged or of another format, or for an unknown model.
+    """
+    config = ModelConfig.read(folder)
+    if config.model not in MODELS:
+        raise InputError(
+            folder / "config.json",
+            f"the unknown model '{config.model}'",
+            f"one of {', '.join(MODELS)}",
+            "train the model again (fieldlum train)",
+        )
+    return config
+
+
+def seen_of(folder: Path) -> Mask | None:
+    """Return a mask [H, W], True for pixels that the camera saw, from a model's folder.
+
+    None if weights.npz does not contain it (models of 0.1.0) or cannot be read.
+    """
+    try:
+        with (folder / "weights.npz").open("rb") as file:
+            stored = np.load(file, allow_pickle=False)
+            return stored["seen"].astype(bool) if "seen" in stored.files else None
+    except NPZ_ERRORS:
+        return None  # `load` reports the fault
+
+
+def load(folder: Path) -> Fitted:
+    """Return the model in a folder; nothing is unpickled.
+
+    Raises InputError if config.json or weights.npz is missing, damaged or does not fit the other.
+    """
+    config = read_config(folder)
+    path = folder / "weights.npz"
+    try:
+        state = ModelState(config.state, read_arrays(path))
+        return importlib.import_module(MODELS[config.model].module).from_state(state)
+    except (*NPZ_ERRORS, *_BROKEN) as error:
+        finding = f"weights that cannot be used ({error})".replace("\n", " ")
+        raise InputError(
+            path,
+            finding,
+            "the arrays that config.json describes",
+            "train the model again (fieldlum train)",
+        ) from None

@@ -1,0 +1,356 @@
+"""Read training data: pairs.csv and its pictures, with the sun's disc separated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Progress, SiteFile, counted, quiet, slot_id
+from fieldlum.core.room_states import USAGE, merged_state
+from fieldlum.learn.models.alignment import align, find_turns, shown_place, turn_notes
+from fieldlum.learn.models.check_pairs import Stated, check_plausible
+from fieldlum.learn.models.pair_pictures import fill_gaps, read_pictures
+from fieldlum.learn.models.teaching import joined_counts
+from fieldlum.learn.models.turns_by_light import DirectLight
+from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.pair.interval import is_doubted
+from fieldlum.session import Session, marks, open_session
+from fieldlum.session.files.alignment_csv import alignment_path
+from fieldlum.session.files.model_config import UsedScene
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.provenance import data_digest
+from fieldlum.session.site_toml import load_site, site_table
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light
+from fieldlum.sky.sky_view import (
+    SkyView,
+)
+from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
+
+_NAMED = 3  # number of slots that a note names; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """Captured hours with their light. The maps have no sun disc: disc_lx has its illuminance.
+
+    light: light outside in the n hours; luminance_cdm2: [n, H, W]; patch_cdm2: luminance by direct
+    sun on surfaces (sun patches) [n, H, W], None without them; disc_lx: illuminance of the visible
+    disc at the lens, on a plane normal to the sun [n]; heading_deg: azimuth of the maps' centre
+    column, clockwise from north; days: local dates without daylight saving time [n]; slots: UTC
+    start times as ids, such as 20270320T153000Z [n]; setup: content of SITE.toml; seen: True for
+    pixels that the camera saw [H, W]; steadiness: range of the irradiance during the bracket over
+    its mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user;
+    counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
+    fitted scene, None without one; sky_view: where the camera sees the sky, None if it was not
+    estimated (`with_sky_view`); doubted: True for hours whose irradiance `pair` marked [n], None
+    without any.
+    """
+
+    light: Light
+    luminance_cdm2: Floats32
+    patch_cdm2: Floats32 | None
+    disc_lx: Floats
+    heading_deg: float
+    days: NDArray[np.datetime64]
+    slots: tuple[str, ...]
+    setup: SiteFile
+    seen: Mask
+    steadiness: Floats
+    source: str = ""
+    notes: tuple[str, ...] = field(default=())
+    counts: NDArray[np.float16] | None = None
+    scene: UsedScene | None = None
+    sky_view: SkyView | None = field(default=None, metadata={"digest": False})
+    doubted: Mask | None = field(default=None, metadata={"later": True})
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the maps [px]."""
+        return self.luminance_cdm2.shape[1], self.luminance_cdm2.shape[2]
+
+    @property
+    def weights(self) -> Floats:
+        """Solid angle of a pixel over the mean of the seen pixels, [H, W]; 0 for unseen ones."""
+        weights = np.where(self.seen, equirect_solid_angles(*self.shape), 0.0)
+        return weights / weights[self.seen].mean()
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all fields except `source` and `sky_view`, in hex."""
+        return data_digest(replace(self, source=""))
+
+    def take(self, index: Array | Sequence[int]) -> Dataset:
+        """Return some of the n hours, selected by `index`.
+
+        index: indices from 0 [k], whose order is followed, or a mask [n], True for hours to take.
+        """
+        rows = np.asarray(index)
+        rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
+        return replace(
+            self,
+            light=self.light[rows],
+            luminance_cdm2=self.luminance_cdm2[rows],
+            patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[rows],
+            disc_lx=self.disc_lx[rows],
+            days=self.days[rows],
+            slots=tuple(self.slots[i] for i in rows),
+            steadiness=self.steadiness[rows],
+            counts=None if self.counts is None else self.counts[rows],
+            doubted=None if self.doubted is None else self.doubted[rows],
+        )
+
+    def thin(self, height: int) -> Dataset:
+        """Return the same hours at every f-th pixel in both directions, with `height` rows or more.
+
+        f is the largest odd divisor of the rows that allows this, or 1. Pixels are not averaged, so
+        that noise and sharp edges remain.
+        """
+        rows = self.shape[0]
+        odd = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
+        step = odd[-1] if odd else 1
+        pick = slice(step // 2, None, step)  # centres of blocks are centres of pixels
+        return replace(
+            self,
+            luminance_cdm2=self.luminance_cdm2[:, pick, pick],
+            patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[:, pick, pick],
+            seen=self.seen[pick, pick],
+            counts=None if self.counts is None else self.counts[:, pick, pick],
+        )
+
+    def about(self) -> dict[str, object]:
+        """Return what a model's config.json records about its training data.
+
+        These are site, heading, height and width, the scene if one was used, and the source, slots
+        and days of the captures.
+        """
+        return {
+            "setup": site_table(self.setup),
+            "heading_deg": self.heading_deg,
+            "height": self.shape[0],
+            "width": self.shape[1],
+            **({"scene": self.scene} if self.scene else {}),
+            "training": {
+                "source": self.source,
+                "slots": list(self.slots),
+                "days": sorted({str(d) for d in self.days}),
+            },
+        }
+
+
+# ----------------------------------------------------------------------------------------------
+# pairs.csv
+
+
+def _usable_rows(pairs: PairsFile) -> list[PairRow]:
+    """Return the rows with ok = 1, in the order of time.
+
+    Raises InputError for a missing picture.
+    """
+    for row in pairs.usable:
+        for name in (row.panorama, row.sunpatch):
+            picture = pairs.path.parent / name
+            if name and not picture.is_file():
+                raise InputError(
+                    pairs.path,
+                    f"line {row.line}: no file {picture}",
+                    "an existing picture",
+                    "copy the picture there, or set ok = 0",
+                )
+    return sorted(pairs.usable, key=lambda row: row.t_utc)
+
+
+def _find_setup(path: Path, site: Path | None) -> SiteFile:
+    """Return the site: that of --site, else of the session, else of site.toml next to the csv."""
+    if site is not None:
+        return load_site(site)
+    if (path.parent / "session.toml").is_file():
+        return open_session(path.parent).site_file()
+    if path.parent.name == "truth" and (path.parent.parent / "session.toml").is_file():
+        return open_session(path.parent.parent).site_file()
+    if (path.parent / "site.toml").is_file():
+        return load_site(path.parent / "site.toml")
+    raise InputError(
+        path,
+        "no site file belongs to this csv",
+        "site.toml next to the csv, or --site SITE.toml",
+        "write SITE.toml with: fieldlum new",
+    )
+
+
+def load_pairs(
+    where: Path | Session, site: Path | None = None, *, progress: Progress = quiet
+) -> Dataset:
+    """Read the captures of a pairs.csv with their pictures, in the order of time.
+
+    where: path of the csv, a session or its folder; site: path of SITE.toml, None for that of the
+    session or site.toml next to the csv. Rows with ok = 0, without irradiance, or from a camera
+    that cannot be aligned are not used. The sun's position is that of the csv; where its cells are
+    empty, it is computed.
+
+    Raises InputError for a missing csv, site file or picture, an unreadable cell or picture,
+    pictures that differ in size or heading, or implausible rows; NotEnoughDataError if no row or no
+    pixel is usable.
+    """
+    path = where.pairs if isinstance(where, Session) else Path(where)
+    if path.is_dir():
+        path = open_session(path).pairs
+    if not path.is_file():
+        raise InputError(
+            path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
+        )
+    setup = _find_setup(path, site)
+    pairs = PairsFile.read(path)
+    rows, refused, notes = _usable_rows(pairs), len(pairs.refused), list(pairs.warnings)
+    if refused:
+        notes.append(f"left out: {counted(refused, 'row')} with ok = 0")
+    dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
+    if dark:
+        more = f" and {len(dark) - _NAMED} more" if len(dark) > _NAMED else ""
+        named = ", ".join(Path(row.panorama).stem for row in dark[:_NAMED])
+        notes.append(f"captures without irradiance are not used: {named}{more}")
+        rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
+    if not rows:
+        raise NotEnoughDataError(
+            f"{path}: no usable row; expected a row with ok = 1 and irradiance above 0; see the "
+            "column 'why', correct the cause and run fieldlum pair again"
+        )
+    return _assemble(path, rows, setup, notes, progress)
+
+
+def _assemble(
+    path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
+) -> Dataset:
+    check_plausible(path, _stated(path, rows), setup.site)
+    altitude, azimuth = _sun_columns(rows, setup)
+    refraction = _refraction(path, rows)
+    shown_altitude = sun.shown_altitude_deg(altitude) if refraction else altitude
+    pictures = read_pictures(path, rows, setup, progress)
+    if pictures.bounds:
+        notes.append(
+            f"the sun is clipped in {counted(pictures.bounds, 'map')}: its illuminance there is "
+            "only a lower bound; run fieldlum pair, and read its cautions"
+        )
+    heading = pictures.heading_deg
+    names = [row.panorama for row in rows]
+    dni = np.array([row.dni_wm2 for row in rows])
+    dhi = np.array([row.dhi_wm2 for row in rows])
+    days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
+    days = np.array(days, "datetime64[D]")
+    beam = dni * np.sin(np.radians(np.maximum(altitude, 0.0)))
+    direct = DirectLight(beam / np.maximum(beam + dhi, 1.0), azimuth, days)
+    turns = find_turns(path, names, pictures.maps, pictures.has_value, heading, direct, progress)
+    for k in (k for k, row in enumerate(rows) if row.sun_in_map):
+        at = float(shown_altitude[k]), float(azimuth[k])
+        shown = shown_place(*at, heading, turns.angles_deg[k])
+        pictures.take_disc_out(k, at, shown, float(dni[k]))
+    align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)
+    counts = joined_counts(pictures.counts, pictures.has_value)
+    notes += turn_notes(turns, days, alignment_path(path).name)
+    seen_mask, filled = fill_gaps(pictures.maps, pictures.has_value)
+    if filled:
+        notes.append(
+            f"filled {counted(filled, 'missing value')} of pixels that have values in most maps, "
+            "with the median of the pixel over the maps that have one"
+        )
+    if not seen_mask.all():
+        notes.append(
+            f"{100 * (1 - seen_mask.mean()):.0f} % of the pixels were not seen by the camera"
+        )
+    times = [row.t_utc for row in rows]
+    doubted = np.array([is_doubted(row.why) for row in rows])
+    data = Dataset(
+        light=Light(
+            t_utc=tuple(times),
+            dni_wm2=dni,
+            dhi_wm2=dhi,
+            sun_altitude_deg=altitude,
+            sun_azimuth_deg=azimuth,
+            states=_states(path, rows),
+            refraction=refraction,
+        ),
+        luminance_cdm2=pictures.maps,
+        patch_cdm2=pictures.patches,
+        disc_lx=pictures.disc_lx,
+        heading_deg=heading,
+        days=days,
+        slots=tuple(slot_id(t) for t in times),
+        setup=setup,
+        seen=seen_mask,
+        steadiness=np.array([row.steadiness for row in rows]),
+        source=str(path),
+        notes=tuple(notes),
+        counts=counts,
+        sky_view=SkyView.find(path.parent / SKY_VIEW),
+        doubted=doubted if doubted.any() else None,
+    )
+    return data if turns.aligned.all() else data.take(turns.aligned)
+
+
+def _stated(path: Path, rows: list[PairRow]) -> Stated:
+    numbers = np.array(
+        [(row.dni_wm2, row.dhi_wm2, row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]
+    ).T
+    return Stated(
+        [row.line for row in rows],
+        [row.t_utc for row in rows],
+        [path.parent / row.panorama for row in rows],
+        *numbers,
+    )
+
+
+def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
+    """Return the room's state in each row, from the csv's column and the marks in the journal.
+
+    Return None if the room is in its usual state in all rows. Raises InputError for an unknown
+    word.
+    """
+    marked = marks(Session(path.parent))
+    states = []
+    for row in rows:
+        try:
+            state = merged_state(row.state, marked.get(Path(row.panorama).stem, ""))
+        except ValueError as error:
+            raise InputError(
+                path, f"line {row.line}: {error}", USAGE, "correct that cell"
+            ) from None
+        states.append(state)
+    return tuple(states) if any(states) else None
+
+
+def _refraction(path: Path, rows: list[PairRow]) -> bool:
+    """Return whether the pictures show the sun as raised by refraction.
+
+    Raises InputError for a csv in which only some pictures do.
+    """
+    other = [row.line for row in rows if row.refraction != rows[0].refraction]
+    if other:
+        raise InputError(
+            path,
+            f"line {other[0]}: the value of the column refraction differs from that of the first "
+            "row",
+            "1 in all rows (camera pictures) or 0 in all rows (renderings with the true sun)",
+            "write camera pictures and renderings into separate csv files",
+        )
+    return rows[0].refraction
+
+
+def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
+    """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none."""
+    altitude = np.array([row.sun_altitude_deg for row in rows])
+    azimuth = np.array([row.sun_azimuth_deg for row in rows])
+    blank = np.isnan(altitude) | np.isnan(azimuth)
+    if blank.any():
+        position = sun.position(
+            [row.t_utc for row, b in zip(rows, blank, strict=True) if b], setup.site
+        )
+        altitude[blank], azimuth[blank] = position.altitude_deg, position.azimuth_deg
+    return altitude, azimuth

@@ -1,0 +1,169 @@
+"""Read the pictures of a pairs.csv: maps and sun patches of one size; separate the sun's disc."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Progress, SiteFile
+from fieldlum.learn.models.teaching import pixel_counts
+from fieldlum.optics.images import PANORAMA_LINE, read_panorama
+from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.session.files.pairs_csv import PairRow
+from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
+from fieldlum.sky.sun_disc import split_disc
+
+_MERGE_ALIKE = "render or merge all brackets at one size and heading, then run fieldlum pair again"
+_PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other pictures"
+
+
+@dataclass(frozen=True, slots=True)
+class PairPictures:
+    """The pictures of the n rows of a pairs.csv; later steps change the arrays in place.
+
+    maps: captured luminance [n, H, W] cd/m2; patches: luminance of the direct sun alone [n, H, W]
+    cd/m2, None without pictures of sun patches; disc_lx: illuminance by the sun's disc on a plane
+    normal to it [n]; has_value: mask [n, H, W], True at measured pixels; counts: weights of the
+    pixels in training, [H, W] or None for 1, one entry for each row; heading_deg: azimuth of the
+    middle of all maps; bounds: number of maps whose sun is clipped, so that its illuminance is only
+    a lower bound.
+    """
+
+    maps: Floats32
+    patches: Floats32 | None
+    disc_lx: Floats
+    has_value: Mask
+    counts: list[NDArray[np.float16] | None]
+    heading_deg: float
+    bounds: int
+
+    def take_disc_out(
+        self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
+    ) -> None:
+        """Remove the sun's disc from map k and patch k, and store its illuminance in disc_lx[k].
+
+        at: altitude and azimuth of the sun [deg], where the patch shows it; shown: altitude and
+        azimuth at which the picture of a turned camera shows it [deg]; dni_wm2: direct normal
+        irradiance. With sun patches, the illuminance is that in the patch, which has no sky around
+        the disc.
+        """
+        self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
+        if self.patches is not None:
+            patch, self.disc_lx[k] = split_disc(self.patches[k], self.heading_deg, at, dni_wm2)
+            self.patches[k] = patch
+
+
+def read_pictures(
+    path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
+) -> PairPictures:
+    """Read the maps and sun patches of the rows of a pairs.csv; the sun's disc remains in the maps.
+
+    path: of the pairs.csv, to whose folder the names of pictures are relative. disc_lx is from the
+    pictures' headers, 0 where they have none. Raises InputError if sizes or headings differ from
+    those of the first picture, or if only some rows have a sun patch.
+    """
+    pictures = [path.parent / row.panorama for row in rows]
+    suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
+    first = read_panorama(pictures[0])
+    shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
+    with_patch = sum(bool(row.sunpatch) for row in rows)
+    if 0 < with_patch < len(rows):
+        bare = next(row.line for row in rows if not row.sunpatch)
+        raise InputError(
+            path,
+            f"line {bare}: the cell of column sunpatch is empty, but not in other rows",
+            "a sunpatch in all rows or in none",
+            "fill or empty this column in all rows",
+        )
+    maps = np.empty((len(rows), *shape), np.float32)
+    patches = np.empty_like(maps) if with_patch else None
+    disc, bounds = np.zeros(len(rows)), 0
+    masks, counts = np.empty(maps.shape, bool), []
+    for k, row in enumerate(rows):
+        progress(k, len(rows), pictures[k].name)
+        panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
+        panorama = _checked(panorama, pictures[k], shape, heading, setup, _MERGE_ALIKE)
+        bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
+        maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
+        counts.append(pixel_counts(panorama))
+        disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
+        if patches is not None:
+            source = path.parent / row.sunpatch
+            patch = _checked(read_panorama(source), source, shape, heading, setup, _PAIR_AGAIN)
+            patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
+            if patch.sun and not panorama.sun and not row.sun_in_map:
+                disc[k] = patch.sun.normal_illuminance_lx
+    progress(len(rows), len(rows), "")
+    return PairPictures(maps, patches, disc, masks, counts, heading, bounds)
+
+
+def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
+    """Return the heading of the picture (.exr, or a .hdr with a heading line), else the site's."""
+    return (
+        panorama.heading_deg
+        if path.suffix.lower() == ".exr" or _says_heading(path)
+        else setup.camera.heading_deg
+    )
+
+
+def _says_heading(path: Path) -> bool:
+    with path.open("rb") as file:
+        return PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
+
+
+def _checked(
+    panorama: Panorama,
+    path: Path,
+    shape: tuple[int, ...],
+    heading: float,
+    setup: SiteFile,
+    remedy: str,
+) -> Panorama:
+    size = panorama.luminance_cdm2.shape
+    if size != shape:
+        raise InputError(
+            path,
+            f"{size[1]} x {size[0]} pixels",
+            f"{shape[1]} x {shape[0]} pixels, as the panorama of the first row",
+            remedy,
+        )
+    if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
+        raise InputError(
+            path,
+            f"a heading of {_heading(panorama, path, setup):g} deg",
+            f"{heading:g} deg, as the panorama of the first row",
+            remedy,
+        )
+    return panorama
+
+
+def _has_value(panorama: Panorama) -> Mask:
+    good = np.isfinite(panorama.luminance_cdm2)
+    return good if panorama.flags is None else good & ((panorama.flags & Flag.OUTSIDE_LENS) == 0)
+
+
+def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
+    """Fill missing values in `maps`, in place; return a mask of used pixels and a count.
+
+    maps: [n, H, W]; has_value: mask [n, H, W], False where a value is missing. A missing value gets
+    the pixel's median over the maps. A pixel that is missing in a fifth of the maps or more is not
+    used: it is False in the mask [H, W] and 0 in all maps. Negative values become 0. count: number
+    of filled values. Raises NotEnoughDataError if no pixel is used.
+    """
+    seen_mask = has_value.mean(axis=0) > 0.8
+    if not seen_mask.any():
+        raise NotEnoughDataError(
+            "no pixel has a value in over 80 % of the panoramas; check that "
+            "all panoramas are from one camera position"
+        )
+    gaps = ~has_value & seen_mask
+    for i, j in np.argwhere(gaps.any(axis=0)):
+        maps[gaps[:, i, j], i, j] = np.median(maps[has_value[:, i, j], i, j])
+    maps[:, ~seen_mask] = 0.0
+    np.maximum(maps, 0.0, out=maps)
+    return seen_mask, int(gaps.sum())

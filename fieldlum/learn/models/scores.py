@@ -1,0 +1,371 @@
+"""Compare predicted maps with the truth, as Liu, Colburn and Inanici (2020), and by solid angle.
+
+Luminance errors and `dgp_mse` use the true sun disc in truth and prediction, so they judge only the
+map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from the sky view.
+
+That paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
+e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
+levels, with and without the authors' cut at 500. By solid angle: weights with a mean of 1; mean,
+median, 90th percentile and worst image.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.records import Progress, quiet
+from fieldlum.learn.models import Fitted, Prediction, trusted_hours
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.disc_in_view import disc_lx
+from fieldlum.learn.models.held_out_choice import HeldOutErrors
+from fieldlum.learn.models.hour_weights import choice_weights
+from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.scores_json import ScoreFigures
+from fieldlum.sky.sun_disc import add_disc
+from fieldlum.year.glare import Views, glare_directions, panorama_views, view_azimuths_deg
+from fieldlum.year.glare.contrast import RAMMG_LEVELS, contrast_levels
+from fieldlum.year.glare.metrics import dgp_with_disc, sun_per_lx
+from fieldlum.year.glare.unseen import view_coverage
+
+FLOOR_CDM2 = 1.0  # paper
+RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020
+# most maps for which DGP and RAMMG are computed, spread evenly; chosen, limits the time
+GLARE_MAPS = 150
+KEPT_HEIGHT = 58  # least number of rows of stored maps: that of the smallest panoramas of a demo
+CHUNK = 24  # maps predicted at a time; chosen, limits the memory
+BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribution
+
+
+@dataclass(slots=True)
+class Scores:
+    """The scores of n predicted maps: arrays [n] with a value for each map, NaN if not computed.
+
+    Errors are of log10 luminance L, predicted less true. mse, mse_weighted: mean squared error
+    of the pixels, equally weighted or by solid angle; error2, truth2: sums over pixels of
+    squared errors and of squared true log10 L; error2_weighted, truth2_weighted: the same times
+    the pixels' weights; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the
+    squared and absolute error of DGP, of true DGP and of its square; rammg_error: RAMMG
+    predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
+    expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
+    day: local date; weight: of the hour in choices (`hour_weights`); slots: names of the hours.
+    DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
+    the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
+    gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
+    pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting, by the
+    clock and by the processor. maps: those whose glare was computed, if `evaluate` has
+    keep_maps, otherwise None.
+    """
+
+    mse_weighted: Floats
+    mse: Floats
+    error2: Floats
+    truth2: Floats
+    error2_weighted: Floats
+    truth2_weighted: Floats
+    dgp_mse: Floats
+    dgp_mse_own_disc: Floats
+    bias_log10: Floats
+    dgp_mae: Floats
+    dgp_mean: Floats
+    dgp_square: Floats
+    rammg_error: Floats
+    rammg_truth: Floats
+    expected_mse: Floats
+    trusted: Mask
+    in_band: Floats
+    ev_error: Floats
+    day: NDArray[np.datetime64]
+    weight: Floats
+    seconds: float = 0.0
+    cpu_s: float = 0.0
+    slots: tuple[str, ...] = field(default=())
+    maps: HeldOutMaps | None = None
+
+    def __len__(self) -> int:
+        return len(self.mse)
+
+    @property
+    def errors(self) -> HeldOutErrors:
+        """The errors by which models are chosen."""
+        return HeldOutErrors(self.dgp_mae, self.ev_error, self.mse_weighted, self.day, self.weight)
+
+
+def join(parts: Sequence[Scores]) -> Scores:
+    """Return the scores of several tests as those of one test: maps in sequence, times added."""
+    others = ("seconds", "cpu_s", "slots", "maps")
+    arrays = [f.name for f in fields(Scores) if f.name not in others]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
+    slots = tuple(slot for part in parts for slot in part.slots)
+    return Scores(
+        **joined,
+        seconds=sum(part.seconds for part in parts),
+        cpu_s=sum(part.cpu_s for part in parts),
+        slots=slots,
+        maps=HeldOutMaps.join([part.maps for part in parts if part.maps is not None]),
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# comparing
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Everything about a test set that does not depend on the model.
+
+    data: n test captures; weights: of the pixels, by solid angle [H, W]; views: ten view
+    directions; glare_maps: mask [n] of the maps for which glare is computed; dgp: true DGP of the
+    views [n, 10]; contrast: true contrast [n, levels], whose mean is RAMMG (both NaN where not
+    computed); ev_lx: true vertical illuminance [n, 10]; full: mask [10] of the views that a lens
+    saw completely, or all; weight: of the hours in choices [n]; own_disc_lx: the sun disc's
+    illuminance by the sky view [n], None without glare.
+    """
+
+    data: Dataset
+    weights: Floats
+    views: Views
+    glare_maps: Mask
+    dgp: Floats
+    contrast: Floats
+    ev_lx: Floats
+    full: Mask
+    weight: Floats
+    own_disc_lx: Floats | None = None
+
+
+def truth(data: Dataset, *, glare: bool = True) -> Truth:
+    """Compute what `evaluate` needs of a test set and what does not depend on the model.
+
+    glare: also compute DGP and contrast of at most 150 true maps, spread evenly over `data`, and
+    the sun discs by the sky view; if False, glare is scored for no map.
+    """
+    n = len(data)
+    asked = np.zeros(n, bool)
+    if glare:
+        asked[np.unique(np.linspace(0, n - 1, min(n, GLARE_MAPS)).round().astype(int))] = True
+    views = panorama_views(*data.shape, data.heading_deg, view_azimuths_deg(data.heading_deg))
+    d = len(views.azimuths_deg)
+    dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
+    for rows in _chunks(np.flatnonzero(asked)):
+        part = data.take(rows)
+        glare_of = _glare(part.luminance_cdm2, part, views)
+        dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
+        contrast[rows] = _contrast(part.luminance_cdm2, part)
+    own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
+    full = view_coverage(data.seen, views).complete
+    full = full if full.any() else np.ones(d, bool)
+    weight = choice_weights(data)
+    return Truth(data, data.weights, views, asked, dgp, contrast, ev, full, weight, own_disc)
+
+
+def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    for start in range(0, len(rows), CHUNK):
+        yield rows[start : start + CHUNK]
+
+
+def _glare(maps: Floats32, data: Dataset, views: Views) -> dict[str, Floats]:
+    """Return glare of maps with the true disc, [n, d] each."""
+    return glare_directions(
+        maps,
+        data.heading_deg,
+        views.azimuths_deg,
+        data.light.shown_sun_direction,
+        data.disc_lx,
+        views=views,
+    )
+
+
+def _contrast(maps: Floats32, data: Dataset) -> Floats:
+    """Return the contrast of each pyramid level with the true disc, [n, levels]; mean: RAMMG."""
+    whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.array([contrast_levels(image) for image in whole])
+
+
+def evaluate(
+    fitted: Fitted, test: Truth, *, keep_maps: bool = False, progress: Progress = quiet
+) -> Scores:
+    """Predict the hours of a test set and return the scores against the true maps.
+
+    keep_maps: store in `Scores.maps` the true and predicted maps for which glare was computed.
+    """
+    parts = []
+    for rows in _chunks(np.arange(len(test.data))):
+        progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
+        part = test.data.take(rows)
+        wall, cpu = time.monotonic(), time.process_time()
+        prediction = fitted.predict(part.light, part.patch_cdm2)
+        wall, cpu = time.monotonic() - wall, time.process_time() - cpu
+        scores = compare(prediction, part, test.weights)
+        scores.weight = test.weight[rows]
+        _glare_errors(scores, prediction, part, test, rows, keep_maps)
+        scores.seconds, scores.cpu_s = wall, cpu
+        parts.append(scores)
+    return join(parts)
+
+
+def _log10(maps: Floats32, data: Dataset) -> Floats32:
+    whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.log10(np.maximum(whole, np.float32(FLOOR_CDM2)))
+
+
+def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
+    """Return the scores of predicted maps against the captures `data`, without glare (NaN).
+
+    The true sun disc is added to both; luminances below 1 cd/m2 count as 1. weights: of the pixels
+    [H, W]. Raises FloatingPointError for a predicted value that is not finite.
+    """
+    if not np.isfinite(prediction.luminance_cdm2).all():
+        raise FloatingPointError("a predicted map has values that are not finite")
+    seen_mask = data.seen
+    target = _log10(data.luminance_cdm2, data)
+    error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen_mask].astype(np.float64)
+    t2, e2, w = target[:, seen_mask].astype(np.float64) ** 2, error**2, weights[seen_mask]
+    blank = np.full(len(data), np.nan)
+    in_band = blank.copy()
+    if prediction.log10_sd is not None:
+        in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
+    return Scores(
+        mse_weighted=e2 @ w / w.sum(),
+        mse=e2.mean(axis=1),
+        error2=e2.sum(axis=1),
+        truth2=t2.sum(axis=1),
+        error2_weighted=e2 @ w,
+        truth2_weighted=t2 @ w,
+        dgp_mse=blank.copy(),
+        dgp_mse_own_disc=blank.copy(),
+        bias_log10=error @ w / w.sum(),
+        dgp_mae=blank.copy(),
+        dgp_mean=blank.copy(),
+        dgp_square=blank.copy(),
+        rammg_error=blank.copy(),
+        rammg_truth=blank.copy(),
+        expected_mse=prediction.expected_mse,
+        trusted=trusted_hours(prediction),
+        in_band=in_band,
+        ev_error=blank.copy(),
+        day=data.days,
+        weight=np.ones(len(data)),
+        slots=data.slots,
+    )
+
+
+def _glare_errors(
+    scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array, keep_maps: bool
+) -> None:
+    asked = test.glare_maps[rows]
+    if not asked.any():
+        return
+    some, maps = part.take(asked), prediction.luminance_cdm2[asked]
+    glare = _glare(maps, some, test.views)
+    true_dgp, true_ev = test.dgp[rows[asked]], test.ev_lx[rows[asked]]
+    assert test.own_disc_lx is not None
+    own_lx = test.own_disc_lx[rows[asked]]
+    in_use = dgp_with_disc(glare, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
+
+    def mean(values: Floats) -> Floats:
+        return values[:, test.full].mean(axis=1)
+
+    scores.dgp_mse_own_disc[asked] = mean((in_use - true_dgp) ** 2)
+    scores.dgp_mse[asked] = mean((glare["dgp"] - true_dgp) ** 2)
+    scores.dgp_mae[asked] = mean(np.abs(glare["dgp"] - true_dgp))
+    scores.ev_error[asked] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
+    scores.dgp_mean[asked] = mean(true_dgp)
+    scores.dgp_square[asked] = mean(true_dgp**2)
+    true_contrast, contrast = test.contrast[rows[asked]], _contrast(maps, some)
+    scores.rammg_truth[asked] = true_contrast.mean(axis=1)
+    scores.rammg_error[asked] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
+    if not keep_maps:
+        return
+    measured, predicted = (
+        np.log10(np.maximum(m.thin(KEPT_HEIGHT).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
+        for m in (some, replace(some, luminance_cdm2=maps))
+    )
+    scores.maps = HeldOutMaps(
+        np.array(some.slots),
+        some.light.sun_altitude_deg,
+        some.light.sun_azimuth_deg,
+        scores.mse_weighted[asked],
+        test.dgp[rows[asked]],
+        glare["dgp"],
+        true_contrast,
+        contrast,
+        measured,
+        predicted,
+        np.full(len(some), np.nan),
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# summing up
+
+
+def _mean(values: Floats) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None
+
+
+def summary(scores: Scores) -> ScoreFigures:
+    """Return the figures of a test under the keys of `train --json` (docs/design.md, Command line).
+
+    A figure that was not computed is None.
+    """
+    kept, errors = scores.rammg_truth < RAMMG_CUT, scores.errors
+    return {
+        "log10_mse_weighted": float(scores.mse_weighted.mean()),
+        "rer_weighted": float(
+            np.sqrt(scores.error2_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))
+        ),
+        "median": float(np.median(scores.mse_weighted)),
+        "p90": float(np.quantile(scores.mse_weighted, 0.9)),
+        "worst": float(scores.mse_weighted.max()),
+        "paper_log10_mse": float(scores.mse.mean()),
+        "paper_rer": float(np.sqrt(scores.error2.sum() / max(scores.truth2.sum(), 1e-12))),
+        "dgp_mse": _mean(scores.dgp_mse),
+        "dgp_mse_own_disc": _mean(scores.dgp_mse_own_disc),
+        "bias_log10": float(scores.bias_log10.mean()),
+        "expected_log10_mse": _mean(scores.expected_mse),
+        "trusted_share": float(scores.trusted.mean()),
+        "dgp_mae": _mean(scores.dgp_mae),
+        "dgp_r2": _dgp_r2(scores),
+        "rammg_mse": _mean(scores.rammg_error**2),
+        "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
+        "n_test": len(scores),
+        "predict_s_per_map": scores.seconds / max(len(scores), 1),
+        "predict_cpu_s_per_map": scores.cpu_s / max(len(scores), 1),
+        "untrusted_share": float(1.0 - scores.trusted.mean()),
+        "expected_mse": _mean(scores.expected_mse),
+        "in_90_band": _mean(scores.in_band),
+        "worst_decile_found": _worst_tenth_found(scores),
+        "judged_dgp_error": _number(errors.figure("dgp")),
+        "judged_ev_error": _number(errors.figure("ev")),
+        "judged_log10_mse": _number(errors.figure("log10")),
+        "n_judged": errors.judged,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _dgp_r2(scores: Scores) -> float | None:
+    """Return the coefficient of determination of DGP over all views of the evaluated maps."""
+    error, mean, square = (_mean(v) for v in (scores.dgp_mse, scores.dgp_mean, scores.dgp_square))
+    if error is None or mean is None or square is None or square <= mean**2:
+        return None
+    return 1.0 - error / (square - mean**2)
+
+
+def _worst_tenth_found(scores: Scores) -> float | None:
+    """Return which share of the worst tenth of maps the model itself ranks in its worst tenth."""
+    if not np.isfinite(scores.expected_mse).all() or len(scores) < 20:
+        return None
+    tenth = max(1, len(scores) // 10)
+    worst = set(np.argsort(-scores.mse_weighted)[:tenth])
+    feared = set(np.argsort(-scores.expected_mse)[:tenth])
+    return len(worst & feared) / tenth

@@ -1,0 +1,352 @@
+"""Fit a room's model, score it on held-out days, and record why it was chosen.
+
+`run` is what the `train` command calls; `evaluate_folds` and `fit_timed` serve the benchmarks too.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.learn import models
+from fieldlum.learn.model_registry import MODELS, baselines
+from fieldlum.learn.models import Fitted, Patch
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.estimated_view import with_sky_view
+from fieldlum.learn.models.mirror_labels import split_images
+from fieldlum.learn.models.mirrors import Mirror
+from fieldlum.learn.models.scores import summary
+from fieldlum.learn.models.year_sample import YearExpectation, expect, light_of_year
+from fieldlum.learn.train.captures import how_many
+from fieldlum.learn.train.consistency_warnings import doubts, hard_captures
+from fieldlum.learn.train.folds import day_folds, one_day_only
+from fieldlum.learn.train.notes import notes_of, seen_skies
+from fieldlum.learn.train.room_changes import without_changes
+from fieldlum.learn.train.selection import ModelSelection, Trial, choose_model
+from fieldlum.learn.train.setting import scan, settle, with_right_clock
+from fieldlum.learn.train.time_budget import TimeBudget
+from fieldlum.learn.train.trials import dense_folds, evaluate_folds, fit_timed
+from fieldlum.learn.transport.setting_scan import Setting
+from fieldlum.session import check_writable, sha256
+from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
+from fieldlum.session.provenance import data_digest, digest, made_from
+from fieldlum.version import __version__
+
+SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
+# share of the time of slow models that their held-out days get; the stored model gets the rest; not
+# measured
+FOLD_SHARE = 0.5
+# With less than one pass over the training pixels, the network's errors depend on the processor's
+# speed (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the
+# model suits a room. Chosen.
+MIN_PASSES_TO_JUDGE = 1.0
+_TOO_SHORT = "not judged: no time to train on every pixel of the captures once; raise --budget"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A trained model, and how it was chosen.
+
+    fitted: the model, fitted to all of `data`; trials: tests on held-out days; not_judged: trials
+    that were too short for their scores to count; choice: name of the model and the reason; fit_s:
+    time of the final fit, by the wall clock [s]; data: the captures of the training, without those
+    of a changed room; notes: texts for the user, warnings included; year: error to expect over a
+    year, None if unknown (`year_of`); mirrors: plane mirrors that show the sun in captures.
+    """
+
+    fitted: Fitted
+    trials: tuple[Trial, ...]
+    not_judged: tuple[Trial, ...]
+    choice: ModelSelection
+    fit_s: float
+    data: Dataset
+    notes: tuple[str, ...] = ()
+    year: YearExpectation | None = None
+    mirrors: tuple[Mirror, ...] = ()
+
+    @property
+    def held_out(self) -> HeldOutMaps | None:
+        """Held-out maps of the chosen model; None if its trial was too short to be judged."""
+        return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
+
+    def table(self, seed: int) -> list[ScoreRow]:
+        """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
+        rows = [row(trial, seed) for trial in self.trials]
+        return rows + [row_without_figures(trial, seed) for trial in self.not_judged]
+
+
+def row(trial: Trial, seed: int) -> ScoreRow:
+    """Return the row of a trial in `train --json`."""
+    return {
+        "name": trial.name,
+        "fit_s": trial.fit_s,
+        "fit_cpu_s": trial.fit_cpu_s,
+        "n_train": trial.n_train,
+        "seed": seed,
+        "folds": trial.folds,
+        **summary(trial.scores),
+        "not_judged_because": None,
+    }
+
+
+def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
+    """Return the row of a trial that was too short: every score is null, with the reason."""
+    blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0, "n_judged": 0}
+    reason = {"not_judged_because": _TOO_SHORT}
+    return cast(ScoreRow, {**row(trial, seed), **blank, **reason})
+
+
+def patch_mode(data: Dataset, patch: Patch) -> Patch:
+    """Return "none" for data without pictures of the sun patches, else `patch`."""
+    return "none" if data.patch_cdm2 is None else patch
+
+
+def fit_and_score(
+    data: Dataset,
+    model: str,
+    *,
+    patch: Patch = "absolute",
+    budget_s: float = 600.0,
+    budget: TimeBudget | None = None,
+    seed: int = 0,
+    checkpoint: Path | None = None,
+    progress: Progress = quiet,
+) -> Result:
+    """Run trials on held-out days, choose a model, and fit it to all data.
+
+    model: a name of `MODELS`, or "auto" for all of them. budget: a budget that other steps share;
+    else `budget_s` from now on. The scan of north and clock, two held-out folds of each quick model
+    and the final fit are run even if the budget is used up. Raises NotEnoughDataError for too few
+    hours to hold any out, or to fit `model`.
+    """
+    budget = budget or TimeBudget.starting(budget_s)
+    patch = patch_mode(data, patch)
+    captures = len(data)
+    data, mirrors = split_images(with_sky_view(data, progress=progress))
+    data, setting, changed = usable_captures(data, patch, progress)
+    folds = day_folds(data)
+    if not folds:
+        raise NotEnoughDataError(
+            f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
+            "and to test; capture more hours"
+        )
+    names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
+    trials: list[Trial] = []
+    left_out: list[str] = []
+    for name in names:
+        slow = MODELS[name].slow
+        limit = FOLD_SHARE * budget.slow_s if slow else budget.quick_s
+        some = dense_folds(folds, limit) if slow else tuple(folds)
+        try:
+            trials.append(
+                evaluate_folds(
+                    name,
+                    data,
+                    some,
+                    patch=patch,
+                    seed=seed,
+                    budget_s=limit,
+                    keep_maps=True,
+                    least_passes=MIN_PASSES_TO_JUDGE,
+                    clock=budget.clock,
+                    progress=progress,
+                )
+            )
+        except NotEnoughDataError as error:
+            if model == name:
+                raise
+            left_out.append(f"{name} was not tried: {error}")
+    not_judged = tuple(trial for trial in trials if _is_too_short(trial))
+    trials = [trial for trial in trials if not _is_too_short(trial)]
+    left_out += [f"{trial.name}: {_TOO_SHORT}" for trial in not_judged]
+    choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
+    more: dict[str, Any] = {}
+    if checkpoint is not None and MODELS[choice.name].slow:
+        more["checkpoint"] = checkpoint
+    fitted, spent = fit_timed(
+        choice.name,
+        data,
+        patch=patch,
+        seed=seed,
+        budget_s=budget.slow_s,
+        progress=progress,
+        **more,
+    )
+    fitted, doubted = findings(fitted, data, setting)
+    skies = seen_skies(fitted, data)
+    mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
+    notes = (*notes_of(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
+    year = year_of(fitted, data, patch, seed, progress)
+    return Result(
+        fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year, mirrors
+    )
+
+
+def year_of(
+    fitted: Fitted, data: Dataset, patch: Patch, seed: int, progress: Progress
+) -> YearExpectation | None:
+    """Return the error that the model itself expects over a year, for skies drawn from captures.
+
+    seed: of the draw of 150 hours and their skies. Return None if the model does not estimate its
+    error, or if patches are used but SITE.toml has no [room] to compute those of other hours.
+    """
+    if patch == "none":
+        data = replace(data, patch_cdm2=None)
+    if data.patch_cdm2 is not None and data.setup.room is None:
+        return None
+    light = light_of_year(data, np.random.default_rng(seed))
+    year = expect(fitted, data, light, progress)
+    return year if math.isfinite(year.expected_log10_mse) else None
+
+
+_NO_CURVE = "no learning curve, because the time budget was used up; raise --budget"
+
+
+def _is_too_short(trial: Trial) -> bool:
+    return trial.passes is not None and trial.passes < MIN_PASSES_TO_JUDGE
+
+
+def usable_captures(
+    data: Dataset, patch: Patch, progress: Progress = quiet
+) -> tuple[Dataset, Setting | None, list[str]]:
+    """Return the captures to train with, the result of `setting.scan`, and warnings.
+
+    Captures of a changed room are omitted, and a camera clock that differs between days is
+    corrected. The warnings are about both.
+    """
+    data, changed = without_changes(data, with_patch=patch != "none")
+    setting = scan(data, patch, progress)
+    data, clock = with_right_clock(data, setting, progress)
+    return data, setting, [*changed, *clock]
+
+
+def findings(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
+    """Return the model, and warnings about days, captures and sun patches it cannot explain.
+
+    If the captures contradict the computed sun patches, the returned model has a larger uncertainty
+    near patches; otherwise it is `fitted`. setting: result of `scan`.
+    """
+    fitted, warned = settle(fitted, data, setting)
+    return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
+
+
+def default_folder(pairs: Path, model: str) -> Path:
+    """Return the path models/MODEL in the folder `pairs` (a session), or next to a pairs.csv."""
+    return (pairs if pairs.is_dir() else pairs.parent) / "models" / model
+
+
+def run(
+    data: Dataset,
+    model: str = "auto",
+    *,
+    budget_min: float = 10.0,
+    spent_s: float = 0.0,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    out: Path,
+    captures: bool = True,
+    force: bool = False,
+    clock: Callable[[], float] = time.monotonic,
+    progress: Progress = quiet,
+) -> TrainAnswer:
+    """Train, write the model and its scores to `out`, and return what `train --json` prints.
+
+    If captures and options have not changed since the same version trained the model, nothing is
+    trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
+    continues from its checkpoint in `out`. spent_s: part of the budget that is used already [s];
+    captures: also compute how many captures would have been enough.
+    """
+    from fieldlum.learn.models import distributed
+
+    mode = patch_mode(data, patch)
+    inputs = {
+        "data": data.digest(),
+        "sky_view": "" if data.sky_view is None else data_digest(data.sky_view),
+        "model": model,
+        "patch": mode,
+        "budget_min": budget_min,
+        "seed": seed,
+        "captures": captures,
+        "fieldlum": __version__,
+    }
+    if not force and (table := trained_before(out, inputs)) is not None:
+        return {**table, "kept": True}
+    check_writable(out)
+    checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
+    budget = TimeBudget.starting(60.0 * budget_min - spent_s, clock)
+    result = fit_and_score(
+        data,
+        model,
+        patch=patch,
+        budget=budget,
+        seed=seed,
+        checkpoint=checkpoint,
+        progress=progress,
+    )
+    enough, notes = {}, list(result.notes)
+    if captures:
+        fit_s = max((t.fit_s for t in result.trials if not MODELS[t.name].slow), default=0.0)
+        curve = how_many(
+            result.data, mode, seed=seed, budget=budget, fit_s=fit_s, progress=progress
+        )
+        enough = curve or {}
+        notes += [_NO_CURVE] if curve is None else []
+    answer = {
+        "models": result.table(seed),
+        "chosen": result.choice.name,
+        "reason": result.choice.reason,
+        "parameters": result.fitted.parameters,
+        "final_fit_s": result.fit_s,
+        "captures": enough,
+        "year": None if result.year is None else asdict(result.year),
+        "notes": notes,
+        "inputs": inputs,
+    }
+    text = json.dumps(answer, default=lambda value: value.tolist())
+    # JSON has no NaN
+    answer = cast(TrainAnswer, json.loads(text, parse_constant=lambda _: None))
+    if distributed.rank() == 0:
+        # this file is written last: it shows that the model is complete
+        (out / SCORES).unlink(missing_ok=True)
+        models.save(
+            out,
+            result.fitted,
+            result.data,
+            patch=mode,
+            seed=seed,
+            mirrors=result.mirrors,
+            chosen_because=result.choice.reason,
+            warnings=[note for note in result.notes if note.startswith("WARNING")],
+        )
+        (out / "held_out.npz").unlink(missing_ok=True)
+        if result.held_out is not None:
+            result.held_out.write(out)
+        answer["model_sha256"] = _model_sha256(out)
+        ScoresFile.from_table(answer, out / SCORES).write(out)
+        checkpoint.unlink(missing_ok=True)
+    return {**answer, "kept": False}
+
+
+def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | None:
+    """Return the stored scores of the model in `folder`, if it need not be trained again.
+
+    None if there is no complete model, if its files changed, or if it had other `inputs`.
+    """
+    table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
+    if table is None or table.get("model_sha256") != _model_sha256(folder):
+        return None
+    return ScoresFile.read(folder).table()
+
+
+def _model_sha256(folder: Path) -> str:
+    return digest([sha256(folder / name) for name in MODEL_FILES])

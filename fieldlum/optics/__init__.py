@@ -1,0 +1,1 @@
+"""Turn camera counts into luminance by direction: photometry, projection, pictures, profiles."""

@@ -1,0 +1,218 @@
+"""Convert counts and codes of a camera frame to linear light, by the camera's profile.
+
+Merge, calibrate and the simulated cameras share these rules, so that a frame has the same meaning
+in all of them: which frames belong to a profile, black level and saturation, gain, the true shutter
+time with its uncertainty, filters, vignetting, response, and the lens on a part of the sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.photometry import (
+    check_vignetting,
+    linearity_factor,
+    prior_u_log,
+    response_table,
+    time_under,
+    z_per_cdm2,
+)
+from fieldlum.optics.profiles import CameraProfile, Lens
+from fieldlum.optics.projection import LensGeometry, signed_angle_deg
+from fieldlum.optics.raw import Mosaic, same_model
+
+_T = TypeVar("_T", bound=np.floating)
+# relative: times closer than this are one setting (settings differ by 12 %); chosen
+SAME_TIME = 0.02
+# A vignetting curve is valid for its own aperture: a third of a stop, with rounding. Chosen.
+_SAME_APERTURE_STOPS = 0.4
+
+
+def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
+    """Raise InputError for a frame whose size or camera model differs from the profile's.
+
+    shape : (height, width, ...); model : as recorded in the file, "" if it is not.
+    """
+    body = profile.camera
+    if shape[:2] != (body.height_px, body.width_px):
+        raise InputError(
+            path,
+            f"a frame of {shape[1]} x {shape[0]} pixels",
+            f"{body.width_px} x {body.height_px} pixels, the size of {body.name}",
+            "use a profile of this camera (--camera)",
+        )
+    if model and body.model and not same_model(model, body.model):
+        raise InputError(
+            path,
+            f"the frame was taken by {model}",
+            f"{body.model}, the camera of {body.name}",
+            "use a profile of this camera; if this profile is right, write that model "
+            "under [camera]",
+        )
+
+
+def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
+    """Return the black levels of R, G1, G2, B [DN]: the profile's, or the file's if all are 0."""
+    own = profile.sensor.black_dn
+    return own if any(own) else mosaic.black_dn
+
+
+def full_dn(
+    mosaic: Mosaic,
+    profile: CameraProfile,
+    plateau_dn: Sequence[float | None] = (None, None, None, None),
+) -> list[float]:
+    """Return the counts at which R, G1, G2, B saturate, in DN, black included.
+
+    For each colour this is the least of the profile's saturation, the file's white level and
+    plateau_dn: the count at which frames were seen to saturate, None if it was not measured.
+    """
+    tops = zip(profile.sensor.saturation_dn, plateau_dn, strict=True)
+    return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
+
+
+def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
+    """Return counts, corrected by the profile's linearity; without one, unchanged.
+
+    above_dn : counts minus the black level [DN], any shape; black : that black level [DN], from
+    which the full scale follows.
+    """
+    sensor = profile.sensor
+    if not sensor.linearity:
+        return above_dn
+    share = np.asarray(above_dn / (sensor.white_dn - black), above_dn.dtype)
+    return np.asarray(above_dn * linearity_factor(share, sensor.linearity), above_dn.dtype)
+
+
+def curve_u_rel(profile: CameraProfile) -> float:
+    """Return the relative uncertainty of the conversion from counts or codes to light.
+
+    It is that of the response for a JPEG camera, and that of the linearity for a raw camera.
+    """
+    raw = profile.camera.kind == "raw"
+    return profile.sensor.linearity_u_rel if raw else profile.response.u_rel
+
+
+def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
+    """Return the sensor's gain at an ISO, in electrons per count."""
+    return profile.sensor.gain_e_per_dn * profile.sensor.iso / iso
+
+
+def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
+    """Return the true time [s] of a nominal shutter time [s], and its relative uncertainty.
+
+    The true time is the profile's measured time; without a measured one it is the time by the
+    profile's shutter law plus the sensor's constant exposure offset.
+    """
+    for measured in profile.shutter:
+        if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
+            return measured.true_s, measured.u_rel
+    seconds = time_under(profile.shutter_law, shutter_s) + profile.sensor.exposure_offset_s
+    return seconds, float(prior_u_log(np.asarray(seconds)))
+
+
+def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
+    """Return how much linear signal z (1 at full scale) 1 cd/m2 causes in a frame.
+
+    The true shutter time counts; the filter in `exposure` does not.
+    """
+    shutter_s, _ = true_shutter_s(exposure.shutter_s, profile)
+    return z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+
+
+def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
+    """Return the light without a filter over the light through it, for R, G, B.
+
+    name : of the filter; "" for none, which gives (1, 1, 1). Raises InputError for a filter that
+    the profile does not have.
+    """
+    if not name:
+        return (1.0, 1.0, 1.0)
+    for nd in profile.nd:
+        if nd.name == name:
+            return nd.factor_rgb
+    names = ", ".join(nd.name for nd in profile.nd)
+    raise InputError(
+        profile.camera.name,
+        f"the filter '{name}' is not in the profile",
+        f"one of its filters: {names}" if names else "an exposure without a filter: it has none",
+        "add the filter to the profile under [[nd]]",
+    )
+
+
+def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
+    """Return a lens's vignetting at an aperture: coefficients of V, and relative u at the edge.
+
+    V is the transmission relative to the axis, in powers of the angle over half of the full angle,
+    from power 0. An aperture without a curve uses the nearest curve, at most 0.4 stops away; a lens
+    without any curve has V = 1 and no uncertainty. Raises InputError for other apertures and for an
+    impossible curve.
+    """
+    if not lens.vignetting:
+        return (1.0,), 0.0
+    nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
+    if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
+        measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
+        raise InputError(
+            lens.name,
+            f"no vignetting curve for f/{f_number:g}",
+            f"one of the calibrated apertures {measured}",
+            "calibrate this aperture: fieldlum calibrate vignette",
+        )
+    wrong = check_vignetting(nearest.coefficients)
+    if wrong:
+        raise InputError(
+            lens.name,
+            f"the curve of f/{nearest.f_number:g}: {wrong}",
+            "a curve that is 1 on the axis, and between 0 and 1 at the edge",
+            "calibrate it again: fieldlum calibrate vignette",
+        )
+    return nearest.coefficients, nearest.u_rel
+
+
+def response_tables(profile: CameraProfile) -> Floats:
+    """Return the linear light z (1 at full scale) of the 256 codes of R, G, B, [256, 3].
+
+    Raises InputError for an invalid response in the profile.
+    """
+    r = profile.response
+    try:
+        tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
+    except ValueError as error:
+        raise InputError(
+            profile.camera.name,
+            f"[response]: {error}",
+            "a valid response",
+            "calibrate it again: fieldlum calibrate response",
+        ) from None
+    return np.stack(tables, axis=1)
+
+
+def sensor_pitch_deg(profile: CameraProfile) -> float:
+    """Return the angle across a sensor pixel, averaged over the field of the finest lens [deg]."""
+    return min(lens.full_angle_deg / (2.0 * lens.radius_px) for lens in profile.lens)
+
+
+def lens_geometry(
+    lens: Lens, turn_deg: float = 0.0, corner_px: tuple[float, float] = (0.0, 0.0)
+) -> LensGeometry:
+    """Return the lens's geometry in pixels of a crop of the sensor, with the camera turned.
+
+    turn_deg : the camera's heading minus the panorama's, clockwise, added to the lens's azimuth;
+    corner_px : x, y of the crop's top left corner on the sensor.
+    """
+    x, y = lens.centre_px
+    return replace(
+        lens.geometry,
+        centre_px=(x - corner_px[0], y - corner_px[1]),
+        azimuth_deg=float(signed_angle_deg(lens.azimuth_deg + turn_deg)),
+    )

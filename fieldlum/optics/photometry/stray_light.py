@@ -1,0 +1,125 @@
+"""Compute the stray light of a lens: light from one direction, recorded at other directions.
+
+A lens records L(x) + S(x) instead of L(x), with S(x) = integral of K(angle between x and y) L(y)
+over all directions y that it sees (a point spread that depends only on the angle, as in CIE 146 for
+the eye). K includes scatter and the common haze of many reflections. Ghosts (images of a lamp
+mirrored at the axis) do not depend only on the angle: they remain, and the kernel's `u_rel`,
+measured on held-out readings, must cover them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Indices
+from fieldlum.optics.projection import wrapped
+
+# Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
+# not haze. Chosen.
+CELL_DEG = 3.0
+# A cell with at least this share of all light acts on each pixel and not on the coarse grid,
+# because near a window or lamp the stray light changes faster than the grid. There are at most 100
+# such cells. Chosen.
+_BRIGHT_SHARE = 0.01
+_TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0; chosen
+_BLOCK = 512  # grid directions processed at a time; chosen, only limits memory
+
+
+def kernel_per_sr(angle_rad: Floats, nodes_deg: Floats, values_per_sr: Floats) -> Floats:
+    """Return the stray-light kernel K [1/sr]: linear in ln(angle) between nodes, constant outside.
+
+    nodes_deg, values_per_sr : [k], ascending angles above 0 and K there. The result has the shape
+    of angle_rad.
+    """
+    smallest = np.radians(nodes_deg[0])
+    place = np.log(np.maximum(angle_rad, smallest))
+    return np.interp(place, np.log(np.radians(nodes_deg)), values_per_sr)
+
+
+def stray_cdm2(
+    luminance_cdm2: Floats,
+    solid_angle_sr: Floats,
+    rays: Floats,
+    nodes_deg: Floats,
+    values_per_sr: Floats,
+) -> Floats:
+    """Return the stray light at each pixel [n], in cd/m2, from the recorded luminances.
+
+    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit;
+    nodes_deg, values_per_sr : [k], the kernel K as in `kernel_per_sr`. The recorded light is used
+    in place of the true light: an error of second order in K, which the fit of K makes in the same
+    way.
+    """
+    flux = luminance_cdm2 * solid_angle_sr
+    cells, rows, columns = _cells_of(rays)
+    count = rows * columns
+    light = np.asarray(np.bincount(cells, flux, count), np.float64)  # [cells]
+    weighted = [np.bincount(cells, flux * rays[:, axis], count) for axis in range(3)]
+    centre = np.stack(weighted, axis=1).astype(np.float64)  # [cells, 3]
+    lit = light > 0
+    centre[lit] /= np.linalg.norm(centre[lit], axis=1)[:, None]
+    bright = light >= _BRIGHT_SHARE * max(float(light.sum()), 1e-30)
+    table = _kernel_table(nodes_deg, values_per_sr)
+
+    dim = lit & ~bright
+    grid = _field(_grid_rays(rows, columns), centre[dim], light[dim], table)
+    out = _interpolated(grid.reshape(rows, columns), rays)
+    return out + _field(rays, centre[bright], light[bright], table)
+
+
+def _cells_of(rays: Floats) -> tuple[Indices, int, int]:
+    """Return the latitude-longitude cell of each ray [n], and the grid's rows and columns."""
+    rows, columns = round(180.0 / CELL_DEG), round(360.0 / CELL_DEG)
+    row, column = _grid_position(rays, rows, columns)
+    row = np.minimum(row.astype(np.intp), rows - 1)
+    return row * columns + np.minimum(column.astype(np.intp), columns - 1), rows, columns
+
+
+def _grid_position(rays: Floats, rows: int, columns: int) -> tuple[Floats, Floats]:
+    """Return the continuous row and column of each ray [n] in a grid, [n] each."""
+    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows
+    return row, (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns
+
+
+def _grid_rays(rows: int, columns: int) -> Floats:
+    """Return the directions of the cells' middles, [rows * columns, 3]."""
+    down = (np.arange(rows) + 0.5) / rows * np.pi
+    around = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+    sine = np.sin(down)[:, None]
+    z = np.broadcast_to(np.cos(down)[:, None], (rows, columns))
+    return np.stack([sine * np.sin(around), sine * np.cos(around), z], axis=2).reshape(-1, 3)
+
+
+def _kernel_table(nodes_deg: Floats, values_per_sr: Floats) -> Floats:
+    half = np.arcsin(np.linspace(0.0, 1.0, _TABLE + 1))
+    return kernel_per_sr(2 * half, nodes_deg, values_per_sr)
+
+
+def _field(at: Floats, sources: Floats, light: Floats, table: Floats) -> Floats:
+    """Return the sum over sources [m, 3] of K times their light [m], at directions [n, 3]."""
+    out = np.zeros(len(at))
+    if not len(sources):
+        return out
+    for start in range(0, len(at), _BLOCK):
+        part = at[start : start + _BLOCK]
+        # Three products and not a matrix product, to get the same bits on every processor.
+        cosine = part[:, :1] * sources[:, 0]  # [block, m]
+        cosine += part[:, 1:2] * sources[:, 1]
+        cosine += part[:, 2:] * sources[:, 2]
+        sine_half = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
+        step = (sine_half * _TABLE + 0.5).astype(np.int32)
+        out[start : start + _BLOCK] = (table[step] * light).sum(axis=1)
+    return out
+
+
+def _interpolated(grid: Floats, rays: Floats) -> Floats:
+    """Return the values of a grid [rows, columns] at rays [n, 3], by bilinear interpolation, [n].
+
+    Rows run from the zenith to the nadir. Columns are azimuths: the last one is next to the first.
+    """
+    from scipy.ndimage import map_coordinates
+
+    rows, columns = grid.shape
+    row, column = _grid_position(rays, rows, columns)
+    places = [row - 0.5, column - 0.5 + 1.0]
+    return map_coordinates(wrapped(grid), places, order=1, mode="nearest")

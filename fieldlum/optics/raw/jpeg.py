@@ -1,0 +1,124 @@
+"""Read and write JPEG frames with their EXIF."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure
+from fieldlum.optics.raw.exif import info_of, rational, tags_of, time_tags
+from fieldlum.session import replacing
+
+# Largest frame without a profile that states more: 0.5 GB of codes. Chosen: phones have 108
+# million pixels.
+MAX_PIXELS = 160_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class JpegFrame:
+    """A JPEG frame as the camera wrote it.
+
+    codes: values from 0 to 255 [h, w, 3], red first, not turned by the orientation tag; exposure:
+    by the EXIF; t_camera: time by the camera's own clock, naive unless the EXIF states its offset
+    from UTC; None if not recorded; make, model: of the camera, "" if not recorded.
+    """
+
+    codes: NDArray[np.uint8]
+    exposure: Exposure
+    t_camera: datetime | None = None
+    make: str = ""
+    model: str = ""
+
+
+def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
+    """Return the codes and the EXIF of a JPEG frame.
+
+    camera_pixels : pixels of the camera by its profile, 0 without one; a frame may have as many,
+    and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is no complete
+    JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
+    """
+    info = info_of(path, tags_of(path))
+    codes = _codes(path, max(MAX_PIXELS, camera_pixels))
+    return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
+
+
+def jpeg_size(path: Path) -> tuple[int, int]:
+    """Return width and height [px] of a JPEG by its header, (0, 0) if it cannot be read."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with warnings.catch_warnings(), suppress(Exception):
+        warnings.simplefilter("ignore")
+        with JpegImageFile(path) as image:
+            return image.size
+    return 0, 0
+
+
+def _codes(path: Path, most_pixels: int) -> NDArray[np.uint8]:
+    """Return the codes [h, w, 3] of a JPEG's first picture.
+
+    Pillow's class for JPEG is used directly: `Image.open` also reads the index of further pictures
+    (MPF), which may be broken, and has a limit on pixels below those of current cameras.
+    """
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with path.open("rb") as file:
+        is_jpeg = file.read(3) == b"\xff\xd8\xff"
+    try:
+        with warnings.catch_warnings():
+            # A warning is about data that are not used; damaged pixels are an error.
+            warnings.simplefilter("ignore")
+            with JpegImageFile(path) as image:
+                width, height = image.size
+                if width * height <= most_pixels:
+                    return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+    except Exception as error:
+        damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
+        finding = damage if is_jpeg else "the file is no JPEG"
+        raise InputError(
+            path, finding, "a complete JPEG", "copy the file from the card again"
+        ) from None
+    raise InputError(
+        path,
+        f"{width} x {height} pixels",
+        f"at most {most_pixels:,} pixels",
+        "state width_px and height_px of the camera in its profile, or copy the file again",
+    )
+
+
+def write_jpeg(
+    path: Path,
+    codes: NDArray[np.uint8],
+    exposure: Exposure,
+    *,
+    t_camera: datetime | None = None,
+    make: str = "fieldlum",
+    model: str = "",
+    quality: int = 97,
+) -> None:
+    """Write codes [h, w, 3], red first, as a JPEG with EXIF, without chroma subsampling.
+
+    A file at `path` is replaced. exposure: shutter time, f-number, ISO and the name of an ND filter
+    for the EXIF; t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
+    """
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = make, model
+    fields = exif.get_ifd(0x8769)
+    fields[33434] = IFDRational(rational(exposure.shutter_s))
+    fields[33437] = IFDRational(rational(exposure.f_number))
+    fields[34855] = round(exposure.iso)
+    if exposure.nd:
+        exif[0x010E] = f"ND={exposure.nd}"
+    for tag, text in time_tags(t_camera).items():
+        fields[tag] = text
+    with replacing(path) as file:
+        Image.fromarray(codes, "RGB").save(file, "JPEG", quality=quality, subsampling=0, exif=exif)

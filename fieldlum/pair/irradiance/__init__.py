@@ -1,0 +1,281 @@
+"""Convert the day files of a session to one quality-checked series, irradiance/clean.csv."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, Site, quiet
+from fieldlum.pair.irradiance.consistency import closure_fails, doubts
+from fieldlum.pair.irradiance.series import UNUSABLE, Mark, Series, local_period_s, series_of
+from fieldlum.pair.irradiance.verdict import Health, health
+from fieldlum.session import Session, day_files, read_day, remove_scraps
+from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
+from fieldlum.session.files.json_file import from_json, write_object
+from fieldlum.session.provenance import made_from
+from fieldlum.sky import sun
+
+STUCK_S = 600.0  # seconds; the same daylight value for this long is a faulty reading; not measured
+# seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
+_SEGMENT_GAP_S = 1800.0
+SPIKE_WM2 = 20.0  # a smaller deviation is never a spike; not measured
+# The next four are tested by bench/damaged_series.py: spikes found, and false alarms.
+SPIKE_OVER_NEIGHBOURS = 8.0  # least deviation, over the difference of the two neighbours
+SPIKE_OVER_USUAL = 3.0  # least deviation, over the usual step around the row
+_SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
+# rank of the usual step, so that four other spikes in the window do not hide one; chosen
+_SPIKE_RANK = 9
+# rows processed at a time, where a copy of all rows would need much memory; chosen
+_BLOCK_ROWS = 20_000
+_RECIPE = 7  # Increase it when the arithmetic changes: clean.csv is then computed again.
+
+
+# ----------------------------------------------------------------------------------------------
+# checks
+
+
+def sky_geometry(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
+    """Return the sun's true altitude [n] deg and the extraterrestrial normal irradiance [n] W/m2.
+
+    t_unix_s : [n]. Both are interpolated between full minutes.
+    """
+    minute = np.floor(t_unix_s / 60.0)
+    grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
+    times = [datetime.fromtimestamp(t, UTC) for t in grid]
+    altitude, top = sun.position(times, site).altitude_deg, sun.extraterrestrial_wm2(times)
+    return np.interp(t_unix_s, grid, altitude), np.interp(t_unix_s, grid, top)
+
+
+def check(series: Series, altitude: Floats, top: Floats) -> Series:
+    """Return the series with doubtful values marked, and the third component computed.
+
+    If two of GHI, DHI and DNI are measured, the third follows by closure. Unusable values become
+    NaN. altitude [n, deg], top [n, W/m2]: from `sky_geometry`.
+    """
+    marks = series.marks.copy()
+    ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
+    for extreme, mark in ((False, Mark.IMPOSSIBLE), (True, Mark.EXTREME)):
+        limits = sun.bsrn_limits(altitude, top, extreme=extreme)
+        for value, (low, high) in zip(
+            (ghi, dhi, dni), (limits.ghi_wm2, limits.dhi_wm2, limits.dni_wm2), strict=True
+        ):
+            with np.errstate(invalid="ignore"):
+                marks[(value < low) | (value > high)] |= mark
+    with np.errstate(invalid="ignore"):
+        marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
+    marks[closure_fails(series.t_unix_s, ghi, dhi, dni, altitude)] |= Mark.CLOSURE
+    marks[_stuck(series.t_unix_s, ghi, altitude)] |= Mark.STUCK
+    for value in (ghi, dhi, dni):
+        marks[spikes(series.t_unix_s, np.where(marks & UNUSABLE, np.nan, value))] |= Mark.SPIKE
+    step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
+    marks[step > 2.5 * local_period_s(series.t_unix_s)] |= Mark.GAP
+    ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
+    two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
+    marks[two_level & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
+    dni = np.where(two_level, np.minimum(sun.dni_by_closure(ghi, dhi, altitude), top), dni)
+    dhi = np.where(
+        np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi),
+        sun.dhi_by_closure(ghi, dni, altitude),
+        dhi,
+    )
+    beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
+    return Series(series.t_unix_s, ghi, dhi, dni, marks)
+
+
+def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
+    """Return a mask of rows in a run of equal values over ten minutes of daylight.
+
+    The sun must have moved enough to change the value: in integers of W/m2, a clear noon is
+    constant for up to half an hour.
+    """
+    if len(ghi) < 3:
+        return np.zeros(len(ghi), bool)
+    steps = np.abs(np.diff(ghi))
+    changes = np.flatnonzero(steps != 0.0) + 1
+    starts, ends = np.r_[0, changes], np.r_[changes, len(ghi)]
+    sine = np.sin(np.radians(np.maximum(altitude, 0.1)))
+    highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
+    smallest_step = steps[steps > 0.0].min(initial=np.inf)  # infinite if all rows are stuck
+    with np.errstate(invalid="ignore"):
+        sun_moved = ghi[starts] * (1.0 - lowest / highest) > smallest_step
+    change_due = (ghi[starts] <= 0.0) | sun_moved | np.isinf(smallest_step)
+    rows, seconds = ends - starts, t_unix_s[ends - 1] - t_unix_s[starts]
+    stuck = np.repeat((seconds > STUCK_S) & (rows > 2) & change_due, rows)
+    return stuck & (altitude > 2.0) & np.isfinite(ghi)
+
+
+def spikes(t_unix_s: Floats, value: Floats) -> Mask:
+    """Return a mask [n] of single rows that are far above or far below both neighbours.
+
+    Far is over 20 W/m2, over eight times the difference of the two neighbours, and over three times
+    the usual step, which is the ninth largest of the other steps within 120 rows on each side.
+    Where the light changes often, as under broken clouds, no row is a spike
+    (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243 rows, are not
+    judged.
+    """
+    out = np.zeros(len(value), bool)
+    if len(value) < 3 + 2 * _SPIKE_ROWS:
+        return out
+    step = np.diff(value)
+    step[np.diff(t_unix_s) > 2.5 * local_period_s(t_unix_s)[1:]] = np.nan
+    from_left, from_right = step[:-1], -step[1:]
+    with np.errstate(invalid="ignore"):
+        same_side = from_left * from_right > 0
+        departure = np.where(same_side, np.minimum(np.abs(from_left), np.abs(from_right)), 0.0)
+        far = (departure > SPIKE_WM2) & (
+            departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right)
+        )
+    # Steps around the candidate row k + 1, without its own two steps (k and k + 1).
+    around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
+    size = np.abs(np.nan_to_num(step))
+    candidates = np.flatnonzero(far)
+    block = _BLOCK_ROWS // _SPIKE_ROWS
+    for first in range(0, len(candidates), block):
+        some = candidates[first : first + block]
+        near = some[:, None] + around
+        others = np.where(
+            (near >= 0) & (near < len(size)), size[np.clip(near, 0, len(size) - 1)], 0.0
+        )
+        usual = np.partition(others, -_SPIKE_RANK, axis=1)[:, -_SPIKE_RANK]
+        out[some[departure[some] > SPIKE_OVER_USUAL * usual] + 1] = True
+    return out
+
+
+# ----------------------------------------------------------------------------------------------
+# global alone
+
+
+def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArray[np.integer]]:
+    """Return means of `value` over UTC minutes: centres [m] (unix s), means [m], indices [n].
+
+    The indices give each row's minute. In a gap of more than half an hour one minute without a
+    value is inserted, so that adjacent minutes of the result are also adjacent in time.
+    """
+    minute = np.floor(t_unix_s / 60.0).astype(np.int64)
+    present, row_minute = np.unique(minute, return_inverse=True)
+    finite = np.isfinite(value)
+    count = np.bincount(row_minute[finite], minlength=len(present))
+    total = np.bincount(row_minute[finite], weights=value[finite], minlength=len(present))
+    means = np.divide(total, count, out=np.full(len(present), np.nan), where=count > 0)
+    breaks = np.flatnonzero(np.diff(present) * 60.0 > _SEGMENT_GAP_S)
+    shift = np.searchsorted(breaks, np.arange(len(present)), side="left")
+    centres = np.insert(60.0 * present + 30.0, breaks + 1, 60.0 * present[breaks] + 90.0)
+    return (
+        centres,
+        np.insert(means, breaks + 1, np.nan),
+        (np.arange(len(present)) + shift)[row_minute],
+    )
+
+
+def derive(series: Series, altitude: Floats, site: Site) -> Series:
+    """Fill in DNI and DHI by DIRINT in rows with global irradiance alone; return the series.
+
+    DIRINT runs on minute means; the rows of a minute share its result in proportion. altitude: of
+    the sun, [n] deg.
+    """
+    alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
+    if not alone.any():
+        return series
+    centres, ghi_minute, row_minute = minute_means(
+        series.t_unix_s, np.where(alone, series.ghi_wm2, np.nan)
+    )
+    times = [datetime.fromtimestamp(t, UTC) for t in centres]
+    dni_minute = sun.dirint_dni(ghi_minute, times, site)
+    dni_minute[_without_neighbours(ghi_minute) & (ghi_minute > 0.0)] = np.nan
+    beam_share = np.divide(
+        dni_minute, ghi_minute, out=np.zeros_like(ghi_minute), where=np.nan_to_num(ghi_minute) > 1.0
+    )
+    dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
+    dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
+    marks = series.marks.copy()
+    marks[alone] |= Mark.DERIVED
+    marks[alone & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
+    return Series(series.t_unix_s, series.ghi_wm2, dhi, dni, marks)
+
+
+def _without_neighbours(value: Floats) -> Mask:
+    """Return a mask [m] of values without a value directly before or after.
+
+    DIRINT uses the change of the light, so it has no result there.
+    """
+    finite = np.r_[False, np.isfinite(value), False]
+    return finite[1:-1] & ~finite[:-2] & ~finite[2:]
+
+
+# ----------------------------------------------------------------------------------------------
+# files
+
+
+def mark_text(marks: int) -> str:
+    """Return the names of a row's marks without derived, such as ``low-sun gap``; "" if none."""
+    shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
+    return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
+
+
+def clean_of(series: Series) -> CleanIrradiance:
+    """Return the table of clean.csv: values, their source, and the marks of each row as text."""
+    texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
+    source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
+    flags = np.array([texts[int(m)] for m in series.marks], object)
+    return CleanIrradiance(
+        series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2, source, flags
+    )
+
+
+def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
+    """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
+
+    With the same site and day files of the same sizes, the existing results are used, unless
+    `force`. Raises NotEnoughDataError without a readable line.
+    """
+    remove_scraps(session.irradiance)
+    files = day_files(session)
+    note, clean = session.irradiance_health, session.clean_irradiance
+    site = session.site_file().site
+    sizes = {path.name: path.stat().st_size for path in files}
+    inputs = {"recipe": _RECIPE, "files": sizes, "site": asdict(site)}
+    table = None if force else made_from(note, inputs, [clean])
+    if table is not None:
+        return from_json(Health, table)
+    raw, broken = _read(files, progress)
+    if len(raw) == 0:
+        cause = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
+        raise NotEnoughDataError(
+            f"{session.irradiance}: {cause}; run fieldlum log {session.root} "
+            f"--pyranometer URI, or fieldlum import {session.root} --irradiance FILE"
+        )
+    altitude, top = sky_geometry(raw.t_unix_s, site)
+    checked = check(raw, altitude, top)
+    checked.marks[:] |= doubts(checked, altitude, top, site)
+    series = derive(checked, altitude, site)
+    quality = health(raw, series, altitude, top, broken, site)
+    clean_of(series).write(clean)
+    write_object(note, {**asdict(quality), "inputs": inputs})
+    return quality
+
+
+def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
+    """Read all day files; only the samples of one day at a time are Python objects."""
+    days, broken = [], 0
+    for number, path in enumerate(files, start=1):
+        samples, harmed = read_day(path)
+        broken += harmed
+        if samples:
+            days.append(series_of(samples))
+        progress(number, len(files), path.stem)
+    days = days or [series_of([])]
+    return Series(
+        np.concatenate([day.t_unix_s for day in days]),
+        np.concatenate([day.ghi_wm2 for day in days]),
+        np.concatenate([day.dhi_wm2 for day in days]),
+        np.concatenate([day.dni_wm2 for day in days]),
+        np.concatenate([day.marks for day in days]),
+    ), broken

@@ -1,5 +1,0 @@
-"""Run a weather year through a trained model: hourly maps, their glare, and its classes."""
-
-from fieldlum.predict.annual import Annual, read_annual, read_pictures
-from fieldlum.predict.glare_summary import best_and_worst
-from fieldlum.predict.year import run

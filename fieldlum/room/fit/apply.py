@@ -1,0 +1,123 @@
+"""Apply a fitted scene to captures: north, clock, room and sun patches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Progress, quiet
+from fieldlum.learn.models.data import Dataset
+from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.room.fit.corrected import corrected, with_patches
+from fieldlum.room.fit.fit import SceneFit
+from fieldlum.room.fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
+from fieldlum.session.files.model_config import UsedScene
+from fieldlum.session.site_toml import site_table
+
+# Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which
+# north is determined.
+_SAME_HEADING_DEG = 0.05
+
+
+def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
+    """Return a fit as a `Scene`, which records the choice of geometry.
+
+    Its room is the fitted one for every choice, with the azimuth relative to true north: the fitted
+    azimuth plus the correction of north. chosen: "none", "stated" or "fitted"; verdict: the reason.
+    """
+    azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
+    room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
+    return Scene(
+        north_deg=fit.guess.north_deg,
+        clock_min=fit.guess.clock_min,
+        room=room,
+        chosen=chosen,
+        verdict=verdict,
+        stated_heading_deg=fit.heading_deg,
+        stated_room=fit.stated,
+        hours=fit.hours,
+        misfit=fit.misfits.mean(),
+        before=fit.before,
+        after=fit.after,
+        u=fit.u,
+        room_draws=fit.room_draws,
+        notes=fit.notes,
+    )
+
+
+def with_scene(
+    data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML, progress: Progress = quiet
+) -> Dataset:
+    """Return the captures with the corrections of a scene.
+
+    With chosen "fitted", heading and room are relative to true north, the sun is at the true times,
+    and sun patches are computed from the fitted room. With "stated", only the patches change: they
+    are computed from the stated room. With "none", the patches are removed. source: the scene's
+    file, for errors. Raises InputError if heading (by over 0.05 degrees) or room of the captures
+    differ from those that the fit started at, and for an impossible room.
+    """
+    _check_stated(data, scene, source)
+    about: UsedScene = {
+        "north_deg": scene.north_deg,
+        "clock_min": scene.clock_min,
+        "chosen": scene.chosen,
+        "stated": site_table(data.setup),
+        "stated_heading_deg": data.heading_deg,
+    }
+    if scene.chosen == "none":
+        return replace(data, patch_cdm2=None, scene=about)
+    if scene.chosen == "stated":
+        return with_patches(replace(data, scene=about), progress=progress)
+    about["room_draws"] = {name: list(v) for name, v in scene.room_draws.items()}
+    turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
+    return with_patches(replace(turned, scene=about), progress=progress)
+
+
+def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
+    """Raise InputError if the captures state another heading or room than the fit used."""
+    fit_again, train = "fit the scene again (fieldlum scene fit)", "or train with --scene none"
+    turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
+    if turned_deg > _SAME_HEADING_DEG:
+        raise InputError(
+            source,
+            f"fitted at heading {scene.stated_heading_deg:g} degrees, but the captures have "
+            f"heading {data.heading_deg:g} degrees",
+            "the same heading",
+            f"{fit_again}, restore the earlier heading, {train}",
+        )
+    if data.setup.room != scene.stated_room:
+        raise InputError(
+            source,
+            "fitted from another [room] than that of the captures",
+            "the same [room]",
+            f"{fit_again}, restore the earlier [room], {train}",
+        )
+
+
+def in_scene(
+    data: Dataset, pairs: Path, option: str, patch: str, *, progress: Progress = quiet
+) -> tuple[Dataset, str]:
+    """Return the captures as the option ``--scene`` demands, and the patch mode for training.
+
+    option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
+    to the csv `pairs`, if it has a scene.toml. A scene is applied by `with_scene`. patch: the
+    requested mode; it is returned unchanged, except "none" if the scene chose no patches. Without a
+    scene, patches are computed for captures that have none, if the site has a `[room]` with windows
+    and `patch` is not "none". Raises InputError for a scene.toml that is missing or invalid, for
+    captures whose heading or room differ from those of the fit, and for an impossible room.
+    """
+    beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"
+    folder = Path(option) if option else beside
+    if option != "none" and (option or (beside / SCENE_TOML).is_file()):
+        scene = read_scene(folder)
+        data = with_scene(data, scene, source=folder / SCENE_TOML, progress=progress)
+        doubt = "" if scene.trusted else "WARNING: the scene is not trusted. "
+        note = f"{doubt}scene {folder}: {scene.verdict}"
+        data = replace(data, notes=(*data.notes, note))
+        return data, "none" if scene.chosen == "none" else patch
+    room = data.setup.room
+    if data.patch_cdm2 is None and patch != "none" and room is not None and room.window:
+        data = with_patches(data, progress=progress)
+        data = replace(data, notes=(*data.notes, "sun patches computed from [room]"))
+    return data, patch

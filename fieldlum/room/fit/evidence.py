@@ -1,0 +1,353 @@
+"""Collect from the captures what a fit needs: sunny hours, pixels, and light below sun patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Room
+from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.room.fit.guess import Guess, guess_of
+from fieldlum.room.fit.light_below import LEAST_CDM2, LightBelow, levelled
+from fieldlum.room.fit.lit_misfit import lit_gain
+from fieldlum.room.fit.renderer import FLOOR, SHELL, Surfaces, lit_entries, surfaces, unit_patches
+from fieldlum.room.fit.sampling import draw_pixels, rays_of
+from fieldlum.room.fit.sunny import (
+    MIN_SUNNY_HOURS,
+    SUNSHINE_WM2,
+    direct_on_windows_lx,
+    sunny_hours,
+)
+from fieldlum.room.fit.window_view import WindowView, window_view
+from fieldlum.sky import sun
+
+if TYPE_CHECKING:
+    from fieldlum.learn.models.data import Dataset
+
+Array = NDArray[np.floating]
+
+# From a study of two rooms rendered by Radiance, made before this code. docs/scene.md has later
+# measurements.
+MAX_HOURS = 60
+PIXELS = 4000
+# Of the searches before the last one. With a third of 1 000 pixels they fitted the pixels: from the
+# truth, the misfit of the others rose (docs/scene.md).
+COARSE_PIXELS = 1000
+SUB = 2  # rays into which a pixel is divided, in each direction
+# Log error at which a pixel counts as half wrong: patches differ from the room by a factor of 3 to
+# 20. With a narrow width (0.4) a lost patch costs as much as glare on a glossy floor: in a room by
+# Radiance and one by Mitsuba exact patches then left half of the misfit of no patch, with 1.5 a
+# tenth (docs/validation.md, rooms of other renderers).
+WIDTH = 1.5
+_WALLS_FACTOR = 2.0  # between the albedos of walls; chosen
+_KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
+_CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
+
+
+@dataclass(frozen=True)
+class SceneEvidence:
+    """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
+
+    log_seen: ln of the captured luminance, and below: luminance estimated without direct sun, cd/m2
+    [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1
+    [m]; rays: sub x sub in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel:
+    index below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the
+    stated time were -20, -19 ... 20 min after the true time [41, n, 2]; rows: indices of the hours
+    in the captures [n]; pixels: flat indices in the panorama of `shape` [m], which stand for
+    `solid_angle_sr` of it; view: the median picture of the windows.
+    """
+
+    log_seen: Array
+    below: Array
+    direct_lx: Array
+    weights: Array
+    rays: NDArray[np.float32]
+    pixel: NDArray[np.intp]
+    days: NDArray[np.datetime64]
+    clock: Array
+    rows: NDArray[np.intp]
+    pixels: NDArray[np.intp]
+    solid_angle_sr: float
+    shape: tuple[int, int]
+    view: WindowView
+    sub: int = SUB
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def spread(self) -> float:
+        """The angle between neighbouring rays [rad]."""
+        return np.pi / self.shape[0] / self.sub
+
+    def hours(self, index: NDArray) -> SceneEvidence:
+        """Return the evidence of the hours with the indices `index` [k]."""
+        return replace(
+            self,
+            log_seen=self.log_seen[index],
+            below=self.below[index],
+            direct_lx=self.direct_lx[index],
+            days=self.days[index],
+            clock=self.clock[:, index],
+            rows=self.rows[index],
+        )
+
+    def thinned(self, every: int) -> SceneEvidence:
+        """Return the evidence of pixels 0, `every`, 2 `every` ..., also in the windows' picture."""
+        thin = self.at_pixels(np.arange(0, len(self.pixels), every))
+        return replace(thin, view=self.view.thinned(every))
+
+    def coarse(self) -> SceneEvidence:
+        """Return the evidence thinned to about 1 000 pixels; with under 1 500 it is unchanged."""
+        return self.thinned(max(1, round(len(self.pixels) / COARSE_PIXELS)))
+
+    def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
+        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1."""
+        place = np.full(len(self.pixels), -1)
+        place[keep] = np.arange(len(keep))
+        of = place[self.pixel] >= 0
+        weights = self.weights[keep]
+        return replace(
+            self,
+            log_seen=self.log_seen[:, keep],
+            below=self.below[:, keep],
+            weights=weights / weights.sum(),
+            rays=self.rays[of],
+            pixel=place[self.pixel[of]],
+            pixels=self.pixels[keep],
+        )
+
+    def suns_room(self, guess: Guess) -> NDArray[np.float32]:
+        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
+        at = guess.clock_min + _CLOCK_REACH_MIN
+        low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
+        share = at - low
+        altitude, azimuth = ((1.0 - share) * self.clock[low] + share * self.clock[low + 1]).T
+        world = sun.direction(altitude, azimuth - guess.north_deg)
+        return (world @ guess.turn.T).astype(np.float32)
+
+    def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
+        """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end."""
+        ends = surfaces(guess, self.rays, self.spread)
+        suns = self.suns_room(guess)
+        return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), self.sub), ends
+
+    def patches(self, guess: Guess, albedo: Array) -> Array:
+        """Return the luminance of the guess's sun patches, cd/m2 [n, m].
+
+        albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
+        """
+        ends = self._ends(guess)
+        tone = albedo[ends.surface]
+        suns, count = self.suns_room(guess), len(self.pixels)
+        shine = unit_patches(guess, ends, suns, self.pixel, count, self.sub, tone)
+        return self.direct_lx[:, None] * shine / np.pi
+
+    def mean_misfit(self, guess: Guess, albedo: Array) -> float:
+        """Return the mean of `misfit` over the hours for the guess's patches.
+
+        albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
+        """
+        ends = self._ends(guess)
+        lit = lit_entries(guess, ends, self.suns_room(guess))
+        shine = lit.strength * albedo.astype(np.float32)[ends.surface[lit.ray]]
+        return self.misfit_of_lit(lit.hour, lit.ray, shine)
+
+    def _ends(self, guess: Guess) -> Surfaces:
+        """Return where the rays end; the last few answers are kept, as many moves change none."""
+        key = replace(guess, bars=(), thickness_m=0.0, north_deg=0.0, clock_min=0.0)
+        if key not in self._known_ends:
+            if len(self._known_ends) >= _KNOWN:
+                self._known_ends.pop(next(iter(self._known_ends)))
+            self._known_ends[key] = surfaces(guess, self.rays, self.spread)
+        return self._known_ends[key]
+
+    @cached_property
+    def _known_ends(self) -> dict[Guess, Surfaces]:
+        return {}
+
+    def misfit_of_lit(
+        self, hour: NDArray[np.intp], ray: NDArray[np.intp], shine: NDArray[np.float32]
+    ) -> float:
+        """Return the mean of `misfit` over the hours, if the sun reaches k pairs of hour and ray.
+
+        hour, ray: indices from 0 [k]; shine: the ray's irradiance per lx of the sun, times albedo
+        [k]. Other pairs get no direct sun.
+        """
+        scale = self.direct_lx / (np.pi * self.sub**2)
+        arrays = (self.below, self.log_seen, self.dark_loss, self.weights)
+        gain = lit_gain(hour, ray, shine, self.pixel, scale, *arrays, WIDTH)
+        return self.dark_misfit - gain / len(self)
+
+    @cached_property
+    def dark_misfit(self) -> float:
+        """The mean of `misfit` over the hours if there were no sun patch, 0 to 1."""
+        return float((self.dark_loss @ self.weights).mean())
+
+    @cached_property
+    def dark_loss(self) -> Array:
+        """The loss of each hour and pixel without a patch, 0 to 1, [n, m]; see `loss`."""
+        return _saturated(np.log(self.below) - self.log_seen)
+
+    def loss(self, entry: NDArray[np.intp], patch: Array) -> Array:
+        """Return e^2 / (e^2 + 1.5^2), e the error of ln luminance, of k entries with patches, [k].
+
+        entry: flat indices, hour times m plus pixel [k]; patch: luminance of direct sun, cd/m2 [k].
+        The computed luminance is `below` plus patch.
+        """
+        return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
+
+    def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
+        """Return the mean albedo of what each pixel's rays end on, [m]; 0 if only outside."""
+        value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
+        hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
+        return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
+
+    def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
+        """Return the evidence with `below`, the light without direct sun, estimated again.
+
+        data: all captures; patch: luminance of sun patches, which is subtracted, cd/m2 [n, m].
+        """
+        flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
+        seen = np.maximum(flat, LEAST_CDM2)
+        direct = np.zeros_like(seen)
+        direct[self.rows] = patch
+        below = LightBelow(data)(seen, direct)[self.rows]
+        level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
+        return replace(self, below=np.maximum(level, LEAST_CDM2))
+
+    @property
+    def directions(self) -> Array:
+        """The mean direction of each pixel's rays, unit vectors [m, 3]: x east, y north, z up."""
+        total = np.stack(
+            [np.bincount(self.pixel, self.rays[:, k], len(self.pixels)) for k in range(3)], axis=1
+        )
+        return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+    def misfit(self, patch: Array) -> Array:
+        """Return the share of the pixels that patches (cd/m2 [n, m]) leave wrong in each hour, [n].
+
+        It is the weighted mean of e^2 / (e^2 + 1.5^2), e being the error of ln luminance: 0 to 1.
+        """
+        return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
+
+    def albedos(self, guess: Guess, start: Array) -> Array:
+        """Return the albedo of each surface that explains its sun patches, [6 + solids].
+
+        Surfaces are west, east, south and north wall, floor, ceiling and the guess's solids. Each
+        value is the median over hours and pixels where a patch is bright, clipped to 0.02 ... 0.95.
+        With fewer than 30 of these it is that of `start` [6 or more], or the solid's own where
+        `start` is shorter. A wall over a factor of two from the walls' median gets the median:
+        misplaced patches make walls look black.
+        """
+        unit, ends = self.unit(guess)
+        first = np.full(len(self.pixels), -1)
+        first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare
+        full = self.direct_lx[:, None] * unit / np.pi
+        excess = np.exp(self.log_seen) - self.below
+        albedo = np.resize(start, SHELL + len(guess.solids)).astype(float)
+        albedo[len(start) :] = [solid.albedo for solid in guess.solids[len(start) - SHELL :]]
+        whole = unit > 0.8 * unit.max(axis=1, keepdims=True)
+        for surface in range(len(albedo)):
+            on = first[None, :] == surface
+            use = on & whole & (albedo[surface] * full > 0.2 * self.below)
+            if use.sum() >= 30:
+                albedo[surface] = float(np.clip(np.median(excess[use] / full[use]), 0.02, 0.95))
+        usual = float(np.median(albedo[:FLOOR]))
+        off = np.abs(np.log(albedo[:FLOOR] / usual)) > np.log(_WALLS_FACTOR)
+        albedo[:FLOOR][off] = usual
+        return albedo
+
+
+def _saturated(log_error: Array) -> Array:
+    squared = log_error**2
+    return squared / (squared + WIDTH**2)
+
+
+def require_box(room: Room) -> None:
+    """Raise InputError for a room that is not a box or has no window."""
+    if room.kind != "box" or not room.window:
+        raise InputError(
+            "[room]",
+            f"kind '{room.kind}', {len(room.window)} windows",
+            "a box with a window",
+            "state the window in SITE.toml, or train with --scene none",
+        )
+
+
+def gather(
+    data: Dataset,
+    room: Room,
+    *,
+    pixels: int = PIXELS,
+    seed: int = 0,
+    min_hours: int = MIN_SUNNY_HOURS,
+) -> SceneEvidence:
+    """Collect sunny hours, sampled pixels and the light without direct sun from captures.
+
+    Hours are those of `sunny_hours` near the strongest one; at most the 60 strongest are used.
+    room: the stated box; pixels: number of pixels to draw, by solid angle, outside the
+    windows. Raises InputError for a room that is not a box, has no window or is impossible,
+    NotEnoughDataError for fewer than `min_hours` hours.
+    """
+    require_box(room)
+    guess = guess_of(room, data.heading_deg)
+    rows = _sunny(data, room)
+    if len(rows) < min_hours:
+        raise NotEnoughDataError(
+            f"{len(rows)} captures have direct sun of at least {SUNSHINE_WM2:.0f} W/m² on a "
+            f"window, but at least {min_hours} are needed: capture clear hours; until then train "
+            f"uses the stated [room] or no sun patch, and states why"
+        )
+    chosen, weights, solid_angle_sr = draw_pixels(
+        data, guess, rows, pixels, np.random.default_rng(seed)
+    )
+    rays, pixel = rays_of(data, chosen, SUB)
+    seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
+    evidence = SceneEvidence(
+        np.log(seen[rows]),
+        seen[rows],
+        data.light.direct_lx[rows],
+        weights / weights.sum(),
+        rays,
+        pixel,
+        data.days[rows],
+        _clock_table(data, rows),
+        rows,
+        chosen,
+        solid_angle_sr,
+        data.shape,
+        window_view(data, guess),
+    )
+    return evidence.relit(data, np.zeros_like(evidence.below))
+
+
+def _sunny(data: Dataset, room: Room) -> NDArray[np.intp]:
+    """Return the rows with direct sun on a window, in order of time.
+
+    At most the strongest `MAX_HOURS`.
+    """
+    order = np.argsort(direct_on_windows_lx(data, room))[::-1][:MAX_HOURS]
+    return np.sort(order[sunny_hours(data, room, near_strongest=True)[order]])
+
+
+def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
+    """Return sun positions [c, n, 2] for stated times -20 ... 20 min after the true ones.
+
+    They are offsets from the captures' own sun columns.
+    """
+    light, site = data.light[rows], data.setup.site
+    at = sun.position(light.t_utc, site)
+    table = []
+    for late in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
+        moved = sun.position([t - timedelta(minutes=late) for t in light.t_utc], site)
+        altitude = light.shown_altitude_deg + moved.altitude_deg - at.altitude_deg
+        azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
+        table.append(np.stack([altitude, azimuth], axis=-1))
+    return np.stack(table)

@@ -1,0 +1,261 @@
+"""Define what is fitted: a box room with windows, bars and solid boxes; north; and the clock.
+
+Room axes: x to the right of the "south" wall as seen from outside, y away from that wall, z up, as
+in `fieldlum.core.records.Room`. Lengths are in m, angles in degrees, the clock in minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Obstruction, Room, Window
+from fieldlum.optics.projection import rotation
+from fieldlum.room.scene.geometry import WALLS, build, room_axes
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRect:
+    """A window's opening: its extent along the wall (u_m) and in height (z_m), in room axes.
+
+    u is x in the "south" and "north" walls and y in the others.
+    """
+
+    wall: Literal["south", "west", "north", "east"]
+    u_m: tuple[float, float]
+    z_m: tuple[float, float]
+    transmittance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A bar in a window, vertical if `upright`, else horizontal.
+
+    window: index of its window from 0. span_m: from and to, across the bar's length: along the wall
+    if upright, else in height. depth_m: from and to, outwards from the wall's inner face.
+    """
+
+    window: int
+    upright: bool
+    span_m: tuple[float, float]
+    depth_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """An opaque box in room axes, from corner `low_m` to corner `high_m`, each (x, y, z).
+
+    It is furniture, a column or a building outside. albedo: 0 to 1.
+    """
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+    albedo: float
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """One possible scene: a box room with windows, bars and solids, the camera, and the clock.
+
+    size_m: x, y, z; camera_m: its place in room axes, x along the "south" wall, y away from it, z
+    up. wall_azimuth_deg: of the south wall's outward normal, by the stated north. thickness_m: of
+    the walls. north_deg: room and camera are turned further clockwise than stated by this angle.
+    clock_min: how much later the stated times are than the true ones. tilt_deg: how far the
+    picture's centre, at the stated azimuth axis_deg, points up. roll_deg: how far the picture's
+    right-hand side is low.
+    """
+
+    size_m: tuple[float, float, float]
+    camera_m: tuple[float, float, float]
+    wall_azimuth_deg: float
+    thickness_m: float
+    windows: tuple[WindowRect, ...]
+    bars: tuple[Bar, ...] = ()
+    solids: tuple[Solid, ...] = ()
+    north_deg: float = 0.0
+    clock_min: float = 0.0
+    tilt_deg: float = 0.0
+    roll_deg: float = 0.0
+    axis_deg: float = 180.0
+
+    @property
+    def turn(self) -> Floats:
+        """The rotation from stated world axes (x east, y north, z up) to room axes, [3, 3].
+
+        room = turn @ world. `north_deg` is not included.
+        """
+        return room_axes(self.wall_azimuth_deg)
+
+    @property
+    def camera_turn(self) -> Floats:
+        """The rotation from the picture's world axes to room axes, [3, 3].
+
+        room = camera_turn @ picture. The picture's axes are x east, y north, z up for a level
+        camera with the stated heading.
+        """
+        return _camera_turn(self.wall_azimuth_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
+
+
+def camera_is_free(guess: Guess) -> bool:
+    """Return whether the camera is in the room and in none of its solids."""
+    inside = all(0.0 < e < size for e, size in zip(guess.camera_m, guess.size_m, strict=True))
+    return inside and not any(
+        all(a < e < b for a, e, b in zip(s.low_m, guess.camera_m, s.high_m, strict=True))
+        for s in guess.solids
+    )
+
+
+@lru_cache(maxsize=64)
+def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
+    return room_axes(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
+
+
+def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
+    """Return a stated box room as a guess.
+
+    Window frames, glazing bars and transoms become bars, obstructions become solids. axis_deg: the
+    stated azimuth of the picture's centre. Raises InputError for an impossible room.
+    """
+    scene = build(room)
+    windows = []
+    bars: list[Bar] = []
+    for number, (window, opening) in enumerate(zip(room.window, scene.openings, strict=True)):
+        rect = WindowRect(window.wall, opening.u_m, opening.z_m, window.transmittance)
+        windows.append(rect)
+        bars += _stated_bars(room, window, rect, number)
+    solids = tuple(
+        Solid(
+            (o.x_m, o.y_m, o.z_m),
+            (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m),
+            o.reflectance,
+        )
+        for o in room.obstruction
+    )
+    return Guess(
+        (room.width_m, room.depth_m, room.height_m),
+        (room.camera_x_m, room.camera_y_m, room.camera_z_m),
+        room.wall_azimuth_deg,
+        room.wall_thickness_m,
+        tuple(windows),
+        tuple(bars),
+        solids,
+        tilt_deg=room.camera_tilt_deg,
+        roll_deg=room.camera_roll_deg,
+        axis_deg=axis_deg,
+    )
+
+
+def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> list[Bar]:
+    """Return frame, bars between panes and transom as `fieldlum.room.scene` builds them."""
+    frame = window.frame_m
+    if frame <= 0.0:
+        return []
+    half = min(frame, 0.9 * room.wall_thickness_m) / 2.0
+    middle = room.wall_thickness_m / 2.0
+    depth = (middle - half, middle + half)
+    (u0, u1), (z0, z1) = rect.u_m, rect.z_m
+    pane = (u1 - u0) / window.panes
+    upright = [(u0, u0 + frame), (u1 - frame, u1)]
+    for k in range(1, window.panes):
+        centre = u0 + k * pane
+        upright.append((centre - frame / 2.0, centre + frame / 2.0))
+    level = [(z0, z0 + frame), (z1 - frame, z1)]
+    if z0 < window.transom_m < z1:
+        level.append((window.transom_m - frame / 2.0, window.transom_m + frame / 2.0))
+    bars = [Bar(number, True, span, depth) for span in upright]
+    return bars + [Bar(number, False, span, depth) for span in level]
+
+
+def room_of(guess: Guess, stated: Room) -> Room:
+    """Return the guess as a `Room`: bars and solids become boxes.
+
+    Windows end at the edges of their wall and at windows before them, beyond which no light enters.
+    stated: the room from which other fields are taken, also the walls' azimuth; neither
+    `guess.wall_azimuth_deg` nor `guess.north_deg` is applied.
+    """
+    windows = tuple(_window(guess, rect) for rect in _fitting(guess))
+    bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
+    solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
+    return replace(
+        stated,
+        width_m=guess.size_m[0],
+        depth_m=guess.size_m[1],
+        height_m=guess.size_m[2],
+        camera_x_m=guess.camera_m[0],
+        camera_y_m=guess.camera_m[1],
+        camera_z_m=guess.camera_m[2],
+        camera_tilt_deg=guess.tilt_deg,
+        camera_roll_deg=guess.roll_deg,
+        wall_thickness_m=guess.thickness_m,
+        window=windows,
+        obstruction=bars + solids,
+    )
+
+
+def _fitting(guess: Guess) -> list[WindowRect]:
+    """Return the windows without their parts beyond the wall or inside an earlier window.
+
+    Windows of which nothing remains are left out. Of two windows that overlap, the later one loses
+    the part in which its overlap is narrower, in width or in height.
+    """
+    kept: list[WindowRect] = []
+    for rect in guess.windows:
+        length = guess.size_m[1 - WALLS[rect.wall][0]]
+        u, z = _common(rect.u_m, (0.0, length)), _common(rect.z_m, (0.0, guess.size_m[2]))
+        for other in kept:
+            if other.wall != rect.wall:
+                continue
+            across, up = _common(u, other.u_m), _common(z, other.z_m)
+            width, height = across[1] - across[0], up[1] - up[0]
+            if width > 0.0 and height > 0.0:
+                u, z = (_without(u, across), z) if width <= height else (u, _without(z, up))
+        if u[1] > u[0] and z[1] > z[0]:
+            kept.append(replace(rect, u_m=u, z_m=z))
+    return kept
+
+
+def _common(first: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    """Return the part of two intervals that is in both; its end is not after its start if none."""
+    return max(first[0], other[0]), min(first[1], other[1])
+
+
+def _without(whole: tuple[float, float], part: tuple[float, float]) -> tuple[float, float]:
+    """Return the longer of the two ends that an interval has without a part of it."""
+    below, above = (whole[0], part[0]), (part[1], whole[1])
+    return below if below[1] - below[0] >= above[1] - above[0] else above
+
+
+def _window(guess: Guess, rect: WindowRect) -> Window:
+    """Return a window as in `[[room.window]]`; left_m is from the left end as seen from inside."""
+    length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
+    (u0, u1), (z0, z1) = rect.u_m, rect.z_m
+    left_m = length - u1 if rect.wall in ("south", "east") else u0
+    return Window(rect.wall, left_m, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
+
+
+def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:
+    rect = guess.windows[bar.window]
+    axis, side = WALLS[rect.wall]
+    inner = guess.size_m[axis] if side else 0.0
+    outward = 1.0 if side else -1.0
+    across = sorted(inner + outward * depth for depth in bar.depth_m)
+    u, z = (bar.span_m, rect.z_m) if bar.upright else (rect.u_m, bar.span_m)
+    low, high = [0.0, 0.0, z[0]], [0.0, 0.0, z[1]]
+    low[axis], high[axis] = across
+    low[1 - axis], high[1 - axis] = u
+    return _obstruction(low, high, albedo)
+
+
+def _obstruction(low: Sequence[float], high: Sequence[float], albedo: float) -> Obstruction:
+    return Obstruction(
+        x_m=low[0],
+        y_m=low[1],
+        z_m=low[2],
+        width_m=high[0] - low[0],
+        depth_m=high[1] - low[1],
+        height_m=high[2] - low[2],
+        reflectance=albedo,
+    )

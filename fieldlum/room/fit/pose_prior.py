@@ -1,0 +1,105 @@
+"""Estimate the camera's pose and clock from sun discs in panoramas, before sun patches are used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site
+from fieldlum.room.fit.guess import Guess
+from fieldlum.room.fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
+from fieldlum.sky.sky_view.measured_discs import LEAST_U_DEG, MeasuredDiscs
+from fieldlum.sky.sky_view.sun_discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
+
+# uncertainty of an equidistant model without a lens calibration; chosen, not measured
+_LENS_SCALE_SD = 0.01
+# names in `discs.NAMES`, in the order of `POSE_NAMES`
+_FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
+
+
+@dataclass(frozen=True, slots=True)
+class PosePrior:
+    """A normal distribution of north, tilt, roll [deg] and clock [min], in this order.
+
+    values: the mean [4]; covariance [4, 4]. Signs are those of `Guess`.
+    """
+
+    values: Floats
+    covariance: Floats
+
+    def cost(self, guess: Guess) -> float:
+        """Return the squared Mahalanobis distance of the guess's pose and clock from the mean."""
+        off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
+        return float(off @ np.linalg.solve(self.covariance, off))
+
+    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
+        """Return the guess with clock_min set, and the most likely north, tilt and roll for it."""
+        slopes = self.covariance[:3, 3] / self.covariance[3, 3]
+        pose = self.values[:3] + slopes * (clock_min - self.values[3])
+        fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
+        return replace(guess, **fields)
+
+    def drawn(self, rng: np.random.Generator) -> PosePrior:
+        """Return a prior with the same covariance around a mean drawn at random from this one."""
+        values = rng.multivariate_normal(self.values, self.covariance, method="cholesky")
+        return replace(self, values=values)
+
+    @property
+    def u_clock_min(self) -> float:
+        """Standard uncertainty of the clock [min]."""
+        return float(np.sqrt(self.covariance[3, 3]))
+
+
+def pose_of(
+    discs: MeasuredDiscs, site: Site, heading_deg: float, clock_sd_min: float
+) -> PoseFit | None:
+    """Return the pose and clock that three or more discs determine; None for fewer.
+
+    heading_deg: stated heading of the lens's axis; clock_sd_min: standard uncertainty of the times.
+    The other standard uncertainties before the fit are 2 degrees for north, 0.3 for tilt and roll,
+    and 1 % for the lens scale.
+    """
+    if len(discs) < LEAST_DISCS:
+        return None
+    prior = (NORTH_SD_DEG, LEVEL_SD_DEG, LEVEL_SD_DEG, clock_sd_min, _LENS_SCALE_SD)
+    return fit_pose(
+        discs.altitude_deg,
+        discs.azimuth_deg,
+        discs.sigma_deg,
+        discs.t_utc,
+        site,
+        heading_deg,
+        prior,
+    )
+
+
+def prior_of(pose: PoseFit) -> PosePrior:
+    """Return the fitted north, tilt, roll and clock as a prior of the search.
+
+    0.02 degrees of lens and mount are added (in quadrature) to the uncertainties of the three
+    angles.
+    """
+    rows = [NAMES.index(name) for name in _FITTED]
+    covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([LEAST_U_DEG**2] * 3 + [0.0])
+    return PosePrior(pose.values[rows], covariance)
+
+
+def pose_note(pose: PoseFit, discs: int) -> str:
+    """Return a sentence on the fitted pose and clock, from `discs` discs.
+
+    It has values with uncertainties, the residual, the number of gross errors, and what the discs
+    did not determine.
+    """
+    differences = ", ".join(
+        f"{kind} {pose[name]:+.2f} +- {pose.u[name]:.2f} {unit}"
+        for name in _FITTED
+        for kind, _, unit in [name.rpartition("_")]
+    )
+    left_out = f"; {len(pose.dropped)} discs omitted as gross errors" if pose.dropped else ""
+    open_ = f"; not determined by the discs alone: {', '.join(pose.open)}" if pose.open else ""
+    return (
+        f"correction by {discs} measured sun discs (residual {pose.rms_deg:.2f} degrees rms): "
+        f"{differences}{left_out}{open_}"
+    )

@@ -1,0 +1,91 @@
+"""Write and read scene.toml: the result of a fit, and the chosen geometry."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Room
+from fieldlum.core.strict_toml import build, plain
+from fieldlum.session import replacing
+
+SCENE_TOML = "scene.toml"
+FORMAT = 1
+Chosen = Literal["none", "stated", "fitted"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A fitted scene as `train` uses it.
+
+    room: the fitted box relative to true north. north_deg: how far room and camera are turned
+    clockwise from the stated direction; clock_min: stated time less true time. before, after, u:
+    values and standard uncertainties by parameter. hours: number of sunny hours. misfit: by "none",
+    "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong, on
+    hours held out of the search. chosen: the geometry that the captures support; verdict: why;
+    trusted: whether enough hours support it. expected_log10_mse, trusted_share: of a year's hours,
+    by the model trained with the chosen geometry; None: unknown. stated_heading_deg, stated_room:
+    the start of the fit. A scene is used only with captures that state the same, otherwise a
+    correction would be applied twice. room_draws: the numbers of the room in repeated searches, by
+    the names of `scene.room_parameters.room_parameters`.
+    """
+
+    north_deg: float
+    clock_min: float
+    room: Room
+    chosen: Chosen
+    verdict: str
+    stated_heading_deg: float
+    stated_room: Room
+    trusted: bool = True
+    hours: int = 0
+    expected_log10_mse: float | None = None
+    trusted_share: float | None = None
+    misfit: dict[str, float] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)
+    after: dict[str, float] = field(default_factory=dict)
+    u: dict[str, float] = field(default_factory=dict)
+    room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    format: int = FORMAT
+
+
+def write_scene(folder: Path, scene: Scene) -> Path:
+    """Write scene.toml into a folder, which is created, and return the file's path.
+
+    An existing file is replaced.
+    """
+    import tomli_w
+
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / SCENE_TOML
+    with replacing(path) as file:
+        file.write(tomli_w.dumps(plain(scene)).encode())
+    return path
+
+
+def read_scene(folder: Path) -> Scene:
+    """Read the scene.toml of a folder.
+
+    Raises InputError for one that is missing, no valid TOML, of another format number, or with
+    missing, unknown or wrong entries.
+    """
+    path = folder / SCENE_TOML
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        finding = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            path, finding, "a fitted scene", "write one with: fieldlum scene fit SESSION --out DIR"
+        ) from None
+    if table.get("format") != FORMAT:
+        raise InputError(
+            path,
+            f"a scene of format {table.get('format')}",
+            f"format {FORMAT}",
+            "fit the scene again (fieldlum scene fit)",
+        )
+    return build(Scene, table, str(path))

@@ -1,0 +1,50 @@
+"""Find the captures with direct sun on a window, from which a scene can be fitted and judged."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.records import Room
+from fieldlum.learn.models.data import Dataset
+from fieldlum.sky.light import facades_of
+
+# Least number of sunny hours: with every third held out, four hours are left to fit. Chosen.
+MIN_SUNNY_HOURS = 6
+# Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
+# several times brighter than the room; a sun below which refraction and horizon are uncertain.
+_SUNNY_SHARE = 0.1
+_LEAST_SUN_LX = 1000.0
+_LOWEST_SUN_DEG = 2.0
+# Share of the strongest direct sun on a window; hours with less teach a fit little. Chosen, not
+# measured.
+_STRONGEST_SHARE = 0.1
+# Direct normal irradiance of sunshine: WMO-No. 8, Guide to Instruments and Methods of Observation,
+# volume I, 8.1.1 (definition of sunshine duration).
+SUNSHINE_WM2 = 120.0
+
+
+def direct_on_windows_lx(data: Dataset, room: Room | None) -> Floats:
+    """Return the largest direct illuminance on the plane of a window [n]; 0 for suns under 2 deg.
+
+    Without a box room with windows, the planes are eight vertical ones, every 45 degrees.
+    """
+    light = data.light
+    facing = np.maximum(light.shown_sun_direction @ facades_of(room).normals.T, 0.0).max(axis=1)
+    return np.where(light.sun_altitude_deg < _LOWEST_SUN_DEG, 0.0, facing * light.direct_lx)
+
+
+def sunny_hours(data: Dataset, room: Room | None, *, near_strongest: bool = False) -> Mask:
+    """Return a mask [n], True for hours with strong direct sun on the plane of a window.
+
+    Strong is over 1 000 lx and over a tenth of the total light; with `near_strongest`, over a tenth
+    of the strongest hour. Both also find the faint sun of overcast days. Therefore, if fewer than
+    six hours near the strongest one have sunshine (direct irradiance of at least 120 W/m2), hours
+    without sunshine do not count.
+    """
+    onto = direct_on_windows_lx(data, room)
+    strong = near = onto > _STRONGEST_SHARE * max(float(onto.max(initial=0.0)), 1.0)
+    if not near_strongest:
+        strong = (onto > _SUNNY_SHARE * data.light.total_lx) & (onto > _LEAST_SUN_LX)
+    sunshine = data.light.dni_wm2 >= SUNSHINE_WM2
+    return strong if (near & sunshine).sum() >= MIN_SUNNY_HOURS else strong & sunshine

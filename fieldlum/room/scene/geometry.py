@@ -1,0 +1,369 @@
+"""Describe a box room by axis-aligned boxes and glass panes, in room coordinates.
+
+x is to the right and y away from the "south" wall, as seen from inside facing "north"; z is up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Room, Window
+from fieldlum.core.rowwise import turned
+
+SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, not measured.
+ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
+# the ground is modelled this far around the room, with an open plain beyond; chosen
+GROUND_REACH_M = 60.0
+_ROUNDING_M = 1e-9  # 1.1 + 2.2 is 3.3 m, although their binary sum is larger
+INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
+
+# name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)
+WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
+
+
+def transmissivity(transmittance: float) -> float:
+    """Return the transmissivity (0 to 1) that Radiance's glass needs for a transmittance.
+
+    transmittance : of the pane at normal incidence. Source: Radiance's materials manual, "glass".
+    """
+    if transmittance <= 0.0:
+        return 0.0
+    root = np.sqrt(0.8402528435 + 0.0072522239 * transmittance**2)
+    return float((root - 0.9166530661) / 0.0036261119 / transmittance)
+
+
+def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Floats, Floats]:
+    """Return transmittance and reflectance of a pane, 0 to 1, in the shape of `cosine`.
+
+    cosine : of the angle of incidence. Source: Radiance's m_glass.c.
+    """
+    cos1 = np.maximum(np.abs(np.asarray(cosine, float)), 1e-6)
+    cos2 = np.sqrt((1 - 1 / INDEX**2) + (cos1 / INDEX) ** 2)
+    path = transmissivity(transmittance) ** (1 / cos2)
+    through, back = np.zeros_like(cos1), np.zeros_like(cos1)
+    for a, b in ((cos1, INDEX * cos2), (1 / cos1, INDEX / cos2)):
+        r = ((a - b) / (a + b)) ** 2
+        through += 0.5 * (1 - r) ** 2 * path / (1 - (r * path) ** 2)
+        back += 0.5 * r * (1 + (1 - 2 * r) * path**2) / (1 - (r * path) ** 2)
+    return through, back
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An opaque matt box from corner `low` to corner `high`.
+
+    low, high: (x, y, z) in m, in room axes. reflectance: 0 to 1. kind: floor, ceiling, wall,
+    frame, obstruction or ground.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    reflectance: float
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """The hole of a window through its wall, and the pane in it.
+
+    axis: of the wall's normal, 0 for x and 1 for y; outward: -1 or 1, the direction out of the
+    room along that axis. inner_m, outer_m: coordinates of the wall's inside and outside face
+    along that axis. u_m: from and to along the wall, in x or y; z_m: from and to in height.
+    transmittance: of the pane.
+    """
+
+    axis: int
+    outward: int
+    inner_m: float
+    outer_m: float
+    u_m: tuple[float, float]
+    z_m: tuple[float, float]
+    transmittance: float
+
+    @property
+    def pane_m(self) -> float:
+        """Coordinate of the pane, in the middle of the wall."""
+        return (self.inner_m + self.outer_m) / 2
+
+    @property
+    def along(self) -> int:
+        """Index of the horizontal axis along the wall."""
+        return 1 - self.axis
+
+    def contains(self, u_m: Floats, z_m: Floats) -> Mask:
+        """Return whether points [n] of a plane along the wall are inside the opening, [n]."""
+        (left, right), (bottom, top) = self.u_m, self.z_m
+        return (u_m > left) & (u_m < right) & (z_m > bottom) & (z_m < top)
+
+
+@lru_cache(maxsize=64)  # a search for the scene asks for the same angles in many rooms
+def room_axes(wall_azimuth_deg: float) -> Floats:
+    """Return a room's axes as rows in world coordinates, [3, 3]: room = axes @ world.
+
+    wall_azimuth_deg: azimuth that the room's south wall faces, clockwise from north.
+    """
+    azimuth = np.radians(wall_azimuth_deg)
+    x = (-np.cos(azimuth), np.sin(azimuth), 0.0)  # azimuth - 90 degrees
+    y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)  # azimuth - 180 degrees
+    return np.array([x, y, (0.0, 0.0, 1.0)])
+
+
+@dataclass(frozen=True)
+class BoxScene:
+    """The boxes, openings and camera of a box room.
+
+    camera_m: (x, y, z) in room axes. shell: the corners (low, high) of the building's outside.
+    wall_azimuth_deg: of the "south" wall's outward normal, clockwise from north.
+    """
+
+    boxes: tuple[Box, ...]
+    openings: tuple[Opening, ...]
+    camera_m: tuple[float, float, float]
+    shell: tuple[tuple[float, float, float], tuple[float, float, float]]
+    wall_azimuth_deg: float
+
+    @cached_property
+    def low(self) -> Floats:
+        """Lower corners of the boxes [b, 3], m."""
+        return np.array([box.low for box in self.boxes], float)
+
+    @cached_property
+    def high(self) -> Floats:
+        """Upper corners of the boxes [b, 3], m."""
+        return np.array([box.high for box in self.boxes], float)
+
+    @cached_property
+    def reflectance(self) -> Floats:
+        """Reflectances of the boxes, 0 to 1, [b]."""
+        return np.array([box.reflectance for box in self.boxes])
+
+    @cached_property
+    def turn(self) -> Floats:
+        """The room's axes as rows in world coordinates, [3, 3]: room = turn @ world."""
+        return room_axes(self.wall_azimuth_deg)
+
+    def to_room(self, world: ArrayLike) -> Floats:
+        """Return directions [..., 3] (x east, y north) in room axes."""
+        return turned(self.turn, world)
+
+    def of_kind(self, *kinds: str) -> list[int]:
+        """Return the indices of the boxes of some kinds, such as "wall" or "frame"."""
+        return [k for k, box in enumerate(self.boxes) if box.kind in kinds]
+
+
+# ----------------------------------------------------------------------------------------------
+# building
+
+
+def build(room: Room, where: str = "[room]") -> BoxScene:
+    """Build the floor, ceiling, walls, frames, obstructions, ground and openings of a box room.
+
+    where : the source that errors name. Raises InputError for a room of another kind, or an
+    impossible one: a size of 0 or less, a window outside its wall, overlapping windows, a camera
+    outside the room or inside an obstruction, a reflectance below 0 or not below 1, a
+    transmittance not above 0 or over 0.92, or no pane.
+    """
+    if room.kind != "box":
+        raise InputError(
+            where, f"kind '{room.kind}'", "kind 'box'", "describe the room as a box in [room]"
+        )
+    size = np.array([room.width_m, room.depth_m, room.height_m])
+    eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
+    if not (size > 0).all() or room.wall_thickness_m <= 0:
+        raise InputError(
+            where,
+            "a size of zero or less",
+            "width, depth, height and wall thickness above 0",
+            "correct the sizes",
+        )
+    if not ((eye > 0) & (eye < size)).all():
+        raise InputError(
+            where,
+            f"the camera at {tuple(eye.tolist())} m is outside the room",
+            f"x, y, z between 0 and {tuple(size.tolist())} m, the room's size",
+            "correct camera_x_m, camera_y_m or camera_z_m",
+        )
+    _check_values(room, where)
+    openings = tuple(_opening(room, window, where) for window in room.window)
+    _check_overlap(openings, where)
+    t = room.wall_thickness_m
+    low, high = (-t, -t, -SLAB_M), (room.width_m + t, room.depth_m + t, room.height_m + ROOF_M)
+    boxes = [
+        Box(low, (high[0], high[1], 0.0), room.reflectance_floor, "floor"),
+        Box((low[0], low[1], room.height_m), high, room.reflectance_ceiling, "ceiling"),
+        *(box for wall in WALLS for box in _wall_boxes(room, wall, openings)),
+        *(
+            box
+            for window, o in zip(room.window, openings, strict=True)
+            for box in _frame(room, window, o)
+        ),
+    ]
+    for k, o in enumerate(room.obstruction, start=1):
+        corner = (o.x_m, o.y_m, o.z_m)
+        far = (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m)
+        if min(o.width_m, o.depth_m, o.height_m) <= 0:
+            raise InputError(
+                f"{where} obstruction {k}",
+                "a size of zero or less",
+                "width, depth and height above 0",
+                "correct the sizes",
+            )
+        if all(a < e < b for a, e, b in zip(corner, eye, far, strict=True)):
+            raise InputError(
+                f"{where} obstruction {k}",
+                "the camera is inside it",
+                "a camera outside of all obstructions",
+                "correct the obstruction or the camera",
+            )
+        boxes.append(Box(corner, far, o.reflectance, "obstruction"))
+    r = GROUND_REACH_M
+    ground = Box(
+        (-r, -r, -1.0),
+        (room.width_m + r, room.depth_m + r, -SLAB_M),
+        room.reflectance_ground,
+        "ground",
+    )
+    return BoxScene(
+        (*boxes, ground), openings, (eye[0], eye[1], eye[2]), (low, high), room.wall_azimuth_deg
+    )
+
+
+def _check_values(room: Room, where: str) -> None:
+    for name in ("walls", "ceiling", "floor", "ground", "frame"):
+        value = getattr(room, f"reflectance_{name}")
+        if not 0 <= value < 1:
+            raise InputError(
+                where, f"reflectance_{name} = {value:g}", "0 to below 1", "correct the value"
+            )
+    for k, o in enumerate(room.obstruction, start=1):
+        if not 0 <= o.reflectance < 1:
+            raise InputError(
+                f"{where} obstruction {k}",
+                f"reflectance = {o.reflectance:g}",
+                "0 to below 1",
+                "correct the value",
+            )
+    for k, w in enumerate(room.window, start=1):
+        if not 0 < w.transmittance <= 0.92 or w.panes < 1:
+            raise InputError(
+                f"{where} window {k}",
+                f"transmittance {w.transmittance:g}, panes {w.panes}",
+                "transmittance above 0 up to .92 (clear float glass), panes 1 or more",
+                "correct the window",
+            )
+
+
+def _opening(room: Room, window: Window, where: str) -> Opening:
+    axis, side = WALLS[window.wall]
+    length = room.width_m if axis == 1 else room.depth_m
+    top = window.sill_m + window.height_m
+    fits = (
+        window.left_m >= 0
+        and window.left_m + window.width_m <= length + _ROUNDING_M
+        and 0 <= window.sill_m <= top <= room.height_m + _ROUNDING_M
+    )
+    if not fits or window.width_m <= 0 or window.height_m <= 0:
+        raise InputError(
+            where,
+            f"a window from {window.left_m:g} to {window.left_m + window.width_m:g} m along the "
+            "wall, "
+            f"{window.sill_m:g} to {top:g} m above the floor",
+            f"a window inside the {window.wall} wall of {length:g} x {room.height_m:g} m",
+            "correct the window",
+        )
+    # left_m is measured from the left end as seen from inside: for the south and east walls that is
+    # the high end of x or y.
+    start = (
+        length - window.left_m - window.width_m
+        if window.wall in ("south", "east")
+        else window.left_m
+    )
+    inner = 0.0 if side == 0 else (room.width_m if axis == 0 else room.depth_m)
+    outward = 1 if side else -1
+    outer = inner + outward * room.wall_thickness_m
+    span = (max(start, 0.0), min(start + window.width_m, length))
+    heights = (window.sill_m, min(top, room.height_m))
+    return Opening(axis, outward, inner, outer, span, heights, window.transmittance)
+
+
+def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
+    for k, a in enumerate(openings, start=1):
+        for j, b in enumerate(openings[: k - 1], start=1):
+            same = (a.axis, a.outward) == (b.axis, b.outward)
+            if same and all(
+                p[0] < q[1] - _ROUNDING_M and q[0] < p[1] - _ROUNDING_M
+                for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
+            ):
+                raise InputError(
+                    where,
+                    f"windows {j} and {k} of one wall overlap",
+                    "windows that do not overlap",
+                    "correct left_m, width_m, sill_m or height_m",
+                )
+
+
+def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:
+    """Yield a wall without its windows, as vertical strips between the windows' edges.
+
+    The ends of the strips are the reveals.
+    """
+    axis, side = WALLS[wall]
+    outward = 1 if side else -1
+    holes = [o for o in openings if (o.axis, o.outward) == (axis, outward)]
+    t = room.wall_thickness_m
+    # South and north walls include the corners; west and east walls are between them.
+    first, last = (-t, room.width_m + t) if axis == 1 else (0.0, room.depth_m)
+    inner = 0.0 if side == 0 else (room.depth_m if axis == 1 else room.width_m)
+    n0, n1 = sorted((inner, inner + outward * t))
+    edges = sorted({first, last, *(u for o in holes for u in o.u_m)})
+    for u0, u1 in pairwise(edges):
+        cut = sorted(o.z_m for o in holes if o.u_m[0] <= u0 and u1 <= o.u_m[1])
+        levels = [0.0, *(z for hole in cut for z in hole), room.height_m]
+        for z0, z1 in zip(levels[::2], levels[1::2], strict=True):
+            if z1 > z0:
+                yield _upright(axis, (n0, n1), (u0, u1), (z0, z1), room.reflectance_walls, "wall")
+
+
+def _upright(
+    axis: int,
+    n: tuple[float, float],
+    u: tuple[float, float],
+    z: tuple[float, float],
+    reflectance: float,
+    kind: str,
+) -> Box:
+    """Return a box by its extent across the wall, along it, and in height."""
+    if axis == 1:
+        return Box((u[0], n[0], z[0]), (u[1], n[1], z[1]), reflectance, kind)
+    return Box((n[0], u[0], z[0]), (n[1], u[1], z[1]), reflectance, kind)
+
+
+def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
+    """Yield the boxes of a window's outer frame, of the bars between its panes and of its transom.
+
+    Each box is as deep as it is wide.
+    """
+    f = window.frame_m
+    if f <= 0:
+        return
+    depth = min(f, 0.9 * room.wall_thickness_m) / 2
+    n = (o.pane_m - depth, o.pane_m + depth)
+    (u0, u1), (z0, z1) = o.u_m, o.z_m
+    pane = (u1 - u0) / window.panes
+    upright = [(u0, u0 + f), (u1 - f, u1)]
+    upright += [(u0 + k * pane - f / 2, u0 + k * pane + f / 2) for k in range(1, window.panes)]
+    level = [(z0, z0 + f), (z1 - f, z1)]
+    if z0 < window.transom_m < z1:
+        level.append((window.transom_m - f / 2, window.transom_m + f / 2))
+    for u in upright:
+        yield _upright(o.axis, n, u, o.z_m, room.reflectance_frame, "frame")
+    for z in level:
+        yield _upright(o.axis, n, (u0 + f, u1 - f), z, room.reflectance_frame, "frame")

@@ -1,0 +1,340 @@
+"""Write box rooms as Radiance text, and trace rooms of .rad or .oct files by rtrace."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
+from fieldlum.room.scene.geometry import BoxScene, transmissivity
+from fieldlum.room.scene.room_commands import require_permitted
+from fieldlum.room.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
+from fieldlum.room.scene.view import LEAST_RAYS, WINDOW_RAYS, patch_rays, pixel_rays
+
+SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
+_EVEN = 0.02  # range of rays' light, as a share of the brightest ray; chosen
+# As oconv writes it after its command lines; the octree's own data follow.
+_OCTREE_FORMAT = b"FORMAT=Radiance_octree"
+_HEADER_BYTES = 1 << 16  # chosen: long command lines of oconv have some thousand
+# Direct light only, with all sources tested, and at most four reflections or transmissions.
+_TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
+
+
+# ----------------------------------------------------------------------------------------------
+# boxes to .rad
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """A visible rectangle of a box.
+
+    box : index of the box; axis, sign : of the normal; at_m : coordinate on that axis; low_m,
+    high_m : extent on the other two axes.
+    """
+
+    box: int
+    axis: int
+    sign: int
+    at_m: float
+    low_m: tuple[float, float]
+    high_m: tuple[float, float]
+
+    @property
+    def others(self) -> tuple[int, int]:
+        """The two axes in the plane of the face."""
+        a, b = (k for k in range(3) if k != self.axis)
+        return a, b
+
+    def corners(self) -> Floats:
+        """Return the corners [4, 3] in m, counter-clockwise as seen from the side of the normal."""
+        a, b = self.others
+        out = np.empty((4, 3))
+        out[:, self.axis] = self.at_m
+        out[:, a] = [self.low_m[0], self.high_m[0], self.high_m[0], self.low_m[0]]
+        out[:, b] = [self.low_m[1], self.low_m[1], self.high_m[1], self.high_m[1]]
+        flipped = (self.axis == 1) == (self.sign > 0)
+        return out[::-1] if flipped else out
+
+
+def faces(scene: BoxScene) -> list[Face]:
+    """Return all faces that can be seen: not completely inside or against other boxes.
+
+    The top of the roof, and the sides and underside of the ground are left out.
+    """
+    visible = []
+    for k in range(len(scene.boxes)):
+        for axis in range(3):
+            for sign in (-1, 1):
+                at = scene.high[k, axis] if sign > 0 else scene.low[k, axis]
+                a, b = (i for i in range(3) if i != axis)
+                low, high = scene.low[k], scene.high[k]
+                face = Face(k, axis, sign, float(at), (low[a], low[b]), (high[a], high[b]))
+                if not (_is_never_seen(scene, face) or _is_covered(scene, face)):
+                    visible.append(face)
+    return visible
+
+
+def _is_never_seen(scene: BoxScene, face: Face) -> bool:
+    """Return whether a face is a side or the underside of the ground, or the top of the roof."""
+    kind, up = scene.boxes[face.box].kind, face.axis == 2 and face.sign > 0
+    return (kind == "ground" and not up) or (kind == "ceiling" and up)
+
+
+def _is_covered(scene: BoxScene, face: Face) -> bool:
+    """Return whether no sample point just in front of the face is in free air."""
+    n = 15
+    share = (np.arange(n) + 0.5) / n
+    a, b = face.others
+    points = np.empty((n * n, 3))
+    points[:, face.axis] = face.at_m + face.sign * 1e-3
+    grid = np.meshgrid(
+        *(lo + (hi - lo) * share for lo, hi in zip(face.low_m, face.high_m, strict=True))
+    )
+    points[:, a], points[:, b] = grid[0].ravel(), grid[1].ravel()
+    free = np.ones(len(points), bool)
+    for low, high in zip(scene.low, scene.high, strict=True):
+        free &= ~((points > low) & (points < high)).all(axis=1)
+    return not free.any()
+
+
+def _matt(name: str, reflectance: float) -> str:
+    return (
+        f"void plastic {name}\n0\n0\n5 {reflectance:.6g} {reflectance:.6g} {reflectance:.6g} 0 0\n"
+    )
+
+
+def _polygon(name: str, material: str, corners: Floats) -> str:
+    numbers = " ".join(f"{x:.7g}" for x in corners.ravel())
+    return f"{material} polygon {name}\n0\n0\n{corners.size} {numbers}\n"
+
+
+def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
+    """Return the room as Radiance text in room axes.
+
+    visible : the faces to write, by default all `faces`. The k-th of the written faces has the
+    material ``f<k>``, pane k of the scene ``g<k>``; all panes are written.
+    """
+    parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
+    for k, face in enumerate(visible if visible is not None else faces(scene)):
+        parts += [
+            _matt(f"f{k}", scene.boxes[face.box].reflectance),
+            _polygon(f"face{k}", f"f{k}", face.corners()),
+        ]
+    for k, o in enumerate(scene.openings):
+        tn = transmissivity(o.transmittance)
+        parts.append(f"void glass g{k}\n0\n0\n3 {tn:.6f} {tn:.6f} {tn:.6f}\n")
+        pane = Face(0, o.axis, o.outward, o.pane_m, (o.u_m[0], o.z_m[0]), (o.u_m[1], o.z_m[1]))
+        parts.append(_polygon(f"pane{k}", f"g{k}", pane.corners()))
+    return "".join(parts)
+
+
+SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 1 180\n"
+PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0\n4 0 0 -1 180\n"
+
+
+def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
+    """Return a sun in direction [3] as Radiance text; 179 lx give an irradiance of 1 W/m2."""
+    radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
+    x, y, z = direction
+    light = f"void light solar\n0\n0\n3 {radiance:.8g} {radiance:.8g} {radiance:.8g}\n"
+    return f"{light}solar source sun\n0\n0\n4 {x:.9g} {y:.9g} {z:.9g} {2 * SUN_RADIUS_DEG}\n"
+
+
+@contextmanager
+def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
+    """Yield a temporary octree of Radiance text, on top of an octree `base` if there is one."""
+    import pyradiance
+
+    with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
+        rad, oct_ = Path(folder) / "scene.rad", Path(folder) / "scene.oct"
+        rad.write_text("\n".join(texts), encoding="ascii")
+        oct_.write_bytes(pyradiance.oconv(rad, octree=base, warning=False))
+        yield oct_
+
+
+def trace(
+    octree_path: Path, origins: Floats, directions: Floats, extra: Sequence[str] = ()
+) -> Floats:
+    """Return the radiance that rtrace finds along n rays, direct light only, in W/sr/m2, [n].
+
+    origins : [n, 3] or [3]; directions : [n, 3]; extra : more options of rtrace. Colours are
+    weighted by Radiance's own luminance weights.
+    """
+    import pyradiance
+
+    rays = (
+        np.concatenate((np.broadcast_to(origins, directions.shape), directions), axis=1)
+        .astype("<f4")
+        .tobytes()
+    )
+    answer = pyradiance.rtrace(
+        rays, octree_path, header=False, inform="f", outform="f", params=[*_TRACE, *extra]
+    )
+    return np.frombuffer(answer, "<f4").reshape(-1, 3) @ np.array(RADIANCE_Y)
+
+
+# ----------------------------------------------------------------------------------------------
+# rooms from files
+
+
+def _require_octree(path: Path) -> None:
+    """Raise InputError if a file does not begin with the header of a Radiance octree."""
+    with path.open("rb") as file:
+        header = file.read(_HEADER_BYTES)
+    if _OCTREE_FORMAT not in header:
+        raise InputError(
+            path,
+            "no header of a Radiance octree",
+            "an octree, as oconv writes it",
+            f"write it again: oconv ROOM.rad > {path}",
+        )
+
+
+@contextmanager
+def _room_octree(room: Room) -> Iterator[Path]:
+    """Yield the room's file as an octree.
+
+    Raises InputError if it is missing or invalid, or could run something without a permission.
+    """
+    import pyradiance
+
+    path = Path(room.file)
+    if not path.is_file():
+        raise InputError(
+            path,
+            "no such file",
+            "a Radiance .rad or .oct file of the room",
+            "correct the key file in [room]",
+        )
+    if path.suffix.lower() == ".oct":
+        _require_octree(path)
+    require_permitted(path)
+    if path.suffix.lower() == ".oct":
+        yield path.resolve()  # oconv would run a relative name that begins with an exclamation mark
+        return
+    with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
+        out = Path(folder) / "room.oct"
+        try:
+            out.write_bytes(pyradiance.oconv(path.resolve(), warning=False, frozen=True))
+        except RuntimeError as error:
+            reason = str(error).splitlines()[-1]
+            raise InputError(
+                path, reason, "a scene that oconv accepts", f"correct it; check with: oconv {path}"
+            ) from None
+        yield out
+
+
+def _viewpoint(room: Room) -> Floats:
+    if len(room.viewpoint_m) != 3:
+        raise InputError(
+            "[room]",
+            f"viewpoint_m {room.viewpoint_m}",
+            "three numbers: x east, y north, z up",
+            "correct viewpoint_m",
+        )
+    return np.array(room.viewpoint_m)
+
+
+def iter_traced(
+    room: Room,
+    suns: Floats,
+    normal_lx: Floats,
+    *,
+    height: int,
+    heading_deg: float,
+    chunk: int,
+    progress: Progress = quiet,
+) -> Iterator[SunPatches]:
+    """Yield sun patches of a room of kind "radiance", traced by rtrace -ab 0 hour by hour.
+
+    suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
+    normal to the sun; chunk : hours in each result. All pixels have half of the rays of
+    `patch_rays` in each direction; `uneven_pixels` are traced again with all. What is narrower than
+    the first rays are apart can be missed. Raises InputError for a missing or invalid room file,
+    and for a viewpoint_m without three numbers.
+    """
+    more = patch_rays(height)
+    few = max(LEAST_RAYS, (more + 1) // 2)
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, few)
+    fine = pixel_rays(height, heading_deg, more) if more > few else None
+    with _room_octree(room) as base:
+        for start in range(0, len(suns), chunk):
+            rows = range(start, min(start + chunk, len(suns)))
+            maps = np.zeros((len(rows), height, 2 * height), np.float32)
+            visible, through = np.zeros(len(rows)), np.zeros(len(rows))
+            for k, hour in enumerate(rows):
+                progress(hour, len(suns), "sun patches")
+                if normal_lx[hour] <= 0 or suns[hour, 2] <= 0:
+                    continue
+                with octree(sun_text(suns[hour]), base=base) as lit:
+                    values = trace(lit, eye, rays, ["-dv-"])
+                    maps[k] = _pixel_mean(pixel, values, height) * normal_lx[hour]
+                    if fine is not None:
+                        uneven = uneven_pixels(pixel, values, height).ravel()
+                        chosen = np.flatnonzero(uneven[fine[0]])
+                        values = trace(lit, eye, fine[1][chosen], ["-dv-"])
+                        exact = _pixel_mean(fine[0][chosen], values, height) * normal_lx[hour]
+                        maps[k].flat[uneven] = exact.flat[uneven]
+                    disc = trace(lit, eye, disc_rays(suns[hour])) * SUN_SR
+                passed = disc > 1e-3
+                visible[k] = passed.mean()
+                through[k] = disc[passed].mean() if passed.any() else 0.0
+            yield SunPatches(
+                maps, visible, through, normal_lx[rows.start : rows.stop] * visible * through
+            )
+    progress(len(suns), len(suns), "")
+
+
+def traced_sky_share(room: Room, rays: Floats) -> Floats:
+    """Return the share of the open sky's light that rays [m, 3] from the viewpoint receive, [m].
+
+    Rays are in world axes. The share is 0 behind an opaque surface and below the horizon, else the
+    transmittance of the glass.
+    """
+    with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
+        return np.asarray(trace(lit, _viewpoint(room), rays), float)
+
+
+def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats32:
+    """Return the mean of each pixel's rays, 0 for pixels without a ray, [H, W]."""
+    count = 2 * height**2
+    total = np.bincount(pixel, values, count) / np.maximum(np.bincount(pixel, minlength=count), 1)
+    return total.reshape(height, 2 * height).astype(np.float32)
+
+
+def uneven_pixels(pixel: NDArray[np.int32], values: Floats, height: int) -> Mask:
+    """Return the pixels whose rays and their neighbours' rays differ by over 2 %, [H, W].
+
+    pixel: index of each ray's pixel [r]; values: light of each ray [r]. The panorama has `height`
+    rows, and its first and last column are neighbours. A pixel in the dark middle of dark ones, or
+    in the middle of a patch, is even.
+    """
+    least, most = np.full(2 * height**2, np.inf), np.full(2 * height**2, -np.inf)
+    np.minimum.at(least, pixel, values)
+    np.maximum.at(most, pixel, values)
+    low, high = (
+        np.pad(v.reshape(height, -1), ((0, 0), (1, 1)), mode="wrap") for v in (least, most)
+    )
+    low, high = minimum_filter(low, 3), maximum_filter(high, 3)
+    return np.asarray((high - low > _EVEN * high)[:, 1:-1], bool)
+
+
+def traced_window_fraction(room: Room, height: int, heading_deg: float) -> Floats32:
+    """Return the share of each pixel that sees the sky, times the glass, [H, W].
+
+    The room is traced under a sky of radiance one; everything else is dark.
+    """
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, WINDOW_RAYS)
+    with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
+        # Ambient light is off and the sky is a glow without reach: only direct view counts.
+        return _pixel_mean(pixel, trace(lit, eye, rays), height)

@@ -1,0 +1,273 @@
+"""Sessions whose truth is known: a box room rendered by Radiance at every planned slot.
+
+The simulated camera and pyranometer read truth/<slot>.exr (a panorama and its separate sun) and
+truth/irradiance.csv. truth/pairs.csv lists the same panoramas, so that `train` and `bench` can use
+the truth itself; pairs.csv does the same until `pair` writes the pairs of the captures.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, SiteFile, Slot, quiet
+from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.optics.linear_light import sensor_pitch_deg
+from fieldlum.optics.profiles import load_camera_profile
+from fieldlum.room.simulate.slot_units import truth_units
+from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
+from fieldlum.room.simulate.truth import GroundTruth, ground_truth
+from fieldlum.session import Session, create_session, remove_scraps, update_session
+from fieldlum.session.files.json_file import write_object
+from fieldlum.session.files.pairs_csv import PairRow
+from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.session.provenance import made_from
+from fieldlum.session.simulated_pairs import write_simulated_pairs
+from fieldlum.session.tables import PlanTable
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light, light_at
+from fieldlum.weather import SHIPPED_SITE, Weather, read_weather, shipped_seattle, synthetic_weather
+from fieldlum.weather.files import NEAR_KM, distance_km
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """Numbers of slots of a run, and the name of the weather.
+
+    rendered: by this run; kept: by an earlier run; dark: without light in the weather or with the
+    sun down, which are in pairs.csv with ok = 0 and are not rendered.
+    """
+
+    rendered: int
+    kept: int
+    dark: int
+    weather: str
+
+
+def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
+    """Return the weather year of the file `path`.
+
+    Without a file, return the shipped year of Seattle for a site within 30 km of it, and a
+    synthetic year drawn by `seed` for other sites.
+    """
+    if path is not None:
+        return read_weather(path, setup.site)
+    if distance_km(setup.site, SHIPPED_SITE) <= NEAR_KM:
+        return shipped_seattle(setup.site)
+    return synthetic_weather(setup.site, seed)
+
+
+def sample_slots(
+    setup: SiteFile, weather: Weather, count: int, seed: int, without: Sequence[datetime] = ()
+) -> list[Slot]:
+    """Draw `count` daylight hours of a weather year at random; return them as slots in time order.
+
+    Daylight: sun above the horizon, and DNI or DHI above 0. The slots have the times of the
+    weather's rows, no exposures and no tags. without : exact times of rows that are not drawn.
+    Raises NotEnoughDataError if the year has fewer other hours.
+    """
+    day = weather.daylight()
+    taken = set(without)
+    free = np.array([k for k, t in enumerate(day.t_utc) if t not in taken])
+    if count > len(free):
+        raise NotEnoughDataError(
+            f"{count} hours requested, but the weather year has only {len(free)} unused hours with "
+            "light; request fewer"
+        )
+    rows = np.sort(np.random.default_rng(seed).permutation(free)[:count])
+    times = [day.t_utc[k] for k in rows]
+    at = sun.position(times, setup.site)
+    return [
+        Slot(t, float(a), float(z), ())
+        for t, a, z in zip(times, at.altitude_deg, at.azimuth_deg, strict=True)
+    ]
+
+
+def run(
+    session: Session,
+    weather: Weather,
+    *,
+    height: int = 230,
+    quality: str = "paper",
+    drift: bool = False,
+    troubles: Troubles | None = None,
+    force: bool = False,
+    cache: Path | None = None,
+    workers: int | None = None,
+    scheduler: Scheduler = LOCAL,
+    progress: Progress = quiet,
+) -> Simulated:
+    """Render the truth of every slot of a session's plan and write its pairs.
+
+    Slots that were rendered before in the same way are kept, unless `force`. drift : irradiance
+    changes within the hour instead of having its mean; troubles : differences from the stated
+    session; cache : folder of the Radiance coefficients, by default the session's truth/. Raises
+    InputError for a room that cannot be rendered.
+    """
+    setup, slots = session.site_file(), session.slots()
+    for folder in (session.root, session.truth, session.truth / "sunpatches"):
+        remove_scraps(folder)
+    truth = ground_truth(
+        setup,
+        height=height,
+        quality=quality,
+        cache=cache or session.truth,
+        workers=workers,
+        progress=progress,
+    )
+    light, lit = _light_of(setup, slots, weather)
+    wrong = troubles or Troubles()
+    shining = true_light(light, wrong, setup.site) if wrong.names else light
+    pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
+    _forget_other(session, slots, truth, weather, wrong.key, pitch_deg)
+    owed = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
+    units = truth_units(
+        session,
+        cache or session.truth,
+        slots,
+        owed,
+        light,
+        shining,
+        height=height,
+        quality=quality,
+        pitch_deg=pitch_deg,
+        troubles=wrong,
+    )
+    run_each(units, scheduler, UnitOutcome.result, progress)
+    _write_irradiance(session, weather, slots, drift, wrong)
+    dni, dhi = measured_irradiance(
+        light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong
+    )
+    write_pairs(session, slots, replace(light, dni_wm2=dni, dhi_wm2=dhi), lit, weather)
+    about = {
+        "weather": weather.name,
+        "height": height,
+        "quality": quality,
+        "synthetic_weather": weather.synthetic,
+        **({"troubles": list(wrong.names)} if wrong.names else {}),
+    }
+    update_session(session, {"simulation": about})
+    return Simulated(len(owed), int(lit.sum()) - len(owed), int((~lit).sum()), weather.name)
+
+
+def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
+    """Create the session folder `out` with `slots`, in time order, as its plan.
+
+    about: further keys of the table [plan]. Raises InputError if `out` is a session already.
+    """
+    return create_session(
+        out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)}
+    )
+
+
+def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple[Light, np.ndarray]:
+    times = [slot.t_utc for slot in slots]
+    weather_then = weather.at(times)
+    dni = np.nan_to_num(weather_then.dni_wm2)
+    dhi = np.nan_to_num(weather_then.dhi_wm2)
+    light = light_at(times, setup.site, dni, dhi)
+    return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
+
+
+def _forget_other(
+    session: Session,
+    slots: Sequence[Slot],
+    truth: GroundTruth,
+    weather: Weather,
+    troubles: str,
+    pitch_deg: float,
+) -> None:
+    """Delete the slots' rendered pictures of another room, size, quality, weather or troubles.
+
+    Otherwise an interrupted run could leave a mixture. troubles: key of the simulated troubles, ""
+    for none; pitch_deg: of the pictures around windows.
+    """
+    path = session.truth / "made.json"
+    light = hashlib.sha256(
+        np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
+    ).hexdigest()
+    now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
+    now |= {"sun_rays": str(truth.sun_rays), "window_pitch_deg": f"{pitch_deg:.4f}"}
+    now |= {"troubles": troubles} if troubles else {}
+    if made_from(path, now) is not None:
+        return
+    for slot in slots:
+        for place in (session.truth_panorama, session.truth_sunpatch, session.truth_sky_picture):
+            place(slot.id).unlink(missing_ok=True)
+    write_object(path, now)
+
+
+def _done(session: Session, slot: Slot) -> bool:
+    return session.truth_panorama(slot.id).is_file() and session.truth_sunpatch(slot.id).is_file()
+
+
+def _write_irradiance(
+    session: Session, weather: Weather, slots: Sequence[Slot], drift: bool, troubles: Troubles
+) -> None:
+    """Write truth/irradiance.csv over the planned days.
+
+    Readers interpolate between its rows: a steady hour has two.
+    """
+    days = sorted({sun.standard_date(slot.t_utc, weather.site.timezone) for slot in slots})
+    times: list[datetime] = []
+    for day in days:
+        start = sun.standard_midnight(day, weather.site.timezone)
+        for hour in range(24):
+            begin = start + timedelta(hours=hour)
+            times += (
+                [begin + timedelta(minutes=30)]
+                if drift
+                else [begin, begin + timedelta(minutes=59, seconds=59)]
+            )
+    light = weather.at(times)
+    ghi_wm2, dni_wm2, dhi_wm2 = (
+        np.nan_to_num(v) for v in (light.ghi_wm2, light.dni_wm2, light.dhi_wm2)
+    )
+    if troubles.names:
+        altitude = sun.position(times, weather.site).altitude_deg
+        dni_wm2, dhi_wm2 = measured_irradiance(times, dni_wm2, dhi_wm2, altitude, troubles)
+        ghi_wm2 = dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0) + dhi_wm2
+    seconds = np.array([t.timestamp() for t in times])
+    truth = TruthIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
+    truth.write(session.truth_irradiance)
+
+
+def write_pairs(
+    session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
+) -> None:
+    """Write a pair of rendered panorama and light for each slot; irradiance counts as measured.
+
+    light: of all slots; lit: True for slots that were rendered [len(slots)]; the others get ok = 0.
+    """
+    ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
+    rows = [
+        _pair(session, slot, light, k, bool(lit[k]), float(ghi[k])) for k, slot in enumerate(slots)
+    ]
+    write_simulated_pairs(session, tuple(rows))
+
+
+def _pair(session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float) -> PairRow:
+    panorama, patch = (
+        path.relative_to(session.root).as_posix() if ok else ""
+        for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
+    )
+    return PairRow(
+        slot.t_utc,
+        panorama,
+        float(light.dni_wm2[k]),
+        float(light.dhi_wm2[k]),
+        ghi,
+        "measured",
+        float(light.sun_altitude_deg[k]),
+        float(light.sun_azimuth_deg[k]),
+        sunpatch=patch,
+        ok=ok,
+        why="" if ok else "no light in the weather",
+    )

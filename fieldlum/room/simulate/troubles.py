@@ -1,0 +1,367 @@
+"""Troubles of a real campaign in a simulated one: each has a size and a seed, from a file.
+
+A trouble changes the room (truth/<slot>.exr, the pictures that cameras take) or the instrument's
+readings (truth/irradiance.csv, pairs.csv). The stated session is unchanged: the site, the room, the
+times of the slots and the sun patches computed from them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Site
+from fieldlum.core.strict_toml import build, read_toml
+from fieldlum.optics.projection import altitude_azimuth_deg, equirect_rays
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light
+from fieldlum.sky.perez import reinhart_patches
+
+# Sizes of the disturbances. Where no source is stated they are chosen to look like a campaign, not
+# measured.
+_CLOUD_WAVES = 12  # plane waves of the cloud field: their sum is nearly normal
+_CLOUD_SCALE_RAD = 0.5  # correlation length, about 30 degrees
+# DNI under broken clouds decorrelates within some hundred metres, with this sd of its logarithm.
+_FAR_M = 500.0
+_FAR_SD = 0.3
+_KNOCKED_DAYS = (3, 6)  # first day of the knock and first day after it, counted from 0
+_EVENING_H = 15.0  # local standard time from which lamps may be on
+_LAMP_SPOTS = 20.0  # luminance of a luminaire over that of the wall that it lights
+_PERSON_DEG = (12.0, 50.0)  # width and height of a person 2 m away, from the feet
+_CHAIR_DEG = (18.0, 14.0)  # width and height of a chair's shadow on the floor
+_CLIP_CDM2 = 1500.0  # largest luminance of a bracket without its shortest frames
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """The size of a trouble, in its own unit, and the seed of its random part."""
+
+    size: float
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Troubles:
+    """The troubles of a campaign; None: not present.
+
+    clouds : sd of ln luminance of a smooth field over the sky, another in each hour; DHI is kept.
+    distant_instrument : distance of the instrument, m; its DNI is that of other clouds.
+    instrument_drift : relative change of its readings from the first to the last slot.
+    horizon : altitude below which the instrument is in shade, deg.
+    north : turn of room and camera, clockwise from the stated one, deg.
+    clock_drift : delay of the stated times after a week, min; then the clock is set.
+    knock : turn of the camera from the 4th to the 6th day, deg.
+    lamps : luminance that lamps add to walls in some evenings, cd/m2.
+    blind : share of light that a half-lowered blind removes on one day.
+    people : share of the pictures with a person in them.
+    chair : share of light that a moved chair removes from a part of the floor, from the middle day.
+    exposures : relative sd of a picture's level by wrong exposure times.
+    clipped : count of pictures without their shortest exposures.
+    """
+
+    clouds: Trouble | None = None
+    distant_instrument: Trouble | None = None
+    instrument_drift: Trouble | None = None
+    horizon: Trouble | None = None
+    north: Trouble | None = None
+    clock_drift: Trouble | None = None
+    knock: Trouble | None = None
+    lamps: Trouble | None = None
+    blind: Trouble | None = None
+    people: Trouble | None = None
+    chair: Trouble | None = None
+    exposures: Trouble | None = None
+    clipped: Trouble | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the troubles that are present, in the order of the fields."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+    @property
+    def key(self) -> str:
+        """A hash that changes with any size or seed; "" without troubles."""
+        text = json.dumps(asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
+
+    def only(self, name: str) -> Troubles:
+        """Return `Troubles` with only the trouble `name`. Raises KeyError if it is not present."""
+        if name not in self.names:
+            raise KeyError(name)
+        return Troubles(**{name: getattr(self, name)})
+
+    def seeded(self, seed: int) -> Troubles:
+        """Return the troubles with `seed` added to the seed of each."""
+        changed = {
+            n: replace(getattr(self, n), seed=getattr(self, n).seed + seed) for n in self.names
+        }
+        return replace(self, **changed)
+
+
+# largest size of each trouble; the smallest is 0
+LIMITS = {
+    "clouds": 1.0,
+    "distant_instrument": 5000.0,
+    "instrument_drift": 0.5,
+    "horizon": 30.0,
+    "north": 10.0,
+    "clock_drift": 60.0,
+    "knock": 10.0,
+    "lamps": 1000.0,
+    "blind": 1.0,
+    "people": 1.0,
+    "chair": 1.0,
+    "exposures": 1.0,
+    "clipped": 1000.0,
+}
+_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")  # the smallest is -LIMITS
+
+
+def load_troubles(path: Path) -> Troubles:
+    """Read troubles from TOML: a table for each, with `size` and, if not 1, `seed`.
+
+    Raises InputError for a file that cannot be read, an unknown trouble or key, a value of another
+    type, and a size outside `LIMITS`.
+    """
+    troubles = build(Troubles, read_toml(path), str(path))
+    for name in troubles.names:
+        size, most = getattr(troubles, name).size, LIMITS[name]
+        least = -most if name in _SIGNED else 0.0
+        if not least <= size <= most:
+            raise InputError(
+                path,
+                f"the trouble [{name}] with size = {size:g}",
+                f"{least:g} to {most:g}",
+                "correct the size",
+            )
+    return troubles
+
+
+# ----------------------------------------------------------------------------------------------
+# light
+
+
+@dataclass(frozen=True)
+class CloudyLight(Light):
+    """Light whose sky is Perez's times a smooth log-normal field, another one at each moment."""
+
+    cloud_sd: float = 0.0
+    cloud_seed: int = 0
+
+    def __getitem__(self, rows: slice | Array | Sequence[int]) -> CloudyLight:
+        return CloudyLight.of(super().__getitem__(rows), self.cloud_sd, self.cloud_seed)
+
+    @classmethod
+    def of(cls, light: Light, cloud_sd: float, cloud_seed: int) -> CloudyLight:
+        """Return `light` with clouds: sd of ln luminance and seed of the field over the sky."""
+        values = {f.name: getattr(light, f.name) for f in fields(Light)}
+        return cls(**values, cloud_sd=cloud_sd, cloud_seed=cloud_seed)
+
+    def sky_at(self, directions: Floats) -> Floats32:
+        """Return the luminance of the clouded sky, [n, m], cd/m2.
+
+        The diffuse illuminance is that of the sky without the field; the ground below the horizon
+        is unchanged.
+        """
+        out = super().sky_at(directions).copy()
+        patches = reinhart_patches()
+        weights = patches.solid_angles_sr * np.maximum(patches.directions[:, 2], 0.0)
+        base = super().sky_at(patches.directions)  # [n, 2305]
+        up = np.asarray(directions)[:, 2] > 0.0
+        for k, t in enumerate(self.t_utc):
+            rng = np.random.default_rng([self.cloud_seed, int(t.timestamp())])
+            field, everywhere = _cloud_field(rng, self.cloud_sd, directions, patches.directions)
+            unclouded = float(base[k] @ weights)
+            factor = unclouded / max(float((base[k] * everywhere) @ weights), 1e-9)
+            out[k, up] *= (factor * field[up]).astype(np.float32)
+        return out
+
+
+def _cloud_field(rng: np.random.Generator, sd: float, *directions: Floats) -> list[Floats]:
+    """Return exp of a smooth normal field at each set of directions [m, 3], [m] each."""
+    waves = rng.normal(0.0, 1.0 / _CLOUD_SCALE_RAD, (_CLOUD_WAVES, 3))
+    phases = rng.uniform(0.0, 2.0 * np.pi, _CLOUD_WAVES)
+    scale = sd * np.sqrt(2.0 / _CLOUD_WAVES)
+    return [np.exp(scale * np.cos(d @ waves.T + phases).sum(axis=1)) for d in directions]
+
+
+def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
+    """Return `light` as the room receives it with the troubles of clock, north and clouds.
+
+    The result's sun azimuths are relative to the stated north; its times are still the stated ones.
+    """
+    altitude, azimuth = light.sun_altitude_deg, light.sun_azimuth_deg
+    if troubles.clock_drift is not None:
+        start = min(light.t_utc)
+        late = [troubles.clock_drift.size * ((t - start) / timedelta(days=7)) for t in light.t_utc]
+        # Planned days may be months apart; a clock is set again after a week.
+        late = [minutes % troubles.clock_drift.size for minutes in late]
+        times = [t + timedelta(minutes=m) for t, m in zip(light.t_utc, late, strict=True)]
+        at = sun.position(times, site)
+        altitude, azimuth = np.maximum(at.altitude_deg, 0.05), at.azimuth_deg
+    if troubles.north is not None:
+        azimuth = azimuth - troubles.north.size
+    moved = replace(light, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth)
+    if troubles.clouds is None:
+        return moved
+    return CloudyLight.of(moved, troubles.clouds.size, troubles.clouds.seed)
+
+
+def measured_irradiance(
+    times_utc: Sequence[datetime],
+    dni_wm2: Array,
+    dhi_wm2: Array,
+    altitude_deg: Array,
+    troubles: Troubles,
+) -> tuple[Array, Array]:
+    """Return the DNI and DHI that the instrument reports with its troubles, [n] each, in W/m2.
+
+    dni_wm2, dhi_wm2: the true ones, [n]; altitude_deg: of the sun, [n]. Troubles of the instrument
+    are its distance, its horizon and its drift.
+    """
+    dni, dhi = np.array(dni_wm2, float), np.array(dhi_wm2, float)
+    rise = np.maximum(np.sin(np.radians(altitude_deg)), 0.02)
+    if troubles.distant_instrument is not None:
+        far = troubles.distant_instrument
+        sd = _FAR_SD * (1.0 - np.exp(-far.size / _FAR_M))
+        total = dni * rise + dhi
+        factor = [np.exp(sd * _normal(far.seed, t)) for t in times_utc]
+        dni = np.minimum(dni * factor, 0.97 * total / rise)
+        dhi = np.maximum(total - dni * rise, 0.0)
+    if troubles.horizon is not None:
+        dni = np.where(altitude_deg < troubles.horizon.size, 0.0, dni)
+    if troubles.instrument_drift is not None and len(times_utc) > 1:
+        seconds = np.array([t.timestamp() for t in times_utc])
+        gain = 1.0 + troubles.instrument_drift.size * (seconds - seconds.min()) / np.ptp(seconds)
+        dni, dhi = dni * gain, dhi * gain
+    return dni, dhi
+
+
+def _normal(seed: int, t_utc: datetime) -> float:
+    """Return a normal random number of an hour, the same at all its seconds."""
+    hour = int(t_utc.timestamp() // 3600)
+    return float(np.random.default_rng([seed, hour]).standard_normal())
+
+
+# ----------------------------------------------------------------------------------------------
+# pictures
+
+
+def troubled_pictures(
+    luminance_cdm2: Floats32,
+    window: Mask,
+    slots: Sequence[datetime],
+    all_slots: Sequence[datetime],
+    timezone: str,
+    troubles: Troubles,
+) -> Floats32:
+    """Return the pictures of `slots` with the troubles of room and camera, [n, H, W].
+
+    luminance_cdm2: without troubles, [n, H, W]; window: pixels that see the sky, [H, W]; all_slots:
+    times of the complete plan, by which days are counted.
+    """
+    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
+    maps = luminance_cdm2.copy()
+    for k, t in enumerate(slots):
+        day = days.index(sun.standard_date(t, timezone))
+        local = sun.standard_time(t, timezone)
+        hour = local.hour + local.minute / 60.0
+        maps[k] = _changed_room(maps[k], window, day, len(days), hour, troubles)
+        maps[k] = _changed_picture(maps[k], t, all_slots, day, troubles)
+    return maps
+
+
+def knocked_camera(
+    t_utc: datetime, all_slots: Sequence[datetime], timezone: str, troubles: Troubles
+) -> bool:
+    """Return whether the camera is turned by a knock at a slot of the plan `all_slots`."""
+    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
+    day = days.index(sun.standard_date(t_utc, timezone))
+    return troubles.knock is not None and _on_knocked_day(day)
+
+
+def _on_knocked_day(day: int) -> bool:
+    return _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]
+
+
+def _changed_room(
+    image: Array, window: Mask, day: int, days: int, hour: float, troubles: Troubles
+) -> Array:
+    """Return the picture with lamps, a blind and a chair, [H, W]."""
+    out = image.copy()
+    height, width = out.shape
+    if troubles.lamps is not None and hour >= _EVENING_H:
+        rng = np.random.default_rng([troubles.lamps.seed, day])
+        if rng.random() < 0.5:
+            lit = np.full_like(out, troubles.lamps.size)
+            lit[height // 8 : height // 6, width // 8 :: width // 4] *= _LAMP_SPOTS
+            out += np.where(window, 0.0, lit).astype(np.float32)
+    if troubles.blind is not None and day == _blind_day(troubles.blind, days):
+        rows = np.flatnonzero(window.any(axis=1))
+        upper = window & (np.arange(height)[:, None] <= np.median(rows))
+        passed = 1.0 - troubles.blind.size
+        out = np.where(upper, out * passed, out * (0.5 + 0.5 * passed)).astype(np.float32)
+    if troubles.chair is not None and day >= days // 2:
+        azimuth = float(np.random.default_rng(troubles.chair.seed).uniform(0.0, 360.0))
+        where = _block(height, width, azimuth, -35.0, *_CHAIR_DEG)
+        out[where] *= np.float32(1.0 - troubles.chair.size)
+    return out
+
+
+def _blind_day(blind: Trouble, days: int) -> int:
+    return int(np.random.default_rng(blind.seed).integers(days))
+
+
+def _changed_picture(
+    image: Array, t_utc: datetime, all_slots: Sequence[datetime], day: int, troubles: Troubles
+) -> Array:
+    """Return the picture with a person, a turn, wrong exposure times and clipping, [H, W]."""
+    out = image
+    height, width = out.shape
+    if troubles.people is not None:
+        rng = np.random.default_rng([troubles.people.seed, int(t_utc.timestamp())])
+        if rng.random() < troubles.people.size:
+            body = _block(height, width, rng.uniform(0.0, 360.0), -20.0, *_PERSON_DEG)
+            out = np.where(body, np.float32(0.3 * np.median(out)), out)
+    if troubles.knock is not None and _on_knocked_day(day):
+        shift = troubles.knock.size / 360.0 * width
+        columns = int(np.floor(shift))
+        near, far = np.roll(out, -columns, axis=1), np.roll(out, -columns - 1, axis=1)
+        part = shift - columns
+        out = (near * (1.0 - part) + far * part).astype(np.float32)
+    if troubles.exposures is not None:
+        rng = np.random.default_rng([troubles.exposures.seed, int(t_utc.timestamp())])
+        out = out * np.float32(np.exp(troubles.exposures.size * rng.standard_normal()))
+    if troubles.clipped is not None:
+        order = sorted(all_slots, key=lambda t: _draw(troubles.clipped, t))
+        if t_utc in order[: int(troubles.clipped.size)]:
+            out = np.minimum(out, np.float32(_CLIP_CDM2))
+    return out
+
+
+def _draw(trouble: Trouble | None, t_utc: datetime) -> int:
+    """Return a random number of a time, by which slots are put into a random order."""
+    return zlib.crc32(f"{trouble.seed if trouble else 0} {t_utc.timestamp():.0f}".encode())
+
+
+def _block(
+    height: int,
+    width: int,
+    azimuth_deg: float,
+    altitude_deg: float,
+    wide_deg: float,
+    high_deg: float,
+) -> Mask:
+    """Return the pixels of an upright rectangle; its azimuth counts from the heading, [H, W]."""
+    altitude, azimuth = altitude_azimuth_deg(equirect_rays(height, width, 0.0))
+    away = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)
+    return (away < wide_deg / 2) & (np.abs(altitude - altitude_deg) < high_deg / 2)

@@ -1,0 +1,161 @@
+"""SITE.toml: place, camera and room of a site."""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Site, SiteFile
+from fieldlum.core.strict_toml import TomlTable, build, plain, read_toml
+from fieldlum.sky import sun
+
+# Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
+# Chosen.
+_MOST_OFF_SUN_H = 4.0
+
+
+# A place is refused if it is farther from its time zone's city than this, and the other sign of
+# latitude or longitude is at most half as far. No country with one zone on both sides of the
+# equator is that large: Leticia in Colombia is 1090 km from Bogota.
+_FAR_FROM_ZONE_KM = 1500.0
+_ZONE_PLACE = re.compile(r"([+-]\d\d)(\d\d)(?:\d\d)?([+-]\d{3})(\d\d)(?:\d\d)?")
+_MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base; chosen
+
+
+def site_from_table(table: TomlTable, where: str) -> SiteFile:
+    """Build the site, camera and room from the parsed content of a SITE.toml.
+
+    where: name of the source in errors. Raises InputError for unknown keys, an impossible place, or
+    a time zone that is unknown or over 4 h from the solar time of the longitude.
+    """
+    setup = build(SiteFile, table, where)
+    site = setup.site
+    if not -90 <= site.latitude_deg <= 90:
+        raise InputError(
+            where,
+            f"latitude_deg = {site.latitude_deg:g}",
+            "-90 to 90 deg",
+            "correct it; south is negative",
+        )
+    if not -180 <= site.longitude_deg <= 180:
+        raise InputError(
+            where,
+            f"longitude_deg = {site.longitude_deg:g}",
+            "-180 to 180 deg",
+            "correct it; east is positive",
+        )
+    if not -500 <= site.altitude_m <= 9000:
+        raise InputError(
+            where,
+            f"altitude_m = {site.altitude_m:g}",
+            "-500 to 9000 m",
+            "state metres above the sea",
+        )
+    try:
+        ZoneInfo(site.timezone)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise InputError(
+            where,
+            f"unknown time zone '{site.timezone}'",
+            "an IANA name such as America/Los_Angeles",
+            "correct timezone",
+        ) from None
+    if (
+        abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
+        and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H
+    ):
+        raise InputError(
+            where,
+            f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
+            f"whose clock is {abs(off_h):.1f} h from solar time",
+            f"at most {_MOST_OFF_SUN_H:g} h",
+            "correct one of the two; east is positive, west negative",
+        )
+    return setup
+
+
+@cache
+def _zone_places() -> dict[str, tuple[float, float]]:
+    """Return latitude and longitude of each time zone's city, from zone.tab of tzdata."""
+    places = {}
+    text = (files("tzdata") / "zoneinfo" / "zone.tab").read_text(encoding="utf-8")
+    for line in text.splitlines():
+        if line.startswith("#") or not (match := _ZONE_PLACE.fullmatch(line.split("\t")[1])):
+            continue
+        lat, lat_min, lon, lon_min = match.groups()
+        places[line.split("\t")[2]] = (
+            float(lat) + math.copysign(float(lat_min) / 60, float(lat[0] + "1")),
+            float(lon) + math.copysign(float(lon_min) / 60, float(lon[0] + "1")),
+        )
+    return places
+
+
+def _distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
+    (lat_a, lon_a), (lat_b, lon_b) = (map(math.radians, place) for place in (a, b))
+    cosine = math.sin(lat_a) * math.sin(lat_b)
+    cosine += math.cos(lat_a) * math.cos(lat_b) * math.cos(lon_a - lon_b)
+    return 6371.0 * math.acos(max(-1.0, min(1.0, cosine)))
+
+
+def wrong_sign_text(site: Site) -> str:
+    """Return what is wrong with the sign of a latitude or longitude by the time zone; "" if fine.
+
+    A zone that is no city, such as UTC, has no place and is not checked.
+    """
+    place = _zone_places().get(site.timezone)
+    stated = (site.latitude_deg, site.longitude_deg)
+    if place is None or (away := _distance_km(stated, place)) < _FAR_FROM_ZONE_KM:
+        return ""
+    flipped = {
+        "latitude": (-stated[0], stated[1]),
+        "longitude": (stated[0], -stated[1]),
+        "latitude and longitude": (-stated[0], -stated[1]),
+    }
+    which = min(flipped, key=lambda name: _distance_km(flipped[name], place))
+    if (near := _distance_km(flipped[which], place)) > away / 2:
+        return ""
+    return (
+        f"{stated[0]:g}, {stated[1]:g} is {away:.0f} km from {site.timezone}, and with the other "
+        f"sign of the {which} {near:.0f} km"
+    )
+
+
+def site_table(setup: SiteFile) -> TomlTable:
+    """Return a site as the nested tables of a SITE.toml; the inverse of `site_from_table`."""
+    return plain(setup)
+
+
+def load_site(path: Path) -> SiteFile:
+    """Read a SITE.toml. Raises InputError for a file or a value that cannot be used.
+
+    The camera's height may be stated in [camera] or in [room], and then counts in both; two
+    different heights are an error. `assumed` lists heading and profile if they are not stated.
+    """
+    table = read_toml(path)
+    camera, room = table.setdefault("camera", {}), table.get("room")
+    if isinstance(camera, dict):
+        missing = {"heading_deg": "heading_deg" not in camera, "profile": not camera.get("profile")}
+        camera.setdefault("assumed", [name for name, is_missing in missing.items() if is_missing])
+    if isinstance(camera, dict) and isinstance(room, dict):
+        height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
+        if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
+            raise InputError(
+                path,
+                f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}",
+                "one height of the camera",
+                "remove one of the two keys",
+            )
+    setup = site_from_table(table, str(path))
+    if wrong := wrong_sign_text(setup.site):
+        raise InputError(
+            path,
+            wrong,
+            "a place near its time zone",
+            "correct the sign (north and east are positive), or state a nearer time zone",
+        )
+    return setup

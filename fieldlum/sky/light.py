@@ -1,0 +1,390 @@
+"""Describe the light outside: its features for learning, and the kernel between hours.
+
+A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
+sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
+The kernel is the covariance that follows: linear in the sky vector, linear in the sun's share and
+smooth in its direction; a sun behind all facades adds little. `plan` uses it before any picture
+exists, `models.transport` to learn from pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+
+import numpy as np
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices
+from fieldlum.core.records import Progress, Room, Site, quiet
+from fieldlum.sky import sun
+from fieldlum.sky.perez import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
+
+LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
+# Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
+# Chosen, not measured (docs/decisions.md).
+BEHIND = 0.1
+# Typical cosine between facade and sun, so that the facade factor is about the beam's share.
+# Chosen.
+FACING = 0.8
+LAMP_LX = 1000.0  # light outside [lx] at which a lamp's share is about one; chosen
+# Azimuths of the walls relative to the room's south wall.
+WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light outside at n times.
+
+    t_utc: times with a zone; dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance [n]
+    W/m2; sun_altitude_deg, sun_azimuth_deg: the sun without refraction, azimuth clockwise from
+    north [n]; perez: skies known from elsewhere (such as a rendering), None to compute them from
+    the irradiance; states: the room's state at each time, as text of
+    `fieldlum.core.room_states`, None for the usual state; refraction: True if pictures show
+    the sun raised by refraction, as a camera does, False if they show it at the true altitude, as
+    some renderings do.
+    """
+
+    t_utc: tuple[datetime, ...]
+    dni_wm2: Floats
+    dhi_wm2: Floats
+    sun_altitude_deg: Floats
+    sun_azimuth_deg: Floats
+    perez: PerezSky | None = None
+    states: tuple[str, ...] | None = None
+    refraction: bool = True
+
+    def __len__(self) -> int:
+        return len(self.t_utc)
+
+    def __getitem__(self, rows: slice | Array | Sequence[int]) -> Light:
+        """Return the times that an index, a boolean array or a slice selects."""
+        index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
+        return Light(
+            tuple(self.t_utc[i] for i in index),
+            self.dni_wm2[index],
+            self.dhi_wm2[index],
+            self.sun_altitude_deg[index],
+            self.sun_azimuth_deg[index],
+            None if self.perez is None else self.perez[index],
+            None if self.states is None else tuple(self.states[i] for i in index),
+            self.refraction,
+        )
+
+    @cached_property
+    def sky(self) -> PerezSky:
+        """Perez skies at the n times: those of `perez`, else computed from the irradiance."""
+        if self.perez is not None:
+            return self.perez
+        return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
+
+    @cached_property
+    def sun_direction(self) -> Floats:
+        """Unit vectors towards the true sun, [n, 3]: x east, y north, z up; for sky and kernels."""
+        return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
+
+    @cached_property
+    def shown_altitude_deg(self) -> Floats:
+        """The altitude at which pictures show the sun, [n], in deg."""
+        if not self.refraction:
+            return self.sun_altitude_deg
+        return sun.shown_altitude_deg(self.sun_altitude_deg)
+
+    @cached_property
+    def shown_sun_direction(self) -> Floats:
+        """Unit vectors towards the sun in pictures, [n, 3]; for patches, disc and glare."""
+        return sun.direction(self.shown_altitude_deg, self.sun_azimuth_deg)
+
+    @cached_property
+    def sky_cdm2(self) -> Floats32:
+        """Luminance of the Reinhart sky patches in cd/m2, without the sun, [n, 2305]."""
+        return self.sky_at(reinhart_patches().directions)
+
+    def sky_at(self, directions: Floats) -> Floats32:
+        """Return the sky's luminance in directions [m, 3], without the sun, [n, m], in cd/m2.
+
+        Below the horizon it is that of open ground.
+        """
+        suns = self.sun_direction
+        return perez_luminance(self.sky, suns, directions, dtype=np.float32)  # pyright: ignore
+
+    @property
+    def direct_lx(self) -> Floats:
+        """The sun's illuminance on a plane normal to it, [n], in lx."""
+        return self.sky.direct_lx
+
+    @cached_property
+    def diffuse_lx(self) -> Floats:
+        """The sky's illuminance on the horizontal, summed over the patches, [n], in lx."""
+        patches = reinhart_patches()
+        return np.asarray(
+            self.sky_cdm2 @ (patches.solid_angles_sr * patches.directions[:, 2]), float
+        )
+
+    @cached_property
+    def total_lx(self) -> Floats:
+        """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
+
+        Features are divided by it; it is at least 0.001 lx, and not small for a low sun.
+        """
+        return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
+
+
+def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2: Floats) -> Light:
+    """Return the light at n times, with the sun's position computed by SPA (NREL).
+
+    dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance, [n] or one value for all
+    times [W/m2]. Raises ValueError for times without a zone.
+    """
+    at = sun.position(times_utc, site)
+    dni, dhi = (
+        np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2)
+    )
+    return Light(tuple(times_utc), dni, dhi, at.altitude_deg, at.azimuth_deg)
+
+
+# ----------------------------------------------------------------------------------------------
+# facades
+
+
+@dataclass(frozen=True, slots=True)
+class Facades:
+    """The f walls that let light in.
+
+    azimuths_deg: of their outward normals, clockwise from north [f]; weights: importance of each
+    wall's sunlight in the kernel, 1 for the most important wall of a known room [f].
+    """
+
+    azimuths_deg: Floats
+    weights: Floats
+
+    @property
+    def normals(self) -> Floats:
+        """The outward normals as unit vectors, [f, 3]: x east, y north, z up (always 0)."""
+        return sun.direction(0.0, self.azimuths_deg)
+
+
+def one_facade(azimuth_deg: float) -> Facades:
+    """Return one facade of weight 1; azimuth_deg: of its outward normal, clockwise from north."""
+    return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
+
+
+def facades_unknown() -> Facades:
+    """Return eight facades, one every 45 degrees, of weight 0.25 each, for an unknown room."""
+    return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
+
+
+def facades_of(room: Room | None) -> Facades:
+    """Return the walls of a box room that have windows, as facades.
+
+    A wall's weight is the square root of (the sum over its windows of area times transmittance)
+    divided by the largest such sum of any wall: 1 for the wall with most glass. Without a box room
+    or windows the result is `facades_unknown`.
+    """
+    if room is None or room.kind != "box" or not room.window:
+        return facades_unknown()
+    glass = dict.fromkeys((w.wall for w in room.window), 0.0)
+    for window in room.window:
+        glass[window.wall] += window.width_m * window.height_m * window.transmittance
+    azimuths = np.array([(room.wall_azimuth_deg + WALLS_DEG[wall]) % 360.0 for wall in glass])
+    area = np.array(list(glass.values()))
+    return Facades(azimuths, np.sqrt(area / area.max()))
+
+
+# ----------------------------------------------------------------------------------------------
+# features and kernel
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """The quantities of n hours that the kernel compares, divided by the hour's total light.
+
+    Total light is `Light.total_lx`. sky [n, 2305]: luminance of each sky patch times the root of
+    its solid angle; beam [n]: the sun's normal illuminance, so its share of the total, 0 to 1;
+    direction [n, 3]: unit vector to the true sun; cells [n, c]: light of the sun patches in each
+    cell of the picture (`PatchDescriptor`), None if unknown; bounced [n, k]: the sun's reflected
+    light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: 1 000 lx
+    over the total light while lamp l is on, else 0, None without lamps; changed [n, m]: 1 while the
+    room is in state m (such as blind=down), which changes its response to daylight, else 0, None
+    without such states; flux [n]: light of all sun patches in the picture, None if unknown.
+    """
+
+    sky: Floats32
+    beam: Floats
+    direction: Floats
+    cells: Floats32 | None = None
+    bounced: Floats32 | None = None
+    lamps: Floats | None = None
+    changed: Floats | None = None
+    flux: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.beam)
+
+    def __getitem__(self, rows: slice | Array | Sequence[int]) -> Features:
+        """Return the hours that an index array, a boolean array or a slice selects."""
+        return Features(
+            self.sky[rows],
+            self.beam[rows],
+            self.direction[rows],
+            None if self.cells is None else self.cells[rows],
+            None if self.bounced is None else self.bounced[rows],
+            None if self.lamps is None else self.lamps[rows],
+            None if self.changed is None else self.changed[rows],
+            None if self.flux is None else self.flux[rows],
+        )
+
+
+def light_features(light: Light) -> Features:
+    """Return the features `sky`, `beam` and `direction` of each time, without those of a room."""
+    root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
+    sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
+    return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """Prior covariance, between two hours, of a pixel's luminance divided by the total light.
+
+    Values are relative to the pixel's usual luminance per total light. Each field except
+    `facades` and the two widths is the weight (prior variance) of one term. beam_width,
+    flux_width: distances between two unit vectors to the sun over which the terms of facades and
+    of flux change (0.5 is about 29 degrees). The defaults are from a study of one room and may
+    change threefold with little effect (docs/decisions.md). constant: a room
+    that follows total light, direct sun, and sun on the ground;
+    sky: distribution of the sky's light; facade: sun on the facades, smooth in the sun's
+    direction; cells: sun patches in cells of the picture; flux: all sun patches together, half of
+    it smooth in the sun's direction (docs/decisions.md); bounced: the
+    sun's light in a coarse model of the room; lamps: electric light, ten times the room's daylight
+    at LAMP_LX outside; changed: effect of a state of the room on its response to light.
+    """
+
+    facades: Facades
+    constant: float = 1.0
+    sky: float = 2.0
+    beam_width: float = 0.5
+    facade: float = 1.0
+    cells: float = 0.5
+    flux: float = 1.0
+    flux_width: float = 0.8
+    bounced: float = 5.0
+    lamps: float = 100.0
+    changed: float = 1.0
+
+    def __call__(self, a: Features, b: Features) -> Floats:
+        """Return the covariance between each hour of `a` and each hour of `b`, [len(a), len(b)].
+
+        A term is omitted if `a` or `b` has None for its features.
+        """
+        cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
+        beam = np.outer(a.beam, b.beam)
+        k = self.constant * (1.0 + beam + np.outer(_ground(a), _ground(b)))
+        k += self.sky * (a.sky @ b.sky.T)
+        on = _facade(a, self.facades) @ _facade(b, self.facades).T
+        k += self.facade * on * np.exp((cosine - 1.0) / self.beam_width**2)
+        if a.cells is not None and b.cells is not None:
+            k += self.cells * (a.cells @ b.cells.T)
+        if a.flux is not None and b.flux is not None:
+            smooth = self.constant + np.exp((cosine - 1.0) / self.flux_width**2)
+            k += self.flux * np.outer(a.flux, b.flux) * smooth
+        if a.bounced is not None and b.bounced is not None:
+            k += self.bounced * (a.bounced @ b.bounced.T)
+        if a.changed is not None and b.changed is not None:
+            k *= 1.0 + self.changed * (a.changed @ b.changed.T)
+        if a.lamps is not None and b.lamps is not None:
+            k += self.lamps * (a.lamps @ b.lamps.T)
+        return k
+
+    def diagonal(self, a: Features) -> Floats:
+        """Return the prior variance of each hour of `a`: the diagonal of kernel(a, a), [len(a)]."""
+        k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
+        k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
+        k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
+        if a.cells is not None:
+            k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
+        if a.flux is not None:
+            k += self.flux * a.flux**2 * (self.constant + 1.0)
+        if a.bounced is not None:
+            k += self.bounced * np.einsum("ij,ij->i", a.bounced, a.bounced)
+        if a.changed is not None:
+            k *= 1.0 + self.changed * np.einsum("ij,ij->i", a.changed, a.changed)
+        if a.lamps is not None:
+            k += self.lamps * np.einsum("ij,ij->i", a.lamps, a.lamps)
+        return k
+
+
+def _ground(a: Features) -> Floats:
+    return a.beam * np.maximum(a.direction[:, 2], 0.0)
+
+
+def _facade(a: Features, facades: Facades) -> Floats:
+    """Return the sun's share on each facade, [n, f]."""
+    on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
+    return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
+
+
+# ----------------------------------------------------------------------------------------------
+# choosing hours
+
+
+@dataclass(frozen=True, slots=True)
+class GreedySelection:
+    """The k hours that `greedy_hours` chose.
+
+    index [k]: their rows in the pool, in the order of choice; variance [k + 1]: weighted predictive
+    variance of the year divided by its prior variance (1: nothing known, 0: everything); the first
+    value is before any choice, then one after each choice.
+    """
+
+    index: Indices
+    variance: Floats
+
+
+def greedy_hours(
+    kernel: Kernel,
+    year: Features,
+    pool: Features,
+    count: int,
+    *,
+    taken: Features | None = None,
+    noise: float = 3e-3,
+    weights: Floats | None = None,
+    progress: Progress = quiet,
+) -> GreedySelection:
+    """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.
+
+    year, pool: features of the hours to predict and of the hours that can be chosen; no picture is
+    needed. All of `pool` is chosen if it has fewer than `count` hours. taken: features of hours
+    already captured, which reduce the variance first; None for none. weights [len(year)]:
+    importance of each hour of the year, None for equal; noise: variance of one capture, in units of
+    the kernel. Cost: O((len(year) + len(pool)) len(pool) count).
+    """
+    w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
+    cross, own = kernel(year, pool), kernel(pool, pool)
+    prior = kernel.diagonal(year)
+    if taken is not None and len(taken):
+        covariance = kernel(taken, taken) + noise * np.eye(len(taken))
+        towards = np.linalg.solve(
+            covariance, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1)
+        )
+        cross = cross - kernel(year, taken) @ towards[:, : len(pool)]
+        own = own - kernel(pool, taken) @ towards[:, : len(pool)]
+        variance_left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])
+    else:
+        variance_left = prior.copy()
+    total = float(w @ prior)
+    index, variance = [], [float(w @ variance_left) / total]
+    free = np.ones(len(pool), bool)
+    for step in range(min(count, len(pool))):
+        variances = np.maximum(np.diagonal(own), 0.0) + noise
+        gain = np.where(free, w @ cross**2 / variances, -1.0)
+        best = int(np.argmax(gain))
+        index.append(best)
+        free[best] = False
+        variance.append(max(variance[-1] - float(gain[best]) / total, 0.0))
+        row = own[best] / variances[best]
+        cross = cross - np.outer(cross[:, best], row)
+        own = own - np.outer(own[:, best], row)
+        progress(step + 1, count, "hours chosen")
+    return GreedySelection(np.array(index, np.intp), np.array(variance))

@@ -1,0 +1,137 @@
+"""Estimate the offset of a log's clock from the light, as days are centred on solar noon.
+
+This is true on average under any sky.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site
+from fieldlum.sky import sun
+
+LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degrees (overcast); chosen
+# Smaller offsets are not reported: mornings and evenings whose clouds differ twentyfold shift the
+# middle of the light by under 7 minutes. Chosen, with a margin of three.
+CLOCK_WARN_S = 1200.0
+_SET_S = 1800.0  # smallest step of a clock that was set; chosen, not measured
+_LEAST_DAYS = 3  # least number of days before and after such a step; chosen
+# Least altitude of the day's highest sun, and least depression of the night's lowest sun; otherwise
+# clouds decide between day and night. Chosen, not measured.
+_SETS_DEG = 5.0
+_LONGEST_STORM_S = 7200.0  # longest dark spell within a day [s]; chosen, not measured
+# With a lower sun there are at most 40 lx, or 0.4 W/m2. If daylight saving was ignored, there is
+# light at this sun at every dusk or every dawn. Chosen.
+_NIGHT_SUN_DEG = -3.0
+# Rows before and after the day must not be further apart [s], otherwise the start of the light is
+# unknown. Chosen.
+_SEEN_DARK_S = 900.0
+
+
+def clock_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> float | None:
+    """Return how fast the log's clock is: logged middle of the light minus solar noon [s].
+
+    It is the median over the complete days, -43 200 to 43 200 s. A positive value means that logged
+    times are later than the true ones: the clock is fast, or the stated offset from UTC is too
+    small. t_unix_s, ghi_wm2 [n]: logged times and global irradiance, in order of time; rows with
+    NaN irradiance are ignored. Return None without a complete day.
+    """
+    off = days_off_s(t_unix_s, ghi_wm2, site)[1]
+    return float(np.median(off)) if len(off) else None
+
+
+def days_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[list[datetime], Floats]:
+    """Return the middle of the light of each complete day, and that time minus solar noon.
+
+    The middle is half way between the first and the last lit row (`complete_days`), a time in UTC.
+    The difference is an array [days] in seconds, positive if the middle is after solar noon. Days
+    at which the sun does not both set and rise by 5 degrees are omitted. t_unix_s, ghi_wm2: [n]
+    rows in order of time; rows with NaN irradiance are ignored.
+    """
+    finite = np.isfinite(ghi_wm2)
+    middles = [
+        0.5 * (first + last) for first, last in complete_days(t_unix_s[finite], ghi_wm2[finite])
+    ]
+    times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
+    at = sun.position(times, site)
+    east, north, up = sun.direction(at.altitude_deg, at.azimuth_deg).T
+    latitude = np.radians(site.latitude_deg)
+    hour_angle = np.arctan2(-east, np.cos(latitude) * up - np.sin(latitude) * north)
+    return times, hour_angle / np.pi * 43_200.0
+
+
+def clock_set_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[datetime, float] | None:
+    """Return the first day after the log's clock was set, and by how much it was set forward [s].
+
+    A negative step means that the clock was set back. None if there is no step. The days are split
+    so that the scatter on both sides is least, with at least three days on each. A step must be at
+    least half an hour and remove half of all scatter, because the middle of one day of broken
+    clouds can be wrong by an hour. t_unix_s, ghi_wm2: [n] rows in order of time.
+    """
+    days, off = days_off_s(t_unix_s, ghi_wm2, site)
+    splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
+    if not splits:
+        return None
+    scatter = [_scatter(off[:k]) + _scatter(off[k:]) for k in splits]
+    k = splits[int(np.argmin(scatter))]
+    step = float(np.median(off[k:]) - np.median(off[:k]))
+    return (days[k], step) if abs(step) >= _SET_S and min(scatter) < 0.5 * _scatter(off) else None
+
+
+def _scatter(values: Floats) -> float:
+    return float(np.abs(values - np.median(values)).sum())
+
+
+def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
+    declination = float(sun.declination_deg([t_utc])[0])
+    lowest = abs(site.latitude_deg + declination) - 90.0
+    highest = 90.0 - abs(site.latitude_deg - declination)
+    return lowest < -_SETS_DEG and highest > _SETS_DEG
+
+
+def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]]:
+    """Return the first and last lit time [unix s] of each day between two logged nights.
+
+    A row is lit above 10 W/m2. Darkness under two hours, as in a storm, does not end a day. Omitted
+    are days of less than two hours, and days without a dark row within 15 minutes before the first
+    and after the last lit row. t_unix_s, ghi_wm2: [n] rows in order of time.
+    """
+    lit = ghi_wm2 > LIT_WM2
+    starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
+    ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
+    if not len(starts) or not len(ends):
+        return []
+    ends = ends[ends >= starts[0]]
+    starts = starts[: len(ends)]
+    days: list[tuple[int, int]] = []
+    for start, end in zip(starts, ends, strict=False):
+        if days and t_unix_s[start] - t_unix_s[days[-1][1]] < _LONGEST_STORM_S:
+            days[-1] = days[-1][0], int(end)
+        else:
+            days.append((int(start), int(end)))
+    return [
+        (float(t_unix_s[start]), float(t_unix_s[end]))
+        for start, end in days
+        if t_unix_s[start] - t_unix_s[start - 1] < _SEEN_DARK_S
+        and t_unix_s[end + 1] - t_unix_s[end] < _SEEN_DARK_S
+        and t_unix_s[end] - t_unix_s[start] > _LONGEST_STORM_S
+    ]
+
+
+def lit_at_night(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> list[datetime]:
+    """Return the logged minutes (UTC) with over 10 W/m2 while the sun is below -3 degrees.
+
+    Such minutes show that the logger's clock, the stated offset from UTC, or the sign of the
+    longitude is wrong. Unlike `clock_off_s` this needs no complete day, but it does not estimate
+    the offset, and can miss an offset of less than half an hour. Empty if there are none.
+    t_unix_s, ghi_wm2: [n] rows.
+    """
+    minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
+    if len(minutes) == 0:
+        return []
+    moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]
+    down = sun.position(moments, site).altitude_deg < _NIGHT_SUN_DEG
+    return [moments[i] for i in np.flatnonzero(down)]

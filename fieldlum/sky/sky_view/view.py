@@ -1,0 +1,208 @@
+"""Hold a sky view: where the camera sees the sky, and how much of the beam arrives from there.
+
+The file sky_view.exr has the channels openness, u, count, transmittance, low and high; its grid is
+in true north, as the pictures' stated heading gives it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.errors import InputError, reason_of
+from fieldlum.core.records import JsonTable
+from fieldlum.session.writing import replacing_path
+from fieldlum.sky.sky_view.picture import SkyGrid
+from fieldlum.sky.sky_view.pose import CameraPose
+
+FORMAT = 1  # of the file; docs/file-formats.md
+NAME = "sky_view.exr"
+CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
+# Sharp edges of coarse pictures are drawn at this size: half of the disc. Chosen.
+_FINE_DEG = 0.13
+_SHUT, _OPEN = 0.2, 0.8  # neighbours of an edge between no sky and open sky; chosen
+_EXPECTED, _REMEDY = "a sky view that fieldlum wrote", "run fieldlum pair, or fieldlum train, again"
+
+
+@dataclass(frozen=True)
+class SkyView:
+    """The sky as the camera sees it; arrays [h, w] on `grid`, NaN in directions not seen.
+
+    openness: share of the direction's solid angle through which the sky is seen, 0 to 1; u: its
+    standard uncertainty; count: captures behind it; transmittance: of the pane for the beam; low,
+    high: 95 % bounds of openness times transmittance. captures: number of captures used; pose: of
+    the pictures; state: of the room in these captures; notes: texts for the user; inputs: what the
+    view was computed from.
+    """
+
+    grid: SkyGrid
+    openness: Floats32
+    u: Floats32
+    count: Floats32
+    transmittance: Floats32
+    low: Floats32
+    high: Floats32
+    captures: int = 0
+    pose: CameraPose = field(default_factory=CameraPose)
+    state: str = ""
+    notes: tuple[str, ...] = ()
+    inputs: JsonTable = field(default_factory=dict)
+
+    @property
+    def through(self) -> Floats32:
+        """Openness times transmittance, [h, w]: the share of the beam that arrives."""
+        return self.openness * self.transmittance
+
+    def turned(self, north_deg: float) -> SkyView:
+        """Return the view with a corrected heading; north_deg: to add to the stated one."""
+        heading_deg = (self.grid.heading_deg + north_deg) % 360.0
+        return replace(self, grid=replace(self.grid, heading_deg=heading_deg))
+
+    def write(self, path: Path) -> None:
+        """Write the view as an EXR of six float32 channels."""
+        import OpenEXR
+
+        about = {
+            "format": FORMAT,
+            "grid": asdict(self.grid),
+            "captures": self.captures,
+            "pose": asdict(self.pose),
+            "state": self.state,
+            "notes": list(self.notes),
+            "inputs": self.inputs,
+        }
+        header = {
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+            "fieldlum:sky_view": json.dumps(about, sort_keys=True),
+        }
+        channels = {name: np.ascontiguousarray(getattr(self, name)) for name in CHANNELS}
+        with replacing_path(path) as temporary:
+            OpenEXR.File(header, channels).write(str(temporary))
+
+    @classmethod
+    def read(cls, path: Path) -> SkyView:
+        """Read a view. Raises InputError for a missing file or other content."""
+        if not path.is_file():
+            raise InputError(path, "no such file", _EXPECTED, _REMEDY)
+        try:
+            about, channels = _content(path)
+            if about["format"] > FORMAT:
+                raise ValueError(f"format {about['format']}, this fieldlum reads 1 to {FORMAT}")
+            grid = SkyGrid(**about["grid"])
+            arrays = {name: channels[name] for name in CHANNELS}
+            if any(array.shape != (grid.height, grid.width) for array in arrays.values()):
+                raise ValueError(f"channels that are not {grid.width} x {grid.height} pixels")
+            return cls(
+                grid,
+                **arrays,
+                captures=about["captures"],
+                pose=CameraPose.from_table(about["pose"]),
+                state=about["state"],
+                notes=tuple(about["notes"]),
+                inputs=about["inputs"],
+            )
+        except Exception as error:  # OpenEXR raises RuntimeError, UnicodeDecodeError and others
+            raise InputError(path, reason_of(error), _EXPECTED, _REMEDY) from None
+
+    @classmethod
+    def find(cls, path: Path) -> SkyView | None:
+        """Read a view; None for a missing file. Raises InputError for other content."""
+        return cls.read(path) if path.is_file() else None
+
+    @cached_property
+    def sharp(self) -> SharpView:
+        """The shares of the beam at half of the disc's size or finer, for sampling.
+
+        In a coarse picture, an edge between shut and open sky is sharp at the place where the
+        interpolated openness is one half. Slats and leaves, finer than a pixel, keep their mean.
+        """
+        factor = max(1, int(np.ceil(self.grid.step_deg / _FINE_DEG)))
+        values = [self.through, self.low, self.high]
+        if factor > 1:
+            values = _fine_edges(values, self.openness, factor)
+        grid = replace(
+            self.grid,
+            step_deg=self.grid.step_deg / factor,
+            height=self.grid.height * factor,
+            width=self.grid.width * factor,
+        )
+        return SharpView(grid, *(np.asarray(v, np.float32) for v in values))
+
+
+@dataclass(frozen=True, slots=True)
+class SharpView:
+    """Shares of the beam on a grid that resolves the disc: best, low and high, [h, w]."""
+
+    grid: SkyGrid
+    best: Floats32
+    low: Floats32
+    high: Floats32
+
+    def at(self, towards: Floats) -> tuple[Floats32, Floats32, Floats32]:
+        """Return best, low and high in directions [..., 3], NaN where not seen, [...] each."""
+        row, column = self.grid.pixels(towards)
+        i, j = np.floor(row).astype(int), np.floor(column).astype(int)
+        outside = (i < 0) | (i >= self.grid.height) | (j >= self.grid.width)
+        i = np.clip(i, 0, self.grid.height - 1)
+        j = np.clip(j, 0, self.grid.width - 1)
+        best, low, high = (
+            np.where(outside, np.float32(np.nan), values[i, j])
+            for values in (self.best, self.low, self.high)
+        )
+        return best, low, high
+
+
+def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:
+    import OpenEXR
+
+    with path.open("rb") as file:
+        # Check the first bytes before OpenEXR reads the file, because OpenEXR prints to stderr.
+        if file.read(4) != b"\x76\x2f\x31\x01":
+            raise ValueError("not an OpenEXR file")
+    with OpenEXR.File(str(path), separate_channels=True) as exr:
+        about = json.loads(str(exr.header()["fieldlum:sky_view"]))
+        channels = {
+            name: np.asarray(exr.channels()[name].pixels, np.float32).copy() for name in CHANNELS
+        }
+    return about, channels
+
+
+def _fine_edges(values: list[Floats32], openness: Floats32, factor: int) -> list[Floats]:
+    """Return maps enlarged by `factor`, with sharp edges where openness changes from 0 to 1."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    shown = np.nan_to_num(openness)
+    most, least = maximum_filter(shown, 3), minimum_filter(shown, 3)
+    edge = _enlarged((most > _OPEN) & (least < _SHUT), factor)
+    smooth = _interpolated(shown, factor)
+    outside = _enlarged(np.isnan(openness), factor)
+    maps = []
+    for value in values:
+        pane = maximum_filter(np.nan_to_num(value), 3)  # value of the open neighbour
+        sharp = np.where(smooth >= 0.5, _enlarged(pane, factor), 0.0)
+        fine = np.where(edge, sharp, _enlarged(np.nan_to_num(value), factor))
+        maps.append(np.where(outside, np.nan, fine))
+    return maps
+
+
+def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
+    return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
+
+
+def _interpolated(values: Floats, factor: int) -> Floats:
+    """Return a map enlarged by `factor`, linear between the centres of pixels."""
+    for axis in (0, 1):
+        size = values.shape[axis]
+        at = np.clip((np.arange(size * factor) + 0.5) / factor - 0.5, 0.0, size - 1.0)
+        below = np.minimum(at.astype(int), max(size - 2, 0))
+        share = np.expand_dims(at - below, 1 - axis)
+        above = np.minimum(below + 1, size - 1)
+        values = np.take(values, below, axis) * (1.0 - share) + np.take(values, above, axis) * share
+    return values

@@ -1,0 +1,314 @@
+"""Find the sun disc in a luminance map; remove or add it by its energy.
+
+In a map the sun is in one or a few pixels, whose luminance depends on their size: only the disc's
+illuminance on a plane normal to the sun is comparable. Merge, training data and the glare of single
+pictures separate map and disc with the functions of this module.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.optics.projection import (
+    column_azimuths_deg,
+    direction,
+    equirect_pixel,
+    equirect_solid_angles,
+    row_altitudes_deg,
+    row_solid_angles,
+)
+from fieldlum.sky.light import Light
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+
+SUN_RADIUS_RAD = 0.004652  # 0.2665 degrees, the mean disc of SUN_SOLID_ANGLE_SR
+# Mean luminance over the true disc. A dimmer sun gives less than 68 lx, a DNI of 0.7 W/m2, which no
+# pyranometer resolves; no sky and no matt surface of the disc's size is as bright. Chosen.
+LEAST_DISC_CDM2 = 1e6
+# The clear-sky sun outside the atmosphere has 2.0e9 cd/m2 (133 klx), with 10 % margin. The margin
+# is chosen.
+MOST_DISC_CDM2 = 2.2e9
+# Three times a white surface in full sun (1e5 lx / pi); only clouds within a few degrees of the sun
+# are nearly as bright. Chosen.
+BRIGHTEST_SURFACE_CDM2 = 1e5
+# A uniform overcast sky of 60 klx; the least bound on surfaces where DNI shows that the sun is
+# weak. Chosen.
+_BRIGHTEST_SKY_CDM2 = 2e4
+# multiple of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2; chosen
+_SURFACE_MARGIN = 3.0
+# of the sun's illuminance by DNI; less is scattered light, not part of the sun; chosen
+_LEAST_SHARE = 0.02
+_LUMENS_PER_WATT = 93.0  # of direct sunlight, accurate to 15 %; only the bounds above depend on it
+_CONTRAST = 3.0  # least ratio of the disc's brightest pixel to the median around it
+# a pixel brighter than this multiple of the bright surrounding pixels belongs to the disc; chosen
+_ABOVE_RING = 1.05
+# quantile of the ring: bars and walls in it must not make the sky a part of the sun; chosen
+_BRIGHT_QUANTILE = 0.9
+# of the brightest pixel's excess: dimmer pixels are the bright sky around the sun; chosen
+_LEAST_PART = 0.05
+_SEARCH_RAD = np.radians(3.0)  # error of direction of a camera that was set up by hand; chosen
+_CLIPPED_REACH_RAD = np.radians(1.5)  # halo of a clipped disc above the clipping level, at most
+_PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
+
+
+@dataclass(frozen=True, slots=True)
+class SunDisc:
+    """The sun disc in a map.
+
+    altitude_deg, azimuth_deg : its measured centre of energy; sigma_deg : standard uncertainty of
+    the centre along each axis, NaN if the map cannot determine it (then the centre is the expected
+    position). normal_lx : illuminance on a plane normal to the sun, in excess of the surroundings;
+    a lower bound if `clipped`. pixels [H, W] : mask of the disc's pixels; surroundings_cdm2 :
+    luminance of these pixels without the disc.
+    """
+
+    altitude_deg: float
+    azimuth_deg: float
+    sigma_deg: float
+    normal_lx: float
+    surroundings_cdm2: float
+    pixels: Mask
+    clipped: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Band:
+    """The rows of a map in which the disc is searched; arrays [rows, W]."""
+
+    first: int
+    light: Floats
+    solid_sr: Floats
+    rays: Floats  # [rows, W, 3]
+    clipped: Mask
+    pixel_rad: float
+
+    def angle_rad(self, centre: Floats) -> Floats:
+        """Return the angle of each pixel's centre from a unit vector, [rows, W]."""
+        return np.arccos(np.clip(self.rays @ centre, -1.0, 1.0))
+
+    def centroid(self, pixels: Mask, weight: Floats) -> Floats:
+        """Return the unit vector [3] to the centre of `weight` times solid angle over `pixels`."""
+        energy = (weight * self.solid_sr)[pixels]
+        mean = (self.rays[pixels] * energy[:, None]).sum(axis=0)
+        return mean / np.linalg.norm(mean)
+
+
+def find_disc(
+    luminance_cdm2: Floats,
+    heading_deg: float,
+    *,
+    near_deg: tuple[float, float] | None = None,
+    clipped: Mask | None = None,
+    dni_wm2: float | None = None,
+) -> SunDisc | None:
+    """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
+
+    near_deg : expected altitude and azimuth, to 3 degrees or 2.5 pixels. Without it the map's
+    brightest spot is examined, which must not be brighter than the sun can be. clipped [H, W] :
+    pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, if known.
+
+    A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
+    surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`
+    are clipped, only positions count: a compact clipped spot, or clipping at `near_deg`.
+    """
+    light = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
+    height, width = light.shape
+    pixel_rad = np.pi / height
+    if near_deg is None:
+        row, column = np.unravel_index(int(np.argmax(light)), light.shape)
+        azimuth = float(column_azimuths_deg(width, heading_deg)[column])
+        expected, search_rad = (float(row_altitudes_deg(height)[row]), azimuth), 0.6 * pixel_rad
+    else:
+        expected, search_rad = near_deg, max(_SEARCH_RAD, 2.5 * pixel_rad)
+    band = _band(light, clipped, heading_deg, expected[0], search_rad)
+    towards = direction(*expected)
+    search = band.angle_rad(towards) <= search_rad
+    if near_deg is not None and (band.clipped & search).any():
+        return _clipped_disc(band, search, towards, light.shape)
+    disc = _measured_disc(band, search, light.shape)
+    if disc is None or not _is_sun(disc, band, dni_wm2):
+        return None
+    too_bright = disc.normal_lx > MOST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
+    return None if near_deg is None and too_bright else disc
+
+
+def brightest_surface_cdm2(dni_wm2: float) -> float:
+    """Return a luminance [cd/m2] that no surface or sky away from the sun exceeds under a DNI."""
+    return max(_SURFACE_MARGIN * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
+
+
+def without_disc(luminance_cdm2: Floats, disc: SunDisc) -> Floats32:
+    """Return the map [H, W] with the disc's pixels at the luminance of their surroundings."""
+    return np.where(disc.pixels, disc.surroundings_cdm2, luminance_cdm2).astype(np.float32)
+
+
+def split_disc(
+    luminance_cdm2: Floats32, heading_deg: float, near_deg: tuple[float, float], dni_wm2: float
+) -> tuple[Floats32, float]:
+    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx (0 if absent).
+
+    near_deg : the sun's altitude and azimuth; dni_wm2 : its direct irradiance.
+    """
+    disc = find_disc(luminance_cdm2, heading_deg, near_deg=near_deg, dni_wm2=dni_wm2)
+    if disc is None:
+        return luminance_cdm2, 0.0
+    return without_disc(luminance_cdm2, disc), disc.normal_lx
+
+
+def add_disc(
+    luminance_cdm2: Floats32, light: Light, disc_lx: Floats, heading_deg: float
+) -> Floats32:
+    """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
+
+    disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions.
+    """
+    place = light.shown_altitude_deg, light.sun_azimuth_deg
+    return add_source(luminance_cdm2, place, disc_lx, heading_deg)
+
+
+def add_source(
+    luminance_cdm2: Floats32,
+    place_deg: tuple[Floats, Floats],
+    normal_lx: Floats,
+    heading_deg: float,
+) -> Floats32:
+    """Return maps [n, H, W] with a small source in each, at altitudes and azimuths [n]."""
+    height, width = luminance_cdm2.shape[1:]
+    row, column = equirect_pixel(*place_deg, height, width, heading_deg)
+    i = np.clip(row.astype(int), 0, height - 1)
+    j = column.astype(int) % width
+    with_disc = luminance_cdm2.copy()
+    with_disc[np.arange(len(with_disc)), i, j] += (
+        normal_lx / equirect_solid_angles(height, width)[i, j]
+    ).astype(np.float32)
+    return with_disc
+
+
+# ----------------------------------------------------------------------------------------------
+# steps
+
+
+def _reach_rad(pixel_rad: float) -> float:
+    """Return the largest distance of a disc's light from its centre.
+
+    It follows from the size of pixels and the lens's blur.
+    """
+    return SUN_RADIUS_RAD + 1.5 * pixel_rad + np.radians(0.5)
+
+
+def _ring_rad(pixel_rad: float) -> float:
+    """Return the outer radius of the ring that is taken as the disc's surroundings."""
+    return _reach_rad(pixel_rad) + 3.0 * pixel_rad + np.radians(1.0)
+
+
+def _band(
+    light: Floats, clipped: Mask | None, heading_deg: float, altitude_deg: float, search_rad: float
+) -> _Band:
+    height, width = light.shape
+    pixel_rad = np.pi / height
+    margin_deg = np.degrees(search_rad + _ring_rad(pixel_rad) + _CLIPPED_REACH_RAD)
+    altitudes = row_altitudes_deg(height)
+    rows = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    azimuths = column_azimuths_deg(width, heading_deg)
+    return _Band(
+        first,
+        light[first:last],
+        np.repeat(row_solid_angles(height, width)[first:last, None], width, axis=1),
+        direction(altitudes[first:last, None], azimuths[None, :]),
+        np.zeros((last - first, width), bool) if clipped is None else clipped[first:last],
+        pixel_rad,
+    )
+
+
+def _measured_disc(band: _Band, search: Mask, shape: tuple[int, ...]) -> SunDisc | None:
+    """Return the brightest spot of the search as a disc; None without a compact spot."""
+    if not search.any():
+        return None
+    brightest = int(np.argmax(np.where(search, band.light, -np.inf)))
+    peak = float(band.light.flat[brightest])
+    start = band.rays.reshape(-1, 3)[brightest]
+    about = band.angle_rad(start) <= 2.0 * _reach_rad(band.pixel_rad)
+    bright = about & (band.light >= 0.5 * peak)
+    room_sr = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(band.solid_sr.flat[brightest])
+    if peak <= 0.0 or band.solid_sr[bright].sum() > room_sr:
+        return None
+    centre = band.centroid(bright, band.light)
+    return _disc_at(band, centre, _reach_rad(band.pixel_rad), shape, clipped=False)
+
+
+def _clipped_disc(
+    band: _Band, search: Mask, towards: Floats, shape: tuple[int, ...]
+) -> SunDisc | None:
+    """Return a disc that is clipped in every frame, with a lower bound of its illuminance.
+
+    A compact clipped spot is the disc. If a larger area is clipped (a window in a bracket that is
+    too short), nothing can be measured: the sun is at its expected position if the map is clipped
+    there.
+    """
+    spot = band.clipped & search
+    centre = band.centroid(spot, np.ones_like(band.light))
+    extent = float(band.angle_rad(centre)[spot].max())
+    compact = max(_CLIPPED_REACH_RAD, _reach_rad(band.pixel_rad))
+    if extent <= compact:
+        reach = max(extent + 0.5 * band.pixel_rad, _reach_rad(band.pixel_rad))
+        return _disc_at(band, centre, reach, shape, clipped=True)
+    if not (spot & (band.angle_rad(towards) <= _reach_rad(band.pixel_rad))).any():
+        return None
+    return _disc_at(band, towards, _reach_rad(band.pixel_rad), shape, clipped=True, measured=False)
+
+
+def _disc_at(
+    band: _Band,
+    centre: Floats,
+    reach_rad: float,
+    shape: tuple[int, ...],
+    *,
+    clipped: bool,
+    measured: bool = True,
+) -> SunDisc:
+    """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc."""
+    angle = band.angle_rad(centre)
+    ring = (angle > reach_rad) & (angle <= reach_rad + _ring_rad(band.pixel_rad))
+    around = band.light[ring]
+    surroundings = float(np.median(around)) if around.size else 0.0
+    bright = float(np.quantile(around, _BRIGHT_QUANTILE)) if around.size else 0.0
+    near = angle <= reach_rad
+    excess = np.where(near, band.light - surroundings, 0.0)
+    part = min(_LEAST_PART * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
+    inside = (band.light > _ABOVE_RING * bright) & (excess > part)
+    excess = np.where(inside, excess, 0.0)
+    energy = excess * band.solid_sr
+    sigma = np.degrees(band.pixel_rad) * _PIXEL_SIGMA if measured else np.nan
+    if measured and inside.any():
+        centre = band.centroid(inside, excess)
+    if clipped:
+        inside = inside | (near & band.clipped)
+    pixels = np.zeros(shape, bool)
+    pixels[band.first : band.first + len(inside)] = inside
+    x, y, z = (float(v) for v in centre)
+    return SunDisc(
+        float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+        float(np.degrees(np.arctan2(x, y)) % 360.0),
+        float(sigma),
+        float(energy.sum()),
+        surroundings,
+        pixels,
+        clipped,
+    )
+
+
+def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
+    """Return whether a spot is too bright and has too much energy for a surface or a sky."""
+    inside = disc.pixels[band.first : band.first + len(band.light)]
+    if not inside.any():
+        return False
+    peak, least_lx = float(band.light[inside].max()), LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
+    surface = BRIGHTEST_SURFACE_CDM2
+    if dni_wm2 is not None:
+        surface = brightest_surface_cdm2(dni_wm2)
+        least_lx = max(least_lx, _LEAST_SHARE * _LUMENS_PER_WATT * dni_wm2)
+    contrast = peak > _CONTRAST * disc.surroundings_cdm2
+    return peak > surface and contrast and disc.normal_lx >= least_lx

@@ -1,0 +1,1 @@
+"""Predict the hours of a year, and the glare of a map."""

@@ -1,0 +1,295 @@
+"""Compute vertical illuminance, DGP, DGPs, UGR and DGI for all directions around a panorama.
+
+Vertical illuminance of all hours and directions is one matrix product with exact solid angles.
+Glare sources are grouped once for each hour (see `sources`) and summed for all directions by small
+products. The sun must not be in the pixels: it is a separate source with a direction, a normal
+illuminance at the lens and a solid angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fieldlum.core.arrays import Floats
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.year.glare.geometry import Views, angles_from_view, panorama_views, position_index
+from fieldlum.year.glare.sources import sources_of
+
+# What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
+DiscLight = tuple[tuple[Floats, Floats], Floats]
+
+METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
+MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
+_VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
+YOUNG_AGE = 25.0  # age in years for the first of the two veiling luminances; chosen
+OLD_AGE = 70.0  # age in years for the second; chosen: CIE 146:2002 then doubles the luminance
+_LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
+
+# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with the
+# digits here, and so does fieldlum, so that both agree.
+DGP_EV = 5.87e-5
+DGP_CONTRAST = 0.092
+DGP_BASE = 0.159
+
+
+def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> Floats:
+    """Return daylight glare probability, [...], at most 1 (Wienold and Christoffersen 2006).
+
+    ev_lx : [...] vertical illuminance at the eye; contrast : [...] the sum of L^2 omega / P^2 over
+    glare sources, with L luminance [cd/m2], omega solid angle [sr] and P position index. There is
+    no low-light correction: without light the result is 0.159.
+    """
+    ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
+    glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)
+    return np.minimum(DGP_EV * ev + DGP_CONTRAST * glare + DGP_BASE, 1.0)
+
+
+def dgps(ev_lx: ArrayLike) -> Floats:
+    """Return simplified DGP, 6.22e-5 Ev + 0.184, at most 1, [...] (Wienold 2007).
+
+    ev_lx : vertical illuminance Ev at the eye. The formula is not valid for hours with the sun in
+    view.
+    """
+    return np.minimum(6.22e-5 * np.asarray(ev_lx, float) + 0.184, 1.0)
+
+
+def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
+    """Return the unified glare rating UGR, 8 log10(0.25 / Lb sum L^2 omega / P^2), [...].
+
+    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
+    NaN; background_cdm2 : the background luminance Lb. Source: CIE 117:1995.
+    """
+    total = np.asarray(contrast, float)
+    ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
+    return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
+
+
+def dgi(source_sum: ArrayLike) -> Floats:
+    """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
+
+    source_sum : Hopkinson's terms summed over sources, the third row of `sums_of_sources`
+    (Hopkinson 1972, with the position index P for windows).
+    """
+    total = np.asarray(source_sum, float)
+    return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
+
+
+def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
+    """Return the unified glare probability UGP, 0.26 log10(0.25 / Lb sum L^2 omega / P^2), [...].
+
+    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
+    NaN; background_cdm2 : the background luminance Lb. Source: Hirning, Isoardi and Cowling 2014.
+    """
+    return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
+
+
+def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> Floats:
+    """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L^2 omega / P^2), [...].
+
+    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
+    NaN; ev_lx : Ev, vertical illuminance of the complete view; source_ev_lx : Ed, the part of Ev
+    from the sources. Source: Einhorn 1979.
+    """
+    total = np.asarray(contrast, float)
+    ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
+    return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
+
+
+def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
+    """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2, [...].
+
+    veiling_sum : [...] sum over sources of their vertical illuminance E [lx] over the square of
+    their angle from the line of sight [deg], of at least 1 degree. age_years : of the observer.
+    This is the age-adjusted Stiles-Holladay formula (CIE 146:2002).
+    """
+    return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
+
+
+def glare_directions(
+    luminance_cdm2: Floats,
+    heading_deg: float,
+    azimuths_deg: ArrayLike,
+    sun_direction: Floats | None = None,
+    disc_lx: Floats | None = None,
+    *,
+    views: Views | None = None,
+) -> dict[str, Floats]:
+    """Return the glare of n panoramas in d horizontal view directions by name, [n, d] each.
+
+    luminance_cdm2 : [n, H, W] without the sun's disc. heading_deg : azimuth of the centre column;
+    azimuths_deg : [d] view directions; both clockwise from north.
+    sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
+    of it in mirrors; None without a sun.
+    disc_lx : [n] or [m, n] illuminance from each, at the lens, on a plane normal to it; 0 where it
+    is hidden; None without a sun.
+    views : weights from `panorama_views`, which then replace heading_deg and azimuths_deg; pass
+    them if you call this for many blocks of hours.
+
+    Keys: ev_lx, dgp, dgps, ugr, dgi, ugp, cgi, veiling_cdm2 (for an age of 25 years),
+    veiling_age70_cdm2 (70 years), and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
+    sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,
+    dgi, ugp and cgi are NaN without a source.
+    """
+    maps = np.asarray(luminance_cdm2, np.float32)
+    count, height, width = maps.shape
+    views = views or panorama_views(height, width, heading_deg, azimuths_deg)
+    flat = maps.reshape(count, -1)
+    disc = np.zeros(count) if disc_lx is None else np.asarray(disc_lx, float)
+    sun = np.zeros((count, 3)) if sun_direction is None else np.asarray(sun_direction, float)
+    right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
+    map_ev = (flat @ views.illuminance).astype(float)
+    sums = np.stack([_source_sums(flat[i], maps[i], views, map_ev[i]) for i in range(count)])
+    sun_cdm2 = disc[..., None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
+    sun_ev = disc[..., None] * np.clip(cosine, 0.0, None)
+    return combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
+
+
+def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
+    """Return what a sun disc of 1 lx (normal) adds to Ev and to the contrast of DGP, [n, d] each.
+
+    sun_direction : [n, 3] unit vectors (x east, y north, z up). Both are 0 for a sun behind the
+    observer. A disc of E lx adds E times the first to Ev [lx], and E squared times the second to
+    `contrast` (see `glare_directions`).
+    """
+    right, up, cosine = _sun_angles(np.asarray(sun_direction, float), views)
+    ahead = cosine > 0
+    contrast = ahead / (SUN_SOLID_ANGLE_SR * position_index(right, up) ** 2)
+    return np.clip(cosine, 0.0, None).astype(float), contrast.astype(float)
+
+
+def dgp_with_disc(
+    parts: dict[str, Floats],
+    per_lx: tuple[Floats, Floats],
+    disc_lx: Floats,
+    images: Sequence[DiscLight] = (),
+) -> Floats:
+    """Return the DGP that `parts` would have with another illuminance of the sun, [..., n, d].
+
+    parts : result of `glare_directions`; its sun and images of the sun are removed first. per_lx :
+    result of `sun_per_lx` for the sun; disc_lx : [..., n] its new normal illuminance. images : the
+    same pair (result of `sun_per_lx`, illuminance) of each mirrored sun.
+    """
+    ev = parts["ev_lx"] - parts["sun_ev_lx"]
+    contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0)
+    for of_lx, source_lx in ((per_lx, disc_lx), *images):
+        source = np.asarray(source_lx, float)[..., None]
+        ev = ev + source * of_lx[0]
+        contrast = contrast + source**2 * of_lx[1]
+    return dgp(ev, contrast)
+
+
+def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
+    """Return right, up and cosine of suns [..., 3] in d views, [..., d] each."""
+    angles = [angles_from_view(sun, frame) for frame in views.frames]
+    right, up, cosine = (np.stack([part[k] for part in angles], axis=-1) for k in range(3))
+    return right, up, cosine
+
+
+def _source_sums(flat: Floats, image: Floats, views: Views, ev: Floats) -> Floats:
+    """Return `sums_of_sources` of a map's sources for d views, [4, d]."""
+    groups = sources_of(image)
+    if not groups:
+        return np.zeros((4, len(views.azimuths_deg)))
+    means, omegas, places, illuminances = [], [], [], []
+    for pixels in groups:
+        weights = views.moments[pixels]
+        bright = flat[pixels]
+        omega = weights[:, 0].sum(axis=0, dtype=float)
+        power, right, up = np.tensordot(bright, weights, axes=1).astype(float)
+        least_power = np.maximum(power, 1e-30)
+        means.append(power / np.maximum(omega, 1e-30))
+        omegas.append(omega)
+        places.append((right / least_power, up / least_power))
+        illuminances.append(bright @ views.illuminance[pixels])
+    right, up = np.moveaxis(np.array(places), 1, 0)  # [s, d] each
+    return sums_of_sources(
+        np.stack(means), np.stack(omegas), right, up, np.stack(illuminances).astype(float), ev
+    )
+
+
+def sums_of_sources(
+    mean_cdm2: Floats,
+    omega_sr: Floats,
+    right_rad: Floats,
+    up_rad: Floats,
+    source_ev_lx: Floats,
+    ev: Floats,
+) -> Floats:
+    """Return four sums over the s glare sources in each of d views, [4, d], without the sun's disc.
+
+    mean_cdm2, omega_sr, right_rad, up_rad, source_ev_lx : [s, d] mean luminance, solid angle,
+    coordinates of the centre by `angles_from_view`, and vertical illuminance of each source. ev :
+    [d] vertical illuminance of the complete map, lx.
+
+    Rows: L^2 omega / P^2 (`contrast`); vertical illuminance from the sources, lx; Hopkinson's terms
+    for `dgi`; illuminance over the squared angle from the line of sight [lx/deg2] for
+    `veiling_cdm2`.
+    """
+    index = position_index(right_rad, up_rad)
+    background = np.maximum(ev - source_ev_lx.sum(axis=0), 0.0) / np.pi
+    return np.stack(
+        [
+            (mean_cdm2**2 * omega_sr / index**2).sum(axis=0),
+            source_ev_lx.sum(axis=0),
+            _dgi_terms(mean_cdm2, omega_sr, index, background).sum(axis=0),
+            (source_ev_lx / _glare_angle_deg(right_rad, up_rad) ** 2).sum(axis=0),
+        ]
+    )
+
+
+def _glare_angle_deg(right_rad: Floats, up_rad: Floats) -> Floats:
+    """Return the angle from the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
+    return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _LEAST_GLARE_ANGLE_RAD))
+
+
+def _dgi_terms(mean: Floats, omega: Floats, index: Floats, background: Floats) -> Floats:
+    """Return 0.478 L^1.6 (omega / P2)^0.8 / (Lb + 0.07 omega^0.5 L), DGI's term of a source."""
+    share = np.maximum(background + 0.07 * np.sqrt(omega) * mean, 1e-12)
+    return 0.478 * mean**1.6 * (omega / index**2) ** 0.8 / share
+
+
+def combine(
+    map_ev: Floats,
+    sun_ev: Floats,
+    sums: Floats,
+    sun_cdm2: Floats,
+    sun_right: Floats,
+    sun_up: Floats,
+) -> dict[str, Floats]:
+    """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
+
+    map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `sums_of_sources`,
+    without the sun. sun_ev, sun_cdm2, sun_right, sun_up : [n, d], or [m, n, d] for the sun and
+    images of it: vertical illuminance [lx] and luminance of the disc [cd/m2], both 0 for a sun
+    behind the observer, and its coordinates right and up [rad].
+    """
+
+    def total(of_suns: Floats) -> Floats:
+        return np.asarray(of_suns, float).reshape(-1, *map_ev.shape).sum(axis=0)
+
+    all_ev = total(sun_ev)
+    ev = map_ev + all_ev
+    omega = np.asarray(SUN_SOLID_ANGLE_SR)
+    sun_index = position_index(sun_right, sun_up)
+    sun_contrast = total(sun_cdm2**2 * omega / sun_index**2)
+    contrast = sums[:, 0] + sun_contrast
+    # CIE 117: the background is the part of Ev that is not from the sources.
+    background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
+    veiling = sums[:, 3] + total(sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2)
+    return {
+        "ev_lx": ev,
+        "contrast": contrast,
+        "sun_contrast": sun_contrast,
+        "sun_ev_lx": np.asarray(all_ev, float),
+        "dgp": dgp(ev, contrast),
+        "dgps": dgps(ev),
+        "ugr": ugr(contrast, background),
+        "dgi": dgi(sums[:, 2] + total(_dgi_terms(sun_cdm2, omega, sun_index, background))),
+        "ugp": ugp(contrast, background),
+        "cgi": cgi(contrast, ev, sums[:, 1] + all_ev),
+        "veiling_cdm2": veiling_cdm2(veiling, YOUNG_AGE),
+        "veiling_age70_cdm2": veiling_cdm2(veiling, OLD_AGE),
+    }

@@ -1,0 +1,173 @@
+"""Compute the glare of one picture on disk, as plain numbers for a terminal or a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Panorama, SunSource
+from fieldlum.optics.projection import NOT_SEEN, SEEN, direction
+from fieldlum.sky.sun_disc import find_disc, without_disc
+from fieldlum.year.glare.answers import (
+    GlareAnswer,
+    ViewAnswer,
+    answer_of,
+    bounds_verdict,
+    plain,
+    scaled_sun,
+    seen_pixels,
+    valid_pixels,
+    verdict,
+)
+from fieldlum.year.glare.contrast import ViewRegions, melanopic_edi_lx, rammg, rammg_lightness
+from fieldlum.year.glare.fisheye import panorama_to_fisheye
+from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+from fieldlum.year.glare.metrics import METRICS, MORE_METRICS, glare_directions
+from fieldlum.year.glare.pictures import Picture, read_picture
+from fieldlum.year.glare.reference import reference_glare
+from fieldlum.year.glare.single_fisheye import single_picture_glare
+from fieldlum.year.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
+
+
+def picture_glare(
+    path: Path,
+    azimuths_deg: Sequence[float] = (),
+    *,
+    reference: bool = False,
+    view_options: str = "",
+    part: str = "",
+    measured_ev_lx: float | None = None,
+) -> GlareAnswer:
+    """Return the object that `glare --json` prints for a .hdr or .exr picture.
+
+    azimuths_deg : view directions, clockwise from north; if empty, ten around a panorama, or a
+    fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
+    replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
+    view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
+    has this vertical illuminance; None for no scaling. Raises InputError for an unusable picture,
+    or if a picture to scale has no light in its first view.
+    """
+    picture = read_picture(path, view_options, part)
+    judge = _panorama_answer if picture.view is None else single_picture_glare
+    if measured_ev_lx is None:
+        return judge(picture, path, azimuths_deg, reference, 1.0)
+    ev = judge(picture, path, azimuths_deg, False, 1.0)["views"][0]["ev_lx"]
+    if not ev or ev <= 0.0:
+        raise InputError(
+            path,
+            "no light was seen in the first view direction",
+            "light there, so that the picture can be scaled to the measured illuminance",
+            "check the view direction, or omit the measured illuminance (--calibrate-ev)",
+        )
+    factor = measured_ev_lx / ev
+    answer = judge(picture, path, azimuths_deg, reference, factor)
+    answer["calibration_factor"] = factor
+    return answer
+
+
+def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> GlareAnswer:
+    """Return the same as `picture_glare`, for a panorama in memory; the answer's `file` is "".
+
+    azimuths_deg : view directions, clockwise from north; ten if empty. Raises InputError for a map
+    that is not twice as wide as high, or has seen pixels that are not finite.
+    """
+    source = Path("panorama")
+    height, width = panorama.luminance_cdm2.shape
+    if width != 2 * height:
+        raise InputError(
+            source,
+            f"a map of {width} x {height} pixels",
+            "a map twice as wide as high",
+            "use a map of all directions (equirectangular)",
+        )
+    picture = Picture(panorama, None)
+    answer = _panorama_answer(picture, source, azimuths_deg, False, 1.0)
+    answer["file"] = ""
+    return answer
+
+
+def _panorama_answer(
+    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
+) -> GlareAnswer:
+    """Judge a panorama in the given directions, with its luminance times `factor`."""
+    panorama = picture.panorama
+    azimuths = np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
+    maps, warnings = valid_pixels(panorama, path)
+    maps *= np.float32(factor)
+    seen_mask = seen_pixels(panorama)
+    if seen_mask is not None:
+        warnings.insert(0, _unseen_text(seen_mask))
+    maps, sun = take_out_sun(maps, panorama.heading_deg, scaled_sun(panorama.sun, factor))
+    views = _view_rows(maps, panorama.heading_deg, azimuths, sun, seen_mask)
+    for row in views:
+        if reference and row["seen"] == SEEN:
+            azimuth = row["azimuth_deg"]
+            fisheye = panorama_to_fisheye(maps, panorama.heading_deg, azimuth, sun=sun)
+            row["reference"] = asdict(reference_glare(fisheye))
+    answer = answer_of(path, picture, views, warnings, sun, 1.0, factor)
+    answer["rammg_cdm2"], answer["rammg_lightness"] = rammg(maps), rammg_lightness(maps)
+    return answer
+
+
+def _view_rows(
+    maps: Floats,
+    heading_deg: float,
+    azimuths: np.ndarray,
+    sun: SunSource | None,
+    seen_mask: np.ndarray | None,
+) -> list[ViewAnswer]:
+    """Return the figures of each direction; seen_mask [H, W], None if all pixels were seen."""
+    rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
+    disc = None if sun is None else np.array([sun.normal_illuminance_lx])
+    height, width = maps.shape
+    grid = panorama_views(height, width, heading_deg, azimuths)
+    coverage = view_coverage(seen_mask, grid)
+    parts = glare_directions(maps[None], heading_deg, azimuths, rays, disc, views=grid)
+    figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
+    figures |= ViewRegions(height, width, heading_deg, azimuths, seen_mask).ratios(maps[None])
+    most = np.zeros(1) if seen_mask is None else brightest_cdm2(maps[None], seen_mask)
+    low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)
+    views = []
+    for i, azimuth in enumerate(azimuths):
+        row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
+        row |= {name: plain(values[0, i]) for name, values in figures.items()}
+        row["melanopic_edi_lx"] = float(melanopic_edi_lx(figures["ev_lx"][0, i]))
+        row["verdict"] = verdict(row["dgp"])
+        row |= {"seen": coverage.words[i], "seen_share": float(coverage.seen_share[i])}
+        if coverage.partly[i]:
+            row |= {"dgp_low": float(low[0, i]), "dgp_high": float(high[0, i])}
+            row["verdict"] = bounds_verdict(row["dgp_low"], row["dgp_high"])
+        if not coverage.judged[i]:
+            row |= dict.fromkeys((*figures, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
+        views.append(cast(ViewAnswer, row))
+    return views
+
+
+def _unseen_text(seen_mask: np.ndarray) -> str:
+    return (
+        f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that are "
+        "mostly unseen have no result; partly seen ones have two values of DGP, the lowest and the "
+        "highest for an unseen part between black and the brightest 1 % of the seen part"
+    )
+
+
+def take_out_sun(
+    luminance_cdm2: Floats, heading_deg: float, recorded: SunSource | None
+) -> tuple[Floats, SunSource | None]:
+    """Return the map without a sun disc in its pixels, and the sun as a source; None without a sun.
+
+    luminance_cdm2 : [H, W = 2H]; heading_deg : azimuth of its centre column, clockwise from north.
+    recorded : the sun that the picture records separately: it is returned, and the map is
+    unchanged. If it is None, a disc in the pixels (of a rendering) is searched and removed.
+    """
+    disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
+    if disc is None:
+        return luminance_cdm2, recorded
+    sun = SunSource(disc.altitude_deg, disc.azimuth_deg, disc.normal_lx, 1.0, "picture")
+    return without_disc(luminance_cdm2, disc), sun

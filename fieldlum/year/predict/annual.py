@@ -1,0 +1,131 @@
+"""Write and read the files of a predicted year.
+
+annual/<name>/hourly.csv      one row per daylight hour: t_utc, t_local, light, trust, and
+                              `metric@azimuth` for each direction
+              predict.json     settings, versions, repairs, and the glare protection of each
+                               direction
+              pictures.npz     the maps of some typical hours
+              maps.zarr        all maps, with --maps (Zarr v3; dims time, y, x)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.errors import input_errors
+from fieldlum.core.records import JsonTable
+from fieldlum.session import replacing
+from fieldlum.session.files.arrays_npz import NPZ_ERRORS
+from fieldlum.session.files.hourly_csv import HourlyFile
+from fieldlum.session.files.predict_json import PredictFile
+
+
+@dataclass(frozen=True, slots=True)
+class Annual:
+    """A predicted year: figures of n daylight hours in d view directions, as read from `folder`.
+
+    summary: content of predict.json; t_utc: middles of the hours [n]; azimuths_deg: view
+    directions, clockwise from true north [d]; hours: columns of hourly.csv without a direction, by
+    name, [n] each; views: those for each direction, [n, d] each, NaN where undefined.
+    """
+
+    folder: Path
+    summary: PredictFile
+    t_utc: tuple[datetime, ...]
+    azimuths_deg: Floats
+    hours: dict[str, Floats]
+    views: dict[str, Floats]
+
+    def __len__(self) -> int:
+        return len(self.t_utc)
+
+    @property
+    def about(self) -> JsonTable:
+        """Return the content of predict.json as plain values, without the key `format`."""
+        return self.summary.table()
+
+    @property
+    def occupied(self) -> Mask:
+        """Mask [n]: True for hours in which the room is used."""
+        return self.hours["occupied"] > 0
+
+    @property
+    def judged(self) -> Mask:
+        """Mask [d]: True for directions with a DGP; False if lenses saw less than half of them."""
+        return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """Maps of k hours for the report, [k, H, W] cd/m2, without the sun's disc.
+
+    kinds: why each hour was chosen, such as "clear day" [k]; rows: index of each hour in
+    hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to the sun
+    [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
+    """
+
+    kinds: tuple[str, ...]
+    rows: NDArray[np.int64]
+    luminance_cdm2: Floats32
+    disc_lx: Floats
+    heading_deg: float
+
+
+def write_pictures(path: Path, pictures: Pictures) -> None:
+    """Write `pictures` to the npz file `path`, with luminances rounded to 0.01 %."""
+    with replacing(path) as file:
+        np.savez_compressed(
+            file,
+            kinds=np.array(pictures.kinds),
+            rows=pictures.rows,
+            luminance_cdm2=rounded(pictures.luminance_cdm2),
+            disc_lx=pictures.disc_lx,
+            heading_deg=pictures.heading_deg,
+        )
+
+
+def rounded(values: Floats32) -> Floats32:
+    """Return float32 values rounded to 12 bits of mantissa (0.01 %), which compress better.
+
+    values: any shape. The bits that are lost are noise.
+    """
+    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
+    return ((bits + np.uint32(1 << 10)) & np.uint32(0xFFFFF800)).view(np.float32)
+
+
+# ----------------------------------------------------------------------------------------------
+# reading
+
+
+def read_annual(folder: Path) -> Annual:
+    """Read predict.json and hourly.csv of the predicted year in `folder`.
+
+    Raises InputError if one of them is missing, damaged, or of a newer format.
+    """
+    summary = PredictFile.read(folder)
+    rows = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
+    return Annual(folder, summary, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
+
+
+def read_pictures(folder: Path) -> Pictures:
+    """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
+    path = folder / "pictures.npz"
+    expected, remedy = "pictures of a predicted year", "run fieldlum predict again"
+    with (
+        input_errors(path, expected, remedy, *NPZ_ERRORS),
+        path.open("rb") as file,
+        np.load(file, allow_pickle=False) as stored,
+    ):
+        return Pictures(
+            tuple(str(kind) for kind in stored["kinds"]),
+            stored["rows"],
+            stored["luminance_cdm2"],
+            stored["disc_lx"],
+            float(stored["heading_deg"]),
+        )

@@ -1,0 +1,153 @@
+"""Predict and judge some hours of a year in one process, as a unit of work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.core.arrays import Array, Floats, Floats32
+from fieldlum.core.scheduler import WorkUnit
+from fieldlum.learn.models import Fitted, load, read_config
+from fieldlum.session import sha256
+from fieldlum.sky.light import Light
+from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
+from fieldlum.year.glare.contrast import ViewRegions
+from fieldlum.year.glare.geometry import Views, panorama_views
+from fieldlum.year.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
+from fieldlum.year.glare.unseen import ViewCoverage, view_coverage
+from fieldlum.year.predict.block_figures import hour_figures, unseen_bounds, view_figures
+from fieldlum.year.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
+from fieldlum.year.predict.maps import write_maps
+
+
+@dataclass(frozen=True, slots=True)
+class _HoursJob:
+    """The input of a worker, with folders relative to the unit's.
+
+    `maps` is "", a folder or a URL.
+    """
+
+    model: str
+    digest: str  # of the model's files
+    start: int
+    light: Light  # of the block
+    azimuths_deg: tuple[float, ...]
+    discs_lx: Floats  # [k, n]
+    maps: str
+
+
+@dataclass(frozen=True, slots=True)
+class HourFigures:
+    """Figures of n consecutive hours of a year, in d view directions.
+
+    rows: index in the year of the first hour, from 0, and of the hour after the last; hours: as
+    `hour_figures` returns them, [n] each; views: as `view_figures`, [n, d] each; least, most:
+    bounds of DGP by unseen parts of the view [n, d]; drawn: DGP with the sun's disc as k random
+    draws of its visibility show it [k, n, d].
+    """
+
+    rows: tuple[int, int]
+    hours: dict[str, Array]
+    views: dict[str, Floats]
+    least: Floats
+    most: Floats
+    drawn: Floats32
+
+
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    fitted: Fitted
+    room: ModelRoom
+    views: Views
+    coverage: ViewCoverage
+    regions: ViewRegions
+
+
+def hour_units(
+    model_folder: Path,
+    light: Light,
+    azimuths_deg: Sequence[float] | Floats,
+    discs_lx: Floats,
+    maps: str,
+) -> list[WorkUnit]:
+    """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
+
+    azimuths_deg: view directions, clockwise from true north; discs_lx: illuminance of the sun's
+    disc in k random draws of its visibility [k, n]; maps: folder or URL of the Zarr
+    store of maps, "" to write none.
+    """
+    model = model_folder.resolve()
+    local = Path(maps).resolve() if maps and "://" not in maps else None
+    folder = model if local is None else Path(os.path.commonpath([model, local]))
+    name = model.relative_to(folder).as_posix()
+    files = tuple(
+        f"{name}/{file}"
+        for file in ("config.json", "weights.npz", SKY_VIEW)
+        if (model / file).is_file()
+    )
+    digest = " ".join(sha256(folder / file) for file in files)
+    where = maps if local is None else local.relative_to(folder).as_posix()
+    azimuths = tuple(float(a) for a in azimuths_deg)
+    units = []
+    for start in range(0, len(light), BLOCK):
+        rows = slice(start, min(start + BLOCK, len(light)))
+        job = _HoursJob(name, digest, start, light[rows], azimuths, discs_lx[:, rows], where)
+        text = f"hours-{rows.start}-{rows.stop}"
+        units.append(WorkUnit(text, predict_hours, folder, job, files=files))
+    return units
+
+
+def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
+    """Predict the hours of a unit and compute their glare; write the maps if `job.maps` is set.
+
+    folder: that of the unit, to which the paths in `job` are relative.
+    """
+    ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
+    room = ready.room
+    (block,) = blocks(ready.fitted, room, job.light)
+    figures = view_figures(block, room, ready.views, ready.regions)
+    least, most = unseen_bounds(block, room, ready.coverage, figures)
+    discs = job.discs_lx
+    per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)
+    drawn = dgp_with_disc(figures, per_lx, discs, drawn_images(block, ready.views, len(discs)))
+    if job.maps:
+        pictures = block.pictures_cdm2(room.heading_deg)
+        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, pictures)
+    rows = (job.start, job.start + len(job.light))
+    return HourFigures(rows, hour_figures(block), figures, least, most, drawn.astype(np.float32))
+
+
+def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
+    """Return what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
+
+    The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)
+    shows it in the hours whose chance of a visible image exceeds (i + 0.5) / count.
+    """
+    draws = (np.arange(count)[:, None] + 0.5) / count
+    return [
+        (sun_per_lx(image.towards, views), np.where(draws < image.chance, image.normal_lx, 0.0))
+        for image in block.images
+    ]
+
+
+@lru_cache(maxsize=1)
+def _prepared(model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]) -> _Prepared:
+    """Load a model and its views once per process.
+
+    `digest` identifies the content of the folder.
+    """
+    room = room_of(read_config(model_folder), model_folder)
+    azimuths = np.array(azimuths_deg)
+    views = panorama_views(room.height, room.width, room.heading_deg, azimuths)
+    return _Prepared(
+        load(model_folder),
+        room,
+        views,
+        view_coverage(room.seen, views),
+        ViewRegions(room.height, room.width, room.heading_deg, azimuths, room.seen),
+    )

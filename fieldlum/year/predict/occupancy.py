@@ -1,0 +1,172 @@
+"""Define when the room is used: by EN 17037's default, or by a small csv."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time, timedelta
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from fieldlum.core.arrays import Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Site
+from fieldlum.core.strict_csv import read_table
+from fieldlum.sky.sun import position, standard_date, standard_offset
+
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+HOURS_OF_YEAR = 8760  # of 365 days
+_HOUR = timedelta(hours=1)
+HOW = (
+    "columns days,start,end (mon-fri,08:00,18:00), or a column occupied with 8760 rows of 0 or 1, "
+    "for the hours of local standard time from 1 January 00:00"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Occupancy:
+    """When the room is used; `text` describes it.
+
+    periods: weekday (0 is Monday), start (included) and end (excluded) in local clock time. hourly,
+    if set, replaces them: a mask [8760], True if used, from 1 January 00:00 in local standard time,
+    without 29 February.
+    """
+
+    text: str
+    periods: tuple[tuple[int, time, time], ...] = ()
+    hourly: Mask | None = None
+
+    def at(self, times_utc: Sequence[datetime], timezone: str) -> Mask:
+        """Return a mask [n]: True for the times at which the room is used.
+
+        times_utc: aware times; timezone: IANA name of the room's time zone.
+        """
+        if self.hourly is not None:
+            rows = [_hour_of_year(t, timezone) for t in times_utc]
+            return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
+        zone = ZoneInfo(timezone)
+        local = [t.astimezone(zone) for t in times_utc]
+        return np.array([self._is_in_period(t) for t in local], bool)
+
+    def _is_in_period(self, local: datetime) -> bool:
+        day, at = local.weekday(), local.time()
+        return any(d == day and start <= at < end for d, start, end in self.periods)
+
+
+def default_occupancy() -> Occupancy:
+    """Return 08:00 to 18:00 local clock time on every day, as EN 17037's annex is usually read."""
+    return Occupancy(
+        "08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7))
+    )
+
+
+def _hour_of_year(t_utc: datetime, timezone: str) -> int:
+    local = t_utc.astimezone(UTC) + standard_offset(timezone, t_utc.year)
+    day_of_month = min(local.day, 28) if local.month == 2 else local.day
+    days = (date(2027, local.month, day_of_month) - date(2027, 1, 1)).days
+    return days * 24 + local.hour
+
+
+def read_occupancy(path: Path) -> Occupancy:
+    """Read a csv of when the room is used.
+
+    Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
+    8760 rows of 0 or 1, for the hours of local standard time from 1 January 00:00.
+
+    Raises InputError for a file that cannot be read, or for other content.
+    """
+    table = read_table(path, HOW, "write a line of column names and its rows")
+    if table.names == ("days", "start", "end"):
+        return _weekly(path, table.rows)
+    if "occupied" in table.names:
+        return _hourly(path, table.rows, table.names.index("occupied"))
+    raise InputError(path, f"columns {', '.join(table.names)}", HOW, "correct the first line")
+
+
+def _time(cell: str) -> time:
+    """Return a time of day such as 08:00 or 8:00; 24:00 is the end of the day."""
+    return time.max if cell == "24:00" else time.fromisoformat(cell.zfill(5))
+
+
+def _weekly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]]) -> Occupancy:
+    periods = []
+    for number, row in rows:
+        try:
+            start, end = (_time(cell) for cell in row[1:])
+            days = _days(row[0])
+        except ValueError as error:
+            raise InputError(
+                path,
+                f"line {number}: {error}",
+                "days and times such as mon-fri,08:00,18:00",
+                "correct that line",
+            ) from None
+        if not start < end:
+            raise InputError(
+                path,
+                f"line {number}: {row[1]} is not before {row[2]}",
+                "a start before the end",
+                "correct the times",
+            )
+        periods += [(day, start, end) for day in days]
+    if not periods:
+        raise InputError(path, "no period in the file", HOW, "write one row for each period")
+    return Occupancy("; ".join(" ".join(row) for _, row in rows), tuple(periods))
+
+
+def _days(text: str) -> list[int]:
+    days: list[int] = []
+    for part in text.lower().split():
+        first, dash, last = part.partition("-")
+        ends = [name[:3] for name in (first, last if dash else first)]
+        if any(name not in DAYS for name in ends):
+            raise ValueError(f"unknown days '{text}'")
+        a, b = (DAYS.index(name) for name in ends)
+        days += [(a + k) % 7 for k in range((b - a) % 7 + 1)]
+    return days
+
+
+def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
+    if len(rows) != HOURS_OF_YEAR:
+        raise InputError(
+            path,
+            f"{len(rows)} rows",
+            f"{HOURS_OF_YEAR} rows, for the hours of local standard time from 1 January 00:00",
+            "write a row for each hour, or periods with days,start,end",
+        )
+    hours = np.zeros(HOURS_OF_YEAR, bool)
+    for k, (number, row) in enumerate(rows):
+        cell = row[column]
+        if cell not in ("0", "1"):
+            raise InputError(
+                path, f"line {number}: occupied is '{cell}'", "0 or 1", "correct the value"
+            )
+        hours[k] = cell == "1"
+    return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
+
+
+def occupied_hours(
+    occupancy: Occupancy, times_utc: Sequence[datetime], site: Site
+) -> tuple[int, int]:
+    """Return the number of occupied hours on the days of a weather file, and the number of days.
+
+    times_utc: middles of the hours with weather; days are dates in local standard time. Occupied
+    hours in the dark count. An hour with the sun up but without weather does not count, because it
+    would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
+    """
+    zone = site.timezone
+    days = sorted({standard_date(t, zone) for t in times_utc})
+    starts = [datetime.combine(day, time(), UTC) - standard_offset(zone, day.year) for day in days]
+    hours = [start + timedelta(hours=k) for start in starts for k in range(24)]
+    hour_numbers = {(t - starts[0]) // _HOUR for t in times_utc}
+    blank = np.array([(t - starts[0]) // _HOUR not in hour_numbers for t in hours])
+    middles = [t + _HOUR / 2 for t in hours]
+    used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
+    if not used.any():
+        raise NotEnoughDataError(
+            f"the weather file has no values for any occupied hour ({occupancy.text}) on its "
+            f"{len(days)} days; correct --occupancy, or use a weather file without these gaps"
+        )
+    return int(used.sum()), len(days)

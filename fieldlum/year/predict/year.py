@@ -1,0 +1,232 @@
+"""Run `predict`: from a model and weather to a year of figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, quiet
+from fieldlum.core.room_states import OFF
+from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.learn.models import load, read_config
+from fieldlum.learn.models.disc_in_view import drawn_discs_lx
+from fieldlum.session import check_writable
+from fieldlum.session.bucket import check_url
+from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.sky.light import Light, light_at
+from fieldlum.weather import Weather, read_weather
+from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+from fieldlum.year.glare.standards import GlareDoubt, disturbed_share
+from fieldlum.year.glare.unseen import view_coverage
+from fieldlum.year.predict.annual import Annual, write_pictures
+from fieldlum.year.predict.blocks import ModelRoom, room_of
+from fieldlum.year.predict.checks import (
+    already,
+    check_session,
+    default_folder,
+    delete_earlier_year,
+    inputs_of,
+)
+from fieldlum.year.predict.glare_summary import judge, poor, summary_of_year
+from fieldlum.year.predict.hours_unit import HourFigures, hour_units
+from fieldlum.year.predict.maps import FolderMapStore, MapStore
+from fieldlum.year.predict.maps_bucket import BucketMapStore
+from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
+from fieldlum.year.predict.pictures import telling_pictures
+
+NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
+
+
+class PredictedYear(NamedTuple):
+    """Result of `run`: the year, and whether it was computed now or already existed."""
+
+    annual: Annual
+    new: bool
+
+
+def run(
+    model_folder: Path,
+    weather_path: Path,
+    *,
+    out: Path | None = None,
+    maps: bool = False,
+    maps_to: str = "",
+    views: int = 10,
+    occupancy_path: Path | None = None,
+    lamps: str = "",
+    force: bool = False,
+    seed: int = 0,
+    label_shift_min: float = 0.0,
+    scheduler: Scheduler = LOCAL,
+    progress: Progress = quiet,
+) -> PredictedYear:
+    """Predict all daylight hours of a weather file with a trained model, and write the year.
+
+    A year with the same inputs that exists in the output folder is returned instead, unless
+    `force`.
+
+    out: output folder; None: `default_folder`. views: number of view directions around the horizon.
+    maps: also write all maps; maps_to: URL of a bucket for them, for example s3://BUCKET/FOLDER; ""
+    for none. lamps: "" as in the captures; "off"; or a csv as for occupancy, with the hours in
+    which lamps that are marked in the captures are on. label_shift_min: minutes added to the times
+    of the weather file.
+
+    Raises InputError for a file, folder, URL or model that cannot be used, or if place, camera,
+    room or pictures of model and session differ; NotEnoughDataError for weather without daylight or
+    without occupied hours; FloatingPointError if a map is not finite.
+    """
+    config = read_config(model_folder)
+    room = room_of(config, model_folder)
+    check_session(model_folder, room, config.scene)
+    folder = out or default_folder(model_folder)
+    occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
+    inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
+    if maps_to:
+        check_url(maps_to, "--maps-to", "use --maps")
+        inputs["maps_to"] = maps_to
+    inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
+    if not force and (existing := already(folder, inputs)) is not None:
+        return PredictedYear(existing, new=False)
+    check_writable(folder)
+    weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
+    hours = weather.daylight()
+    if len(hours) == 0:
+        raise NotEnoughDataError(
+            f"{weather_path}: no hour with irradiance while the sun "
+            "is up; check the file's irradiance and time zone"
+        )
+    light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
+    azimuths = view_azimuths_deg(room.heading_deg, views)
+    hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
+    delete_earlier_year(folder)
+    annual, doubt, u_of_maps = measure(
+        model_folder,
+        room,
+        light,
+        azimuths,
+        folder,
+        none_trusted=poor(config),
+        maps=maps,
+        bucket=BucketMapStore(maps_to, inputs, folder / ".maps.zarr.tmp") if maps_to else None,
+        seed=seed,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    zone = room.setup.site.timezone
+    annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
+    protection = judge(annual, doubt, u_of_maps, hours_used, seed)
+    summary = summary_of_year(room, config, weather, inputs, occupancy, annual, protection, days)
+    annual = replace(annual, summary=summary)
+    rows = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
+    rows.write(folder, zone)
+    pictures = telling_pictures(load(model_folder), room, light, annual)
+    write_pictures(folder / "pictures.npz", pictures)
+    summary.write(folder)  # the last file, so that a folder with it is complete
+    return PredictedYear(annual, new=True)
+
+
+def light_of(weather: Weather) -> Light:
+    """Return the sun's position and the light of all hours of `weather`, in their order."""
+    return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
+
+
+def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
+    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`.
+
+    The csv has the form that `read_occupancy` reads, which raises InputError. timezone: of the
+    room.
+    """
+    if not lamps:
+        return light
+    if lamps == "off":
+        return replace(light, states=(OFF,) * len(light))
+    on = read_occupancy(Path(lamps)).at(light.t_utc, timezone)  # [n]
+    return replace(light, states=tuple("lamp=on" if lit else OFF for lit in on))
+
+
+def lamps_text(lamps: str) -> str:
+    """Return the text on lamps for predict.json: `lamps` if "" or "off", else its schedule."""
+    return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
+
+
+# ----------------------------------------------------------------------------------------------
+# figures
+
+
+def measure(
+    model_folder: Path,
+    room: ModelRoom,
+    light: Light,
+    azimuths_deg: Floats,
+    folder: Path,
+    *,
+    none_trusted: bool = False,
+    maps: bool = False,
+    bucket: BucketMapStore | None = None,
+    seed: int = 0,
+    scheduler: Scheduler = LOCAL,
+    progress: Progress = quiet,
+) -> tuple[Annual, GlareDoubt, Floats]:
+    """Predict every hour, and return the figures, the doubt about unseen parts, and u of the maps.
+
+    The first result has an empty `summary`, `occupied` 0, and NaN in directions of which lenses saw
+    less than half. The second is the range of DGP due to the sun's disc and to unseen parts of
+    views. The third is the standard uncertainty of DGP due to the maps, [n, d]; `u_dgp` of
+    the first includes the disc, too.
+
+    none_trusted: mark no hour as trusted, because `train` warned of the model's single maps.
+    The maps are written to maps.zarr in
+    `folder` with `maps`, or to `bucket`.
+    """
+    count, d = len(light), len(azimuths_deg)
+    coverage = view_coverage(
+        room.seen, panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
+    )
+    hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
+    figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
+    rng = np.random.default_rng([seed, 2])
+    discs_lx = drawn_discs_lx(room.sky_view, room.setup, light, rng)  # [k, n]
+    drawn = np.empty((len(discs_lx), count, d), np.float32)
+    least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
+    folder.mkdir(parents=True, exist_ok=True)
+    store: MapStore | None = bucket
+    if store is None and maps:
+        store = FolderMapStore(folder / "maps.zarr")
+    if store is not None:
+        store.create(light.t_utc, room, room.setup.site.name)
+    units = hour_units(model_folder, light, azimuths_deg, discs_lx, store.target if store else "")
+
+    def take(outcome: UnitOutcome) -> None:
+        block: HourFigures = outcome.result()
+        rows = slice(*block.rows)
+        for name, values in block.hours.items():
+            hours[name][rows] = values
+        for name in VIEW_COLUMNS.keys() & block.views.keys():
+            figures[name][rows] = block.views[name]
+        least[rows], most[rows], drawn[:, rows] = block.least, block.most, block.drawn
+
+    run_each(units, scheduler, take, progress)
+    if none_trusted:
+        hours["trusted"][:] = 0.0
+    if store is not None:
+        store.finish(hours["disc_lx"], hours["trusted"])
+    u_of_maps = figures["u_dgp"]
+    off = drawn - figures["dgp"].astype(np.float32)  # [k, n, d]
+    reach = NORMAL_95 * np.nan_to_num(u_of_maps)
+    low, high = np.percentile(off, (2.5, 97.5), axis=0)
+    figures["dgp_low"] = np.clip(least + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+    figures["dgp_high"] = np.clip(most + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+    figures["u_dgp"] = np.hypot(u_of_maps, np.sqrt((off**2).mean(axis=0)))
+    for values in figures.values():
+        values[:, ~coverage.judged] = np.nan
+    hours["disturbed_share"] = disturbed_share(figures["dgp"])
+    annual = Annual(
+        folder, PredictFile(), light.t_utc, np.asarray(azimuths_deg, float), hours, figures
+    )
+    return annual, GlareDoubt(coverage.words, least, most, drawn), u_of_maps
