@@ -3,7 +3,6 @@ them.
 """
 
 import json
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Literal
@@ -11,6 +10,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec import structs
 
 from fieldlum import merge
 from fieldlum.calibrate import shutter
@@ -195,7 +195,7 @@ def quality(off: np.ndarray, rate: float = 0.0, headings: int = 1, nd: str = "")
         {
             "long": i,
             "short": i + 1,
-            "residual_percent": 100 * (log[i + 1] - log[i]),
+            "residual_percent": float(100 * (log[i + 1] - log[i])),
             "u_percent": 0.05,
         }
         for _ in range(headings)
@@ -234,7 +234,8 @@ def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     assert len(found) == 3 and all(1 / 1000 not in r.pair for r in found)
     lame = quality(OFF, headings=2)
     # the second heading's frames do not overlap: or was it the first?
-    lame = replace(lame, report=replace(lame.report, neighbours=lame.report.neighbours[:4]))
+    report = structs.replace(lame.report, neighbours=lame.report.neighbours[:4])
+    lame = structs.replace(lame, report=report)
     assert shutter.readings_of(lame) == []
 
 

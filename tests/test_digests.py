@@ -96,7 +96,7 @@ def test_an_interrupted_write_leaves_no_false_digest(
     def killed(path: Path) -> str:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fieldlum.session.digests.sha256", killed)
+    monkeypatch.setattr("fieldlum.session.codec.sha256", killed)
     with pytest.raises(KeyboardInterrupt):
         PairsFile(path, (PairRow(NOON, "b.exr", 131.0, 120.0),)).write()
     monkeypatch.undo()

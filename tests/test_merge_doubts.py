@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Flag
@@ -201,7 +202,7 @@ def test_a_black_level_unlike_the_profiles_is_told(tmp_path: Path) -> None:
     result = merge_frames([s.path for s in take(tmp_path, black=BLACK + 3)], PROFILE, SMALL)
     assert result.quality["black_off_dn"] == pytest.approx(3.0)
     assert "black level differs from the profile's by +3.0 DN" in result.verdict
-    assert verdict(replace(result.report, black_off_dn=0.5)).startswith("good")
+    assert verdict(structs.replace(result.report, black_off_dn=0.5)).startswith("good")
 
 
 @pytest.mark.contract

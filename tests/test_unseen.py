@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_room import dataset
+from msgspec import structs
 
 from fieldlum.cli import main
 from fieldlum.core.records import CameraSetup, Flag, Panorama
@@ -180,9 +181,9 @@ def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual
 
 @pytest.mark.contract
 def test_no_direction_at_all_is_said_and_not_drawn(year: predict.Annual) -> None:
-    blind = tuple(replace(row, glare_class="not seen") for row in year.summary.protection)
+    blind = tuple(structs.replace(row, glare_class="not seen") for row in year.summary.protection)
     assert predict.best_and_worst(blind) is None
-    nothing = replace(year, summary=replace(year.summary, protection=blind))
+    nothing = replace(year, summary=structs.replace(year.summary, protection=blind))
     assert "No view direction can be judged" in annual_page.answer(nothing)[0]
 
 

@@ -110,8 +110,8 @@ def from_session(
             sidecar = Sidecar.read(path)
         except InputError:
             continue  # damaged, or not written by a merge
-        others += sidecar.profile_sha256 not in ("", profile_sha256)
-        readings = readings_of(sidecar) if sidecar.profile_sha256 == profile_sha256 else []
+        others += sidecar.profile.sha256 not in ("", profile_sha256)
+        readings = readings_of(sidecar) if sidecar.profile.sha256 == profile_sha256 else []
         if readings:
             brackets.append(readings)
             files.append(path)

@@ -276,7 +276,7 @@ def _folder(path: Path) -> Facts:
 
 
 def _year(path: Path) -> Facts:
-    from fieldlum.session.files.json_file import read_object
+    from fieldlum.session.codec import read_object
 
     about = read_object(path / "predict.json", "a predicted year", "run fieldlum predict again")
     names = ("model", "width", "height", "hours", "first", "last", "weather", "protection")

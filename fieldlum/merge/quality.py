@@ -69,14 +69,14 @@ def report_of(
 
 def _frames(part: Findings) -> list[FrameQuality]:
     return [
-        FrameQuality(
+        FrameQuality.of(
             shot.path.name,
             shot.exposure,
             round(float(correction), 6),
-            round(float(100 * u), 4),
-            shot.heading_deg,
-            shot.t_utc,
-            round(100 * part.dropped[i], 4) if part.dropped else None,
+            u_percent=round(float(100 * u), 4),
+            heading_deg=shot.heading_deg,
+            t_utc=shot.t_utc,
+            dropped_percent=round(100 * part.dropped[i], 4) if part.dropped else None,
         )
         for i, (shot, correction, u) in enumerate(
             zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)

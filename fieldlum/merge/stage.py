@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from msgspec import structs
+
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
 from fieldlum.core.scheduler import (
@@ -29,7 +31,7 @@ from fieldlum.optics.raw import unreadable
 from fieldlum.session import Session, check_writable, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.merge_report import MergeReport
-from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
+from fieldlum.session.files.sidecar import MeasuredSun, ProfileNote, Sidecar, SidecarSun
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.sky.sky_view import write_sky_picture
 from fieldlum.version import __version__
@@ -212,7 +214,9 @@ def _with_session_facts(
     illuminance_lx = vertical_illuminance_lx(
         panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
     )
-    report = replace(result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost))
+    report = structs.replace(
+        result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost)
+    )
     text = (
         result.verdict
         if complete
@@ -252,11 +256,10 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
                 "glare_floor": 100 * p.glare_floor_rel,
             },
         },
-        profile_name=p.camera.name,
-        profile_sha256=job.profile_sha256,
+        profile=ProfileNote(p.camera.name, job.profile_sha256),
         inputs=recipe,
         size_bytes=picture.stat().st_size,
-        fieldlum=__version__,
+        software={"fieldlum": __version__},
     ).write(session.sidecar(job.slot))
 
 

@@ -110,7 +110,7 @@ def _taken(session: Session, path: Path) -> Taken:
         meter_lx=capture.illuminance_lx if capture else None,
         complete=(capture is None or capture.complete) and not (sidecar and sidecar.report.lost),
         frames=frozenset(f.sha256 for f in capture.frames if f.sha256) if capture else frozenset(),
-        sun_u_percent=sidecar.sun_u_percent if sidecar else 0.0,
+        sun_u_percent=sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0,
     )
 
 

@@ -18,7 +18,7 @@ from fieldlum.pair.sun_strength import Seen
 from fieldlum.room.scene import iter_sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, replacing_path
-from fieldlum.session.files.json_file import write_object
+from fieldlum.session.codec import write_object
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.sky import sun
 

@@ -16,7 +16,7 @@ from fieldlum.report.figures import (
 )
 from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
 from fieldlum.session.files.held_out_npz import HeldOutMaps
-from fieldlum.session.files.scores_json import ScoreRow, ScoresFile
+from fieldlum.session.files.scores_json import ScoresFile
 
 # Suns of two planned days of one season are under 1 degree apart, of two seasons over 20 degrees.
 # Chosen between the two.
@@ -130,7 +130,7 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
     )
     chosen = scores.chosen
 
-    def cell(row: ScoreRow, key: str) -> Any:
+    def cell(row: dict[str, Any], key: str) -> Any:
         value = row.get(key)
         if key == "judged_dgp_error" and row.get("not_judged_because"):
             return "too little time to judge"

@@ -13,11 +13,12 @@ from typing import Literal, cast
 
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import SiteFile, Slot
+from fieldlum.session.codec import convert
 from fieldlum.session.inside import is_plain, open_inside, refuse_links
 from fieldlum.session.lines import NO_LOCKS, lock_now
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.site_toml import site_from_table, site_table
-from fieldlum.session.tables import PlanTable, SessionTable, misfit
+from fieldlum.session.tables import PlanTable, SessionTable
 from fieldlum.session.writing import replacing, sha256
 from fieldlum.version import __version__
 
@@ -178,9 +179,9 @@ def open_session(root: Path) -> Session:
     remedy = "correct that place, or restore session.toml from a copy"
     refuse_links(root, _checked_names())
     with input_errors(session.toml, "TOML", remedy, ValueError):
-        wrong = misfit(SessionTable, session.table())
-    if wrong:
-        raise InputError(session.toml, wrong, "values of the types that fieldlum writes", remedy)
+        table = session.table()
+    with input_errors(session.toml, "values of the types that fieldlum writes", remedy, ValueError):
+        convert(table, SessionTable, strict=True)
     return session
 
 

@@ -9,10 +9,11 @@ import os
 import threading
 from collections.abc import Iterator
 from datetime import datetime
-from typing import Unpack, get_type_hints
+from typing import Unpack
 
 from fieldlum.core.records import counted, parse_utc, utc_text
 from fieldlum.core.room_states import merged_state
+from fieldlum.session.codec import convert
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
 from fieldlum.session.inside import open_inside
@@ -27,12 +28,6 @@ from fieldlum.session.tables import EventFields, JournalEvent
 
 _FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of an event; chosen
 _NAMED = 5  # damaged lines that are named; chosen
-# Types of the keys of an event that are no objects; a number without a point is a float too.
-_PLAIN = {
-    name: (int, float) if kind is float else kind
-    for name, kind in get_type_hints(JournalEvent).items()
-    if kind in (str, int, float, bool)
-}
 
 
 class Journal:
@@ -121,13 +116,13 @@ def decode_event(line: bytes) -> JournalEvent | None:
     """Return the event in a journal line; None for a damaged line or a value of a wrong type."""
     row = decode_line(line)
     try:
+        convert(row, JournalEvent, strict=True)
         if not _FIRST_YEAR <= parse_utc(row["t_utc"]).year <= _LAST_YEAR:
             return None
         if "frame" in row:
             frame_from(row["frame"])
         if row["event"] == "marked":
             merged_state("", row.get("state", ""))
-        plain = all(isinstance(row[name], kind) for name, kind in _PLAIN.items() if name in row)
-        return row if plain else None
+        return row
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError):
         return None

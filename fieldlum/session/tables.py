@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from datetime import date
-from types import UnionType
-from typing import Any, Required, TypedDict, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, Required, TypedDict
+
+from msgspec import Meta
 
 DeviceTable = dict[str, str | int | float | bool]
 "What a device reports about itself."
@@ -46,7 +46,7 @@ class DevicesTable(TypedDict, total=False):
 class GraceTable(TypedDict, total=False):
     """[capture] of session.toml; grace_s: how late a bracket may start [s]."""
 
-    grace_s: float
+    grace_s: Annotated[float, Meta(ge=0.0, le=86400.0)]
 
 
 class LoggerFileTable(TypedDict, total=False):
@@ -80,29 +80,6 @@ class SessionTable(TypedDict, total=False):
     software: dict[str, str]
 
 
-class ExposureTable(TypedDict, total=False):
-    """The exposure of a frame."""
-
-    shutter_s: Required[float]
-    f_number: Required[float]
-    iso: Required[float]
-    nd: str
-
-
-class FrameTable(TypedDict, total=False):
-    """A frame in the journal and in capture.json: the fields of `Frame`, times as text."""
-
-    index: int
-    file: Required[str]
-    exposure: Required[ExposureTable]
-    heading_deg: float | None
-    t_utc: Required[str]
-    seconds: float
-    sha256: str
-    doubt: str
-    instead_of: str
-
-
 class ClockMark(TypedDict):
     """The boot of the computer, and the time since then [s]."""
 
@@ -116,7 +93,7 @@ class EventFields(TypedDict, total=False):
     slot: str
     why: str
     attempt: int
-    frame: FrameTable
+    frame: dict[str, Any]
     frames: int
     illuminance_lx: float
     by_s: float
@@ -142,39 +119,3 @@ class JournalEvent(EventFields, total=False):
 
     event: Required[str]
     t_utc: Required[str]
-
-
-def misfit(hint: Any, value: object, name: str = "") -> str:
-    """Return which value of a table does not have the type that its `TypedDict` states, or "".
-
-    hint: the type; name: of the value, for the text. Absent and unknown keys are no misfit, and an
-    integer is a number too.
-    """
-    if isinstance(hint, UnionType):
-        fits = any(not misfit(kind, value) for kind in get_args(hint))
-    elif get_origin(hint) is list and isinstance(value, list):
-        return next((text for v in value if (text := misfit(get_args(hint)[0], v, name))), "")
-    elif (is_typeddict(hint) or get_origin(hint) is dict) and isinstance(value, dict):
-        return _misfit_below(hint, value, name)
-    else:
-        fits = _fits(hint, value)
-    return "" if fits else f"{name or 'the value'} = {str(value)[:60]!r}"
-
-
-def _misfit_below(hint: Any, table: dict[Any, Any], name: str) -> str:
-    hints = get_type_hints(hint) if is_typeddict(hint) else dict.fromkeys(table, get_args(hint)[-1])
-    for key, value in table.items():
-        if key in hints and (text := misfit(hints[key], value, f"{name}.{key}".strip("."))):
-            return text
-    return ""
-
-
-def _fits(hint: Any, value: object) -> bool:
-    if hint is Any:
-        return True
-    if isinstance(value, bool):  # Python counts it as an integer
-        return hint is bool
-    if hint is float:
-        return isinstance(value, int | float) and math.isfinite(value)
-    is_class = isinstance(hint, type) and not is_typeddict(hint)
-    return is_class and isinstance(value, hint)

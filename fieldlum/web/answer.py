@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import IO
@@ -23,6 +23,7 @@ from typing import IO
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, utc_text
 from fieldlum.session import Session, replacing
+from fieldlum.session.codec import to_json
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
 
@@ -157,8 +158,8 @@ class Worker:
             "weather": year.weather.name,
             "synthetic": year.weather.synthetic,
             "warnings": [*year.model_warnings, *year.notes],
-            "protection": [row.table() for row in year.protection],
-            "capture_next": [asdict(hour) for hour in year.capture_next[:5]],
+            "protection": to_json(year.protection),
+            "capture_next": to_json(year.capture_next[:5]),
             "useful": hours[:8],
         }
         rows = [*read_answers(self.session), row][-_DAYS_KEPT:]

@@ -332,7 +332,7 @@ def run(
         if result.held_out is not None:
             result.held_out.write(out)
         answer["model_sha256"] = _model_sha256(out)
-        ScoresFile.from_table(answer, out / SCORES).write(out)
+        ScoresFile.from_table({**answer}, out / SCORES).write(out)
         checkpoint.unlink(missing_ok=True)
     return {**answer, "kept": False}
 
@@ -345,7 +345,7 @@ def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | 
     table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):
         return None
-    return ScoresFile.read(folder).table()
+    return cast(TrainAnswer, ScoresFile.read(folder).table())
 
 
 def _model_sha256(folder: Path) -> str:

@@ -17,8 +17,8 @@ from fieldlum.pair.irradiance.consistency import closure_fails, doubts
 from fieldlum.pair.irradiance.series import UNUSABLE, Mark, Series, local_period_s, series_of
 from fieldlum.pair.irradiance.verdict import Health, health
 from fieldlum.session import Session, day_files, read_day, remove_scraps
+from fieldlum.session.codec import convert, write_object
 from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
-from fieldlum.session.files.json_file import from_json, write_object
 from fieldlum.session.provenance import made_from
 from fieldlum.sky import sun
 
@@ -244,7 +244,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     inputs = {"recipe": _RECIPE, "files": sizes, "site": asdict(site)}
     table = None if force else made_from(note, inputs, [clean])
     if table is not None:
-        return from_json(Health, table)
+        return convert(table, Health)
     raw, broken = _read(files, progress)
     if len(raw) == 0:
         cause = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"

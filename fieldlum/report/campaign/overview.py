@@ -17,7 +17,7 @@ from fieldlum.core.records import Progress, counted, quiet, utc_text
 from fieldlum.report.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.report.page import Page, Section, Table, named, render
 from fieldlum.session import Session, open_session, replacing
-from fieldlum.session.files.json_file import to_json
+from fieldlum.session.codec import to_json
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyToCapture
 from fieldlum.version import __version__

@@ -25,7 +25,7 @@ from fieldlum.room.simulate.slot_units import truth_units
 from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
 from fieldlum.room.simulate.truth import GroundTruth, ground_truth
 from fieldlum.session import Session, create_session, remove_scraps, update_session
-from fieldlum.session.files.json_file import write_object
+from fieldlum.session.codec import write_object
 from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.provenance import made_from

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fieldlum.session.writing import write_table
+from fieldlum.core.errors import InputError
+from fieldlum.session.codec import read_rows, write_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,26 +42,11 @@ def alignment_path(pairs: Path) -> Path:
 def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
     """Return the rows of an alignment table; empty if the file is missing or has other content."""
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return tuple(_row(cells) for cells in csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, KeyError, ValueError, TypeError, csv.Error):
+        return tuple(read_rows(AlignmentRow, path, "camera turns", "", _COLUMNS))
+    except InputError:
         return ()
-
-
-def _row(cells: dict[str, str]) -> AlignmentRow:
-    """Return the row of some cells. Raises KeyError, TypeError or ValueError for a wrong cell."""
-    numbers = [float(cells[name]) for name in _COLUMNS[2:8]]
-    if not all(math.isfinite(number) for number in numbers):
-        raise ValueError("a number that is not finite")
-    return AlignmentRow(
-        cells["panorama"], cells["digest"], *numbers, aligned=bool(int(cells["aligned"]))
-    )
 
 
 def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
     """Write all rows, with 4 decimals. Raises OSError if the folder is not writable."""
-    cells = []
-    for row in rows:
-        name, digest, *numbers, aligned = astuple(row)
-        cells.append((name, digest, *(f"{v:.4f}" for v in numbers), int(aligned)))
-    write_table(path, _COLUMNS, cells)
+    write_rows(path, _COLUMNS, rows, dict.fromkeys(_COLUMNS[2:8], ".4f"))

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from fieldlum.core.records import Exposure, utc_text
-from fieldlum.session.files.json_file import content_of, from_json, read_object, write_object
-from fieldlum.session.inside import plain
-from fieldlum.session.tables import FrameTable
+from msgspec import field
 
-FORMAT = 1  # of the file; docs/file-formats.md
-_EXPECTED = "the frames of a bracket, as capture and import write them"
-_REMEDY = "restore the file from a copy, or import the card again (fieldlum import)"
+from fieldlum.core.records import Exposure, JsonTable
+from fieldlum.session.codec import JsonFile, Utc, convert, to_json
+from fieldlum.session.inside import plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,38 +30,25 @@ class Frame:
     file: str
     exposure: Exposure
     heading_deg: float | None
-    t_utc: datetime
+    t_utc: Utc
     seconds: float = 0.0
     sha256: str = ""
     doubt: str = ""
     instead_of: str = ""
 
 
-def frame_fields(frame: Frame) -> FrameTable:
-    """Return a frame as the journal and capture.json store it."""
-    e = frame.exposure
-    table: FrameTable = {
-        "index": frame.index,
-        "file": frame.file,
-        "exposure": {"shutter_s": e.shutter_s, "f_number": e.f_number, "iso": e.iso, "nd": e.nd},
-        "heading_deg": frame.heading_deg,
-        "t_utc": utc_text(frame.t_utc),
-        "seconds": round(frame.seconds, 3),
-        "sha256": frame.sha256,
-    }
-    if frame.doubt:
-        table["doubt"] = frame.doubt
-    if frame.instead_of:
-        table["instead_of"] = frame.instead_of
-    return table
+def frame_fields(frame: Frame) -> JsonTable:
+    """Return a frame as the journal and capture.json store it; empty remarks are left out."""
+    table = {**to_json(frame), "seconds": round(frame.seconds, 3)}
+    return {k: v for k, v in table.items() if v or k not in ("doubt", "instead_of")}
 
 
 def frame_from(fields: Mapping[str, Any]) -> Frame:
     """Return the frame of a table that `frame_fields` wrote.
 
-    Raises KeyError, TypeError or ValueError for other content, such as a file in another folder.
+    Raises TypeError or ValueError for other content, such as a file in another folder.
     """
-    frame = from_json(Frame, fields)
+    frame = convert({"heading_deg": None, **fields}, Frame)
     e = frame.exposure
     if not all(0.0 < value < math.inf for value in (e.shutter_s, e.f_number, e.iso)):
         raise ValueError(f"frame {frame.file}: an exposure that is not above 0 and finite: {e}")
@@ -74,8 +58,7 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
     return frame
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureFile:
+class CaptureFile(JsonFile, frozen=True):
     """The content of one capture.json.
 
     t_open_utc: first request to the camera; t_close_utc: when the last file was on the disk;
@@ -84,10 +67,13 @@ class CaptureFile:
     meter at the lens, or None.
     """
 
+    EXPECTED = "the frames of a bracket, as capture and import write them"
+    REMEDY = "restore the file from a copy, or import the card again (fieldlum import)"
+
     slot: str
     frames: tuple[Frame, ...]
-    t_open_utc: datetime
-    t_close_utc: datetime
+    t_open_utc: Utc
+    t_close_utc: Utc
     complete: bool = True
     profile: str = ""
     heading_deg: float | None = None
@@ -100,40 +86,19 @@ class CaptureFile:
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
     @classmethod
-    def read(cls, path: Path) -> CaptureFile:
-        """Read the file. Raises InputError for a missing file or other content."""
-        table = read_object(path, _EXPECTED, _REMEDY)
-        with content_of(table, FORMAT, path, _EXPECTED, _REMEDY):
-            rows = [{"index": number, **row} for number, row in enumerate(table.get("frames", ()))]
-            frames = tuple(frame_from(row) for row in rows)
-            if "t_open_utc" not in table:
-                opened, closed = interval_of(frames)
-                table |= {"t_open_utc": utc_text(opened), "t_close_utc": utc_text(closed)}
-            capture = from_json(cls, {"slot": path.parent.name, **table, "frames": ()})
-            return replace(capture, frames=frames)
+    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
+        """Return the table with its frames built, and with the times and the slot of old files."""
+        rows = enumerate(table.get("frames", ()))
+        frames = tuple(frame_from({"index": number, **row}) for number, row in rows)
+        if "t_open_utc" not in table:
+            opened, closed = interval_of(frames)
+            table = {**table, "t_open_utc": opened, "t_close_utc": closed}
+        return {"slot": path.parent.name, **table, "frames": frames}
 
-    @classmethod
-    def find(cls, path: Path) -> CaptureFile | None:
-        """Read the file; return None if it is missing. Raises InputError for other content."""
-        return cls.read(path) if path.is_file() else None
-
-    def write(self, path: Path) -> None:
-        """Write the file, with the middle of the two times as t_mid_utc."""
-        lux = {} if self.illuminance_lx is None else {"illuminance_lx": self.illuminance_lx}
-        table = {
-            "format": FORMAT,
-            "slot": self.slot,
-            "t_open_utc": utc_text(self.t_open_utc),
-            "t_close_utc": utc_text(self.t_close_utc),
-            "t_mid_utc": utc_text(self.t_mid_utc),
-            "complete": self.complete,
-            "profile": self.profile,
-            "heading_deg": self.heading_deg,
-            "camera": self.camera,
-            **lux,
-            "frames": [frame_fields(frame) for frame in self.frames],
-        }
-        write_object(path, table)
+    def table(self) -> JsonTable:
+        """Return the JSON object, with the middle of the two times as t_mid_utc."""
+        frames = [frame_fields(frame) for frame in self.frames]
+        return {**to_json(self), "t_mid_utc": to_json(self.t_mid_utc), "frames": frames}
 
 
 def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:

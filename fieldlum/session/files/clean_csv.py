@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.session.digests import change_of, sealed
+from fieldlum.session.codec import change_of, sealed
 from fieldlum.session.writing import replacing
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")

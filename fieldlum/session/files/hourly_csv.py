@@ -15,7 +15,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import input_errors
 from fieldlum.core.records import parse_utc, utc_text
 from fieldlum.core.strict_csv import read_table
-from fieldlum.session.digests import change_of, sealed
+from fieldlum.session.codec import change_of, sealed
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md

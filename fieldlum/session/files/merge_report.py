@@ -5,72 +5,52 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from datetime import datetime
-from typing import Any
+from dataclasses import asdict
+from typing import Annotated, Any, Self
 
-from fieldlum.core.records import Exposure, JsonTable, utc_text
+from msgspec import Meta, Struct, field
+
+from fieldlum.core.records import Exposure, JsonTable
 from fieldlum.optics.photometry import ShutterLaw
-from fieldlum.session.files.json_file import from_json, to_json
+from fieldlum.session.codec import Utc, convert, to_json
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 
-# Fields whose keys in the file are older names.
-_KEYS = {
-    "deviations": "exposure_told",
-    "noise_over_profile": "noise_over_said",
-    "orientation_conflict": "held_otherwise",
-}
 
-
-@dataclass(frozen=True, slots=True)
-class FrameQuality:
+class FrameQuality(Struct, frozen=True):
     """How one frame fits into its bracket.
 
-    correction: fitted over assumed exposure; u_percent: its standard uncertainty. heading_deg:
-    clockwise from north; None without a turning head. dropped_percent: share of its pixels that
-    were excluded because something moved; None if this was not requested.
+    text: its exposure in words; shutter_s, f_number, iso, nd: the same as numbers. correction:
+    fitted over assumed exposure; u_percent: its standard uncertainty. heading_deg: clockwise from
+    north; None without a turning head. dropped_percent: share of its pixels that were excluded
+    because something moved; None if this was not requested.
     """
 
     file: str
-    exposure: Exposure
-    correction: float
-    u_percent: float
+    text: str = field(name="exposure")
+    shutter_s: float
+    f_number: float
+    iso: float
+    nd: str
+    correction: Annotated[float, Meta(gt=0.0)]
+    u_percent: float = math.nan  # version 0.1.0 did not write it
     heading_deg: float | None = None
-    t_utc: datetime | None = None
+    t_utc: Utc | None = None
     dropped_percent: float | None = None
 
-    def table(self) -> JsonTable:
-        """Return the frame as the sidecar's JSON stores it."""
-        row = {
-            "file": self.file,
-            "heading_deg": self.heading_deg,
-            "t_utc": utc_text(self.t_utc) if self.t_utc else "",
-            "exposure": exposure_text(self.exposure),
-            **asdict(self.exposure),
-            "correction": self.correction,
-            "u_percent": self.u_percent,
-        }
-        if self.dropped_percent is not None:
-            row["dropped_percent"] = self.dropped_percent
-        return row
-
     @classmethod
-    def from_table(cls, row: Mapping[str, Any]) -> FrameQuality:
-        """Build from the JSON that `table` returns; texts alone, as in version 0.1.0, are read too.
+    def of(cls, file: str, exposure: Exposure, correction: float, **more: Any) -> Self:
+        """Return the quality of a frame with an exposure; more: the other fields."""
+        return cls(file, exposure_text(exposure), **asdict(exposure), correction=correction, **more)
 
-        Raises KeyError, TypeError or ValueError for other content and for a correction not above 0.
-        """
-        stated = parse_exposure(row["exposure"])
-        exposure = {**asdict(stated), **row} if "shutter_s" in row else asdict(stated)
-        quality = from_json(cls, {"file": "", "u_percent": "nan", **row, "exposure": exposure})
-        if quality.correction <= 0.0:
-            raise ValueError(f"correction {quality.correction}, which must be above 0")
-        return quality
+    @property
+    def exposure(self) -> Exposure:
+        """The exposure of the frame."""
+        return Exposure(self.shutter_s, self.f_number, self.iso, self.nd)
 
 
-@dataclass(frozen=True, slots=True)
-class NeighbourQuality:
+class NeighbourQuality(Struct, frozen=True):
     """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
 
     long, short: the more and the less exposed frame, numbered within their heading;
@@ -85,8 +65,7 @@ class NeighbourQuality:
     pixels: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ShiftQuality:
+class ShiftQuality(Struct, frozen=True):
     """Turn of the camera between two frames, which are named by their files.
 
     long, short: the more and the less exposed one; shift_px: in sensor pixels at the lens's axis;
@@ -101,8 +80,7 @@ class ShiftQuality:
     sure_px: float
 
 
-@dataclass(frozen=True, slots=True)
-class DarkRim:
+class DarkRim(Struct, frozen=True):
     """The dark edge of a lens's image.
 
     width_deg: of the dark part; share: luminance at the edge over that a few degrees further in.
@@ -113,8 +91,7 @@ class DarkRim:
     share: float
 
 
-@dataclass(frozen=True, slots=True)
-class MergeReport:
+class MergeReport(Struct, frozen=True):
     """The figures of one merged bracket; shares are percent of the solid angle seen.
 
     None or empty: not determined, or not written by the version of the sidecar. residual_percent:
@@ -138,13 +115,13 @@ class MergeReport:
     below_noise_percent: float | None = None
     outside_percent: float | None = None
     exposure_span_percent: float | None = None
-    deviations: tuple[str, ...] = ()
-    noise_over_profile: float = 1.0
-    plateau_dn: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+    deviations: tuple[str, ...] = field(default=(), name="exposure_told")
+    noise_over_profile: float = field(default=1.0, name="noise_over_said")
+    plateau_dn: Mapping[str, tuple[float | None, ...]] = {}
     black_off_dn: float = 0.0
     shutter_law: ShutterLaw | None = None
     u_ratio_percent: float | None = None
-    orientation_conflict: str = ""
+    orientation_conflict: str = field(default="", name="held_otherwise")
     vertical_illuminance_lx: float | None = None
     lost: tuple[str, ...] = ()
     dark_rims: tuple[DarkRim, ...] = ()
@@ -152,17 +129,18 @@ class MergeReport:
     def table(self) -> JsonTable:
         """Return the key `quality` of the sidecar, without optional keys that have no value."""
         optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims")
-        return {
-            _KEYS.get(name, name): value
-            for name, value in to_json(self).items()
-            if value or name not in optional
-        }
+        return {key: value for key, value in to_json(self).items() if value or key not in optional}
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
         """Build from the key `quality` of a sidecar; unknown keys are ignored.
 
-        Raises KeyError, TypeError or ValueError for other content.
+        Version 0.1.0 wrote the exposures of frames as text alone. Raises KeyError, TypeError or
+        ValueError for other content.
         """
-        renamed = {field: table[key] for field, key in _KEYS.items() if key in table}
-        return from_json(cls, {**table, **renamed})
+        frames = [
+            {**asdict(parse_exposure(row["exposure"])), "file": "", **row}
+            for row in table.get("frames", ())
+        ]
+        stated = {key: value for key, value in table.items() if value is not None}
+        return convert({**stated, "frames": frames}, cls)

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import parse_utc, utc_text
+from fieldlum.core.records import parse_utc
 from fieldlum.core.strict_csv import CsvTable, read_table
-from fieldlum.session.digests import change_of, sealed
+from fieldlum.session.codec import change_of, read_row, sealed, write_rows
 from fieldlum.session.folder import session_around
 from fieldlum.session.inside import inside, refuse_link
-from fieldlum.session.writing import write_table
 
 FORMAT = 1  # of the file; docs/file-formats.md
 PAIR_COLUMNS = (
@@ -39,7 +38,12 @@ OPTIONAL = (*PAIR_COLUMNS, "state", "refraction")
 MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement; chosen
 MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile; chosen
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
-_YES, _NO = ("", "1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
+_REMEDY = "correct that cell, or set ok = 0"
+_DIGITS = dict.fromkeys(("dni_wm2", "dhi_wm2", "ghi_wm2"), ".3f") | {
+    "sun_altitude_deg": ".5f",
+    "sun_azimuth_deg": ".5f",
+    "steadiness": ".4f",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +73,15 @@ class PairRow:
     why: str = ""
     state: str = ""
     refraction: bool = True
+    format: int = FORMAT
     line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Usable:
+    """Whether a row may be used; an empty cell means yes, as in a csv of renderings."""
+
+    ok: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +127,7 @@ class PairsFile:
     def write(self) -> None:
         """Write all rows without their state and refraction; NaN becomes an empty cell."""
         with sealed(self.path):
-            write_table(self.path, PAIR_COLUMNS, map(_cells, self.rows))
+            write_rows(self.path, PAIR_COLUMNS, self.rows, _DIGITS)
 
 
 def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
@@ -150,121 +162,27 @@ def _format(table: CsvTable) -> int:
     texts = {cells.get("format") or "1" for _, cells in table.dicts()}
     newest = max((int(text) if text.isdigit() else 1 for text in texts), default=FORMAT)
     if newest > FORMAT:
-        raise InputError(
-            table.path,
-            f"a csv of format {newest}",
-            f"format 1 to {FORMAT}",
-            "read the file with a newer fieldlum",
-        )
+        remedy = "read the file with a newer fieldlum"
+        raise InputError(table.path, f"a csv of format {newest}", f"format 1 to {FORMAT}", remedy)
     return newest
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
-    def number(name: str, default: float = math.nan) -> float:
-        return _number(path, line, name, cells.get(name) or "", default)
-
-    text = {name: (cells.get(name) or "").strip() for name in OPTIONAL}
-    if not _is_ok(path, line, text["ok"]):
+    ok = read_row(_Usable, path, line, cells, "correct that cell").ok
+    if not ok:
         moment = NO_TIME
         with suppress(ValueError):
             moment = parse_utc(cells["t_utc"])
-        nan, panorama, why = math.nan, text["panorama"], text["why"]
-        return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
-    if not text["panorama"]:
+        panorama, why = cells["panorama"], cells.get("why", "")
+        return PairRow(moment, panorama, math.nan, math.nan, ok=False, why=why, line=line)
+    row = read_row(PairRow, path, line, {**cells, "line": str(line)}, _REMEDY)
+    if not row.panorama:
         raise InputError(
-            path,
-            f"line {line}: the cell of column panorama is empty",
-            "a picture's path",
-            "write the picture's path, or set ok = 0",
+            path, f"line {line}: the cell of column panorama is empty", "a picture's path", _REMEDY
         )
-    return PairRow(
-        _time(path, line, cells["t_utc"]),
-        text["panorama"],
-        _irradiance(path, line, "dni_wm2", cells["dni_wm2"]),
-        _irradiance(path, line, "dhi_wm2", cells["dhi_wm2"]),
-        number("ghi_wm2"),
-        text["source"],
-        number("sun_altitude_deg"),
-        number("sun_azimuth_deg"),
-        number("steadiness", 0.0),
-        text["sunpatch"],
-        number("sun_in_map", 0.0) != 0.0,
-        why=text["why"],
-        state=text["state"],
-        refraction=number("refraction", 1.0) != 0.0,
-        line=line,
-    )
-
-
-def _time(path: Path, line: int, text: str) -> datetime:
-    try:
-        return parse_utc(text)
-    except ValueError as error:
-        raise InputError(
-            path,
-            f"line {line}: {error}",
-            "a UTC time such as 2027-03-20T15:30:00Z",
-            "correct the time",
-        ) from None
-
-
-def _is_ok(path: Path, line: int, text: str) -> bool:
-    """Return whether a row is usable; an empty cell means yes, as in a csv of renderings.
-
-    Raises InputError for a value other than 0 and 1.
-    """
-    word = text.strip().lower()
-    if word in _YES or word in _NO:
-        return word in _YES
-    return _number(path, line, "ok", text, 1.0) != 0.0
-
-
-def _number(path: Path, line: int, name: str, text: str, default: float) -> float:
-    if not text.strip():
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        raise InputError(
-            path, f"line {line}: {name} is '{text}'", "a number", "correct that row"
-        ) from None
-    if not math.isfinite(value):
-        raise InputError(
-            path,
-            f"line {line}: {name} is {text}",
-            "a finite number",
-            "correct that row or set ok = 0",
-        )
-    return value
-
-
-def _irradiance(path: Path, line: int, name: str, text: str) -> float:
-    value = _number(path, line, name, text, math.nan)
-    if not MIN_IRRADIANCE_WM2 <= value <= MAX_IRRADIANCE_WM2:
-        raise InputError(
-            path,
-            f"line {line}: {name} is '{text}'",
-            f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2",
-            "correct that cell, or set ok = 0",
-        )
-    return max(value, 0.0)
-
-
-def _cells(row: PairRow) -> Iterable[str]:
-    return (
-        utc_text(row.t_utc),
-        row.panorama,
-        *(_text(v, 3) for v in (row.dni_wm2, row.dhi_wm2, row.ghi_wm2)),
-        row.source,
-        *(_text(v, 5) for v in (row.sun_altitude_deg, row.sun_azimuth_deg)),
-        _text(row.steadiness, 4),
-        row.sunpatch,
-        str(int(row.sun_in_map)),
-        str(int(row.ok)),
-        row.why,
-        str(FORMAT),
-    )
-
-
-def _text(value: float, digits: int) -> str:
-    return "" if math.isnan(value) else f"{value:.{digits}f}"
+    for name in ("dni_wm2", "dhi_wm2"):
+        if not MIN_IRRADIANCE_WM2 <= getattr(row, name) <= MAX_IRRADIANCE_WM2:
+            found = f"line {line}: {name} is {cells[name]!r}"
+            limits = f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2"
+            raise InputError(path, found, limits, _REMEDY)
+    return replace(row, dni_wm2=max(row.dni_wm2, 0.0), dhi_wm2=max(row.dhi_wm2, 0.0))

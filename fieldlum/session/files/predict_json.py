@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fieldlum.core.errors import InputError
+from msgspec import Struct, field
+
 from fieldlum.core.records import JsonTable
-from fieldlum.session.files.json_file import (
-    content_of,
-    from_json,
-    read_object,
-    to_json,
-    write_sealed,
-)
-
-FORMAT = 1  # of the file; docs/file-formats.md
-NAME = "predict.json"
+from fieldlum.session.codec import JsonFile
 
 
-@dataclass(frozen=True, slots=True)
-class DirectionYear:
+class DirectionYear(Struct, frozen=True):
     """Glare of one view direction over the occupied hours.
 
     azimuth_deg: clockwise from north. glare_class: called `class` in predict.json. certain: whether
@@ -33,31 +23,18 @@ class DirectionYear:
     """
 
     azimuth_deg: float
-    glare_class: str
+    glare_class: str = field(name="class")
     certain: bool = False
     seen: str = "seen"  # 0.1.0 had no such key, because every direction was fully seen
     dgp_exceeded: float | None = None
     low: float | None = None
     high: float | None = None
     share: float = 0.05
-    hours_over: Mapping[str, int | None] = field(default_factory=dict)
+    hours_over: Mapping[str, int | None] = {}
     sentence: str = ""
 
-    def table(self) -> JsonTable:
-        """Return the direction as predict.json stores it in its list `protection`."""
-        return {("class" if k == "glare_class" else k): v for k, v in to_json(self).items()}
 
-    @classmethod
-    def from_table(cls, row: Mapping[str, Any]) -> DirectionYear:
-        """Build from what `table` returns.
-
-        Raises KeyError, TypeError or ValueError for other content.
-        """
-        return from_json(cls, {**row, "glare_class": row["class"]})
-
-
-@dataclass(frozen=True, slots=True)
-class SkyToCapture:
+class SkyToCapture(Struct, frozen=True):
     """An hour of the year whose capture would help to settle an undecided glare class.
 
     date, hour: local, such as 05 March and 14:00; worth: expected use of such a sky, relative to
@@ -71,8 +48,7 @@ class SkyToCapture:
     worth: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class YearOccupancy:
+class YearOccupancy(Struct, frozen=True):
     """The occupied hours of a year.
 
     text: their rule; hours: their number; lit: number of those with daylight; untrusted_share:
@@ -85,8 +61,7 @@ class YearOccupancy:
     untrusted_share: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class YearWeather:
+class YearWeather(Struct, frozen=True):
     """The weather of a year; repairs: a text for each repair of its file."""
 
     name: str = ""
@@ -94,8 +69,7 @@ class YearWeather:
     repairs: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class PredictFile:
+class PredictFile(JsonFile, frozen=True):
     """The content of one predict.json.
 
     inputs: what the result depends on; setup: SITE.toml; height, width: of the maps [px];
@@ -105,20 +79,23 @@ class PredictFile:
     hours worth a capture.
     """
 
-    software: Mapping[str, str] = field(default_factory=dict)
-    inputs: Mapping[str, Any] = field(default_factory=dict)
+    NAME, SEALED = "predict.json", True
+    EXPECTED, REMEDY = "a predicted year", "predict one with: fieldlum predict"
+
+    software: Mapping[str, str] = {}
+    inputs: Mapping[str, Any] = {}
     model: str = ""
-    setup: Mapping[str, Any] = field(default_factory=dict)
+    setup: Mapping[str, Any] = {}
     height: int = 0
     width: int = 0
     heading_deg: float = 0.0
     azimuths_deg: tuple[float, ...] = ()
-    weather: YearWeather = field(default_factory=YearWeather)
+    weather: YearWeather = YearWeather()
     hours: int = 0
     days: int = 0
     first: str = ""
     last: str = ""
-    occupancy: YearOccupancy = field(default_factory=YearOccupancy)
+    occupancy: YearOccupancy = YearOccupancy()
     disc_from: str = ""
     seen_share: tuple[float, ...] = ()
     model_warnings: tuple[str, ...] = ()
@@ -126,30 +103,7 @@ class PredictFile:
     protection: tuple[DirectionYear, ...] = ()
     capture_next: tuple[SkyToCapture, ...] = ()
 
-    def table(self) -> JsonTable:
-        """Return the JSON object, without its key `format`."""
-        return to_json(self)
-
     @classmethod
-    def read(cls, folder: Path) -> PredictFile:
-        """Read predict.json.
-
-        Raises InputError if it is missing from `folder` or has other content.
-        """
-        path = folder / NAME
-        if not path.is_file():
-            raise InputError(
-                folder,
-                f"no {NAME} in this folder",
-                "a predicted year",
-                "predict one with: fieldlum predict",
-            )
-        expected, remedy = "what fieldlum predict wrote", "predict again"
-        table = read_object(path, expected, remedy)
-        with content_of(table, FORMAT, path, expected, remedy):
-            needed = {name: table[name] for name in ("azimuths_deg", "hours")}
-            return from_json(cls, {**table, **needed})
-
-    def write(self, folder: Path) -> None:
-        """Write predict.json into a folder."""
-        write_sealed(folder / NAME, {"format": FORMAT, **self.table()})
+    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
+        """Return the table; raise KeyError without the keys that hourly.csv is read with."""
+        return {**table, "azimuths_deg": table["azimuths_deg"], "hours": table["hours"]}

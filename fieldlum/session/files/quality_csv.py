@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fieldlum.session.writing import write_table
+from fieldlum.session.codec import write_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +41,13 @@ class QualityRow:
 
 
 QUALITY_COLUMNS = tuple(field.name for field in fields(QualityRow))
+_TEXTS = {"slot", "t_utc", "verdict", "sun_origin"}
 
 
 def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
     """Write quality.csv: a header and all rows, numbers with four digits."""
-    cells = ([_text(getattr(row, name)) for name in QUALITY_COLUMNS] for row in rows)
-    write_table(path, QUALITY_COLUMNS, cells, end="\r\n")
+    digits = {name: ".4g" for name in QUALITY_COLUMNS if name not in _TEXTS}
+    write_rows(path, QUALITY_COLUMNS, rows, digits, end="\r\n")
 
 
 def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
@@ -56,7 +57,3 @@ def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ..
     with path.open(newline="", encoding="utf-8") as file:
         head, *rows = [tuple(row) for row in csv.reader(file)] or [()]
     return head, tuple(rows)
-
-
-def _text(value: str | float | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"

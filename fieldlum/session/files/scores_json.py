@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict, cast
+from typing import Any, NotRequired, TypedDict
 
-from fieldlum.session.files.json_file import content_of, from_json, read_object, write_sealed
+from msgspec import field
 
-FORMAT = 1  # of the file; docs/file-formats.md
-_REMEDY = "train the model again (fieldlum train)"
+from fieldlum.core.records import JsonTable
+from fieldlum.session.codec import JsonFile, to_json
 
 
 class ScoreFigures(TypedDict):
@@ -107,25 +106,28 @@ class TrainAnswer(TypedDict):
     kept: NotRequired[bool]
 
 
-@dataclass(frozen=True, slots=True)
-class ScoresFile:
+class ScoresFile(JsonFile, frozen=True):
     """The content of one scores.json.
 
-    models: one row for each model, with the columns of `train --json`; chosen: name of the chosen
-    one; more: keys that other versions add.
+    models: one row for each model, as `ScoreRow`, of which earlier versions wrote fewer keys;
+    chosen: name of the chosen one; captures: as `CaptureCurve`; more: keys that other versions add.
     """
 
-    models: tuple[ScoreRow, ...]
+    NAME, SEALED = "scores.json", True
+    EXPECTED = "the scores of a trained model"
+    REMEDY = "train the model again (fieldlum train)"
+
+    models: tuple[dict[str, Any], ...]
     chosen: str
     reason: str = ""
     parameters: int = 0
     final_fit_s: float = 0.0
-    captures: CaptureCurve = field(default_factory=CaptureCurve)
+    captures: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def judged_row(self) -> ScoreRow | None:
+    def judged_row(self) -> dict[str, Any] | None:
         """Row of the chosen model; None without such a row or without its held-out error.
 
         The error is missing for example because the time limit ended before.
@@ -135,44 +137,13 @@ class ScoresFile:
         return row if row is not None and row.get("median") is not None else None
 
     @classmethod
-    def read(cls, folder: Path) -> ScoresFile:
-        """Read scores.json of a model's folder.
+    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
+        """Return the table with the keys of other versions in `more`."""
+        names = {*cls.__struct_fields__, "format"}
+        return {**table, "more": {key: value for key, value in table.items() if key not in names}}
 
-        Raises InputError if it is missing or has other content.
-        """
-        path = folder / "scores.json"
-        table = read_object(path, "the scores of a trained model", _REMEDY)
-        return cls.from_table(table, path)
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any], path: Path) -> ScoresFile:
-        """Build from a JSON object; path: its file, for errors.
-
-        Raises InputError for other content.
-        """
-        names = {field.name for field in fields(cls)} | {"format"}
-        more = {key: value for key, value in table.items() if key not in names}
-        with content_of(table, FORMAT, path, "what fieldlum train wrote", _REMEDY):
-            return from_json(cls, {**table, "more": more})
-
-    @classmethod
-    def find(cls, folder: Path) -> ScoresFile | None:
-        """Read scores.json; return None if it is missing. Raises InputError for other content."""
-        return cls.read(folder) if (folder / "scores.json").is_file() else None
-
-    def table(self) -> TrainAnswer:
-        """Return the object that `train --json` prints, without its key `kept`."""
-        answer: TrainAnswer = {
-            "models": list(self.models),
-            "chosen": self.chosen,
-            "reason": self.reason,
-            "parameters": self.parameters,
-            "final_fit_s": self.final_fit_s,
-            "captures": self.captures,
-            "notes": list(self.notes),
-        }
-        return cast(TrainAnswer, {**answer, **self.more})
-
-    def write(self, folder: Path) -> None:
-        """Write scores.json into a folder."""
-        write_sealed(folder / "scores.json", {"format": FORMAT, **self.table()})
+    def table(self) -> JsonTable:
+        """Return the object that `train --json` prints (`TrainAnswer`), without its key `kept`."""
+        table = to_json(self)
+        more = table.pop("more")
+        return {**table, **more}

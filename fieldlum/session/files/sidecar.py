@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
+from typing import Any
+
+from msgspec import Struct, field
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import JsonTable, utc_text
-from fieldlum.session.files.json_file import (
-    content_of,
-    from_json,
-    read_object,
-    to_json,
-    write_object,
-)
+from fieldlum.core.records import JsonTable
+from fieldlum.session.codec import JsonFile, Utc, to_json
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.folder import Session
 
-FORMAT = 1  # of the file; docs/file-formats.md
-_EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket again (fieldlum merge)"
 
-
-@dataclass(frozen=True, slots=True)
-class MeasuredSun:
+class MeasuredSun(Struct, frozen=True):
     """The sun's centre in the pictures, by the profile's lens and the camera's heading.
 
     altitude_deg, azimuth_deg: apparent, clockwise from north. sigma_deg: standard uncertainty of
@@ -36,20 +27,10 @@ class MeasuredSun:
     altitude_deg: float
     azimuth_deg: float
     sigma_deg: float
-    t_utc: datetime | None = None
-
-    def table(self) -> dict[str, float | str]:
-        """Return the JSON object, with 4 decimals of the angles and 3 digits of sigma."""
-        return {
-            "altitude_deg": round(self.altitude_deg, 4),
-            "azimuth_deg": round(self.azimuth_deg, 4),
-            "sigma_deg": float(f"{self.sigma_deg:.3g}"),
-            "t_utc": utc_text(self.t_utc) if self.t_utc else "",
-        }
+    t_utc: Utc | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class SidecarSun:
+class SidecarSun(Struct, frozen=True):
     """The sun's disc that was removed from a panorama.
 
     Angles are apparent ones, by the ephemeris. normal_illuminance_lx: at the lens, on a plane
@@ -67,26 +48,34 @@ class SidecarSun:
     measured: MeasuredSun | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Sidecar:
+class ProfileNote(Struct, frozen=True):
+    """The camera profile of a merge: its name, and the sha256 of its file."""
+
+    name: str = ""
+    sha256: str = ""
+
+
+class Sidecar(JsonFile, frozen=True):
     """The content of panoramas/SLOT.json, the sidecar of a merged panorama.
 
     t_utc: middle of the bracket; verdict: "good", or what to check; report: the key `quality`; sun:
     None without a disc; factors: of the merge, by name; inputs: what the result depends on;
-    size_bytes: of the panorama, -1 if unknown; fieldlum: version.
+    size_bytes: of the panorama, -1 if unknown; software: versions.
     """
 
+    EXPECTED = "the sidecar of a merged panorama"
+    REMEDY = "merge the bracket again (fieldlum merge)"
+
     slot: str
-    t_utc: datetime | None = None
+    t_utc: Utc | None = None
     verdict: str = ""
-    report: MergeReport = field(default_factory=MergeReport)
+    report: MergeReport = field(default=MergeReport(), name="quality")
     sun: SidecarSun | None = None
     factors: JsonTable = field(default_factory=dict)
-    profile_name: str = ""
-    profile_sha256: str = ""
+    profile: ProfileNote = ProfileNote()
     inputs: JsonTable = field(default_factory=dict)
     size_bytes: int = -1
-    fieldlum: str = ""
+    software: Mapping[str, Any] = {}
 
     @property
     def command_options(self) -> tuple[str, ...]:
@@ -99,58 +88,15 @@ class Sidecar:
         fitted = () if fit is None else ("--fit" if fit else "--no-fit",)
         return (*size, *fitted, *(("--drop-moved",) if self.inputs.get("drop_moved") else ()))
 
-    @property
-    def sun_u_percent(self) -> float:
-        """Uncertainty of the sun's illuminance because few pixels are under the disc [%].
-
-        It is 0 without a disc.
-        """
-        return self.sun.u_mosaic_percent if self.sun else 0.0
-
     @classmethod
-    def read(cls, path: Path) -> Sidecar:
-        """Read the file. Raises InputError for a missing file or other content."""
-        return cls.from_table(read_object(path, _EXPECTED, _REMEDY), path)
+    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
+        """Return the table with its slot (in its file's name) and with the report built."""
+        report = MergeReport.from_table(table.get("quality") or {})
+        return {"slot": path.stem, **table, "quality": report}
 
-    @classmethod
-    def from_table(cls, table: JsonTable, path: Path) -> Sidecar:
-        """Build from a JSON object; path: its file, for errors.
-
-        Raises InputError for other content.
-        """
-        with content_of(table, FORMAT, path, _EXPECTED, _REMEDY):
-            profile, software = table.get("profile") or {}, table.get("software") or {}
-            stated = {
-                "report": table.get("quality"),
-                "profile_name": profile.get("name"),
-                "profile_sha256": profile.get("sha256"),
-                "fieldlum": software.get("fieldlum"),
-            }
-            return from_json(cls, {"slot": path.stem, **table, **stated})
-
-    @classmethod
-    def find(cls, path: Path) -> Sidecar | None:
-        """Read the file; return None if it is missing. Raises InputError for other content."""
-        return cls.read(path) if path.is_file() else None
-
-    def write(self, path: Path) -> None:
-        """Write the file."""
-        write_object(
-            path,
-            {
-                "format": FORMAT,
-                "slot": self.slot,
-                "t_utc": utc_text(self.t_utc) if self.t_utc else "",
-                "verdict": self.verdict,
-                "quality": self.report.table(),
-                "sun": to_json(self.sun) if self.sun else None,
-                "factors": self.factors,
-                "profile": {"name": self.profile_name, "sha256": self.profile_sha256},
-                "inputs": self.inputs,
-                "size_bytes": self.size_bytes,
-                "software": {"fieldlum": self.fieldlum},
-            },
-        )
+    def table(self) -> JsonTable:
+        """Return the JSON object, without optional keys of the report that have no value."""
+        return {**to_json(self), "quality": self.report.table()}
 
 
 def readable_sidecars(paths: Iterable[Path]) -> Iterator[Sidecar]:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fieldlum.core.errors import InputError, reason_of
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import SunSource
-from fieldlum.core.strict_csv import read_table
-from fieldlum.session.files.json_file import from_json
-from fieldlum.session.writing import write_table
+from fieldlum.session.codec import read_rows, write_rows
 
 FORMAT = 1  # of the file; docs/file-formats.md
-_EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +42,9 @@ class SunRow:
         )
 
 
-COLUMNS = tuple(field.name for field in fields(SunRow))
-
-
 def write_suns(path: Path, rows: list[SunRow]) -> None:
     """Write suns.csv: a header and all rows."""
-    write_table(path, COLUMNS, (astuple(row) for row in rows))
+    write_rows(path, [field.name for field in fields(SunRow)], rows, {})
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:
@@ -60,20 +54,9 @@ def read_suns(path: Path) -> dict[str, SunRow]:
     """
     if not path.is_file():
         return {}
-    rows: dict[str, SunRow] = {}
-    line = 1
-    try:
-        for number, cells in read_table(path, _EXPECTED, _REMEDY).dicts():
-            line = number
-            row = _row(cells)
-            rows[row.panorama] = row
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(path, f"line {line}: {reason_of(error)}", _EXPECTED, _REMEDY) from None
-    return rows
-
-
-def _row(cells: dict[str, str]) -> SunRow:
-    row = from_json(SunRow, {**cells, "format": cells.get("format") or 1})
-    if row.format > FORMAT:
-        raise ValueError(f"format {row.format}, this fieldlum reads 1 to {FORMAT}")
-    return row
+    expected = f"a suns.csv of format 1 to {FORMAT}, written by pair"
+    rows = read_rows(SunRow, path, expected, "run fieldlum pair again")
+    if newer := [row.format for row in rows if row.format > FORMAT]:
+        remedy = "read the file with a newer fieldlum"
+        raise InputError(path, f"a csv of format {newer[0]}", expected, remedy)
+    return {row.panorama: row for row in rows}
