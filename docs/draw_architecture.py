@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +38,7 @@ FILLS = ("#eceff1", "#e3f2fd", "#e0f2f1", "#f1f8e9", "#fffde7", "#fff3e0", "#fce
 SWEEPS = 12  # of the ordering within rows; more changes nothing
 
 
+@cache
 def ranks() -> list[set[str]]:
     """Return the packages of each rank, lowest first, as the contract test states them."""
     for node in ast.parse(RANKS_FILE.read_text(encoding="utf-8")).body:
