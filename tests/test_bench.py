@@ -10,8 +10,7 @@ from click.testing import CliRunner
 from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
-from fieldlum.bench import charts, markdown, stress, year
-from fieldlum.bench.pieces import Piece, bench_files, unit_of
+from fieldlum.bench import charts, markdown, stress
 from fieldlum.bench.rows import over_seeds, parse_specs, without_training_hours
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -50,52 +49,6 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     assert "| transport:none |" in (out / "bench.md").read_text()
     bad = CliRunner().invoke(main, [*asked, "--models", "magic", "--out", str(out)])
     assert bad.exit_code == 3 and "'magic'" in bad.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.contract
-def test_other_processes_give_the_same_tables(tmp_path: Path) -> None:
-    """Times differ; no other figure does. A trained model is found from the pairs' folder."""
-    for name, data in (("train", DATA), ("test", TEST)):
-        (tmp_path / name).mkdir()
-        write_pairs(tmp_path / name, data)
-    kept = tmp_path / "kept"
-    models.save(kept, models.fit("nearest", DATA), DATA, patch="absolute")
-    tables = []
-    for scheduler in ("local", "processes:2"):
-        out = tmp_path / scheduler.replace(":", "-")
-        words = [
-            "bench",
-            str(tmp_path / "train/pairs.csv"),
-            "--test",
-            str(tmp_path / "test/pairs.csv"),
-        ]
-        words += ["--models", f"mean,transport,{kept}", "--scheduler", scheduler]
-        done = CliRunner().invoke(main, [*words, "--out", str(out)])
-        assert done.exit_code == 0, done.output
-        tables.append({path.name: _without_times(path) for path in out.glob("*.csv")})
-    assert tables[0] == tables[1]
-    assert tables[0].keys() == {"scores.csv", "scores_by_seed.csv"}
-
-
-def _without_times(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return [
-            {key: cell for key, cell in row.items() if not key.endswith(("_s", "_s_per_map"))}
-            for row in csv.DictReader(file)
-        ]
-
-
-@pytest.mark.slow
-@pytest.mark.contract
-def test_work_for_workers_names_files_by_what_they_share(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / "rooms" / name).mkdir(parents=True)
-    files = bench_files(tmp_path / "rooms/a", ["mean", " "], test=tmp_path / "rooms/b/pairs.csv")
-    unit = unit_of(Piece("score", "mean"), files)
-    assert unit.folder.resolve() == (tmp_path / "rooms").resolve()
-    assert unit.files == ("a/pairs.csv", "b/pairs.csv")
-    assert str(tmp_path) not in repr(unit.argument)
 
 
 @pytest.mark.slow
@@ -244,13 +197,3 @@ def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
         total = changed.light.dni_wm2 * rise + changed.light.dhi_wm2
         np.testing.assert_allclose(total, light.dni_wm2 * rise + light.dhi_wm2, rtol=0.02, atol=2.0)
         assert np.abs(changed.light.dni_wm2 - light.dni_wm2).max() > 20.0
-
-
-@pytest.mark.slow
-@pytest.mark.authority
-def test_periods_are_the_papers() -> None:
-    found = year.periods(DATA)
-    assert set(found) <= {*year.MONTHS, "1 week", "2 weeks", "9 days", "12 days", "4 days"}
-    march = found["9 days"]
-    assert {str(day) for day in np.unique(DATA.days[march])} == set(DAYS)
-    assert not year.is_year(DATA)

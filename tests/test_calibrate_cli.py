@@ -115,20 +115,6 @@ def test_the_illuminance_on_a_desk_is_not_called_vertical(tmp_path: Path, mine: 
 
 
 @pytest.mark.slow
-def test_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
-    rng = np.random.default_rng(1)
-    luminance = np.repeat(np.repeat(rng.uniform(50, 500, (H // 6, H // 3)), 6, axis=0), 6, axis=1)
-    old = _shoot(luminance, tmp_path / "old")
-    moved = replace(TRUTH, lens=(replace(TRUTH.lens[0], centre_px=(244.3, 238.6)),))
-    camera = SimulatedCamera(
-        Still(luminance), moved, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0
-    )
-    new = camera.expose(Exposure(1 / 60, 5.6), tmp_path / "new", heading_deg=180.0)
-    found = _call("lens", new, "--against", old, "--camera", mine, "--out", tmp_path / "moved.toml")
-    assert found["shift_px"] == pytest.approx([2.0, -3.0], abs=0.1)
-
-
-@pytest.mark.slow
 def test_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     """Grey spots prove nothing about colour: the prior stays, and the scale is said."""
     rays = equirect_rays(H, 2 * H, 180.0)

@@ -537,7 +537,7 @@ def test_occupancy_takes_hours_of_one_digit(tmp_path: Path, start: str, end: str
 
 
 def _readings(path: Path) -> list[Any]:
-    return read_readings(path, ("x_px", "y_px", "azimuth_deg"), ("note_px",))
+    return read_readings(path, ("x_px", "y_px", "azimuth_deg"), {"note_px": None})
 
 
 def _samples(path: Path) -> LoggerFile:

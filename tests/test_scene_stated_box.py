@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene_captures import ROOM, window_captures
 
-from fieldlum.bench import pieces
+from fieldlum.bench import rows
 from fieldlum.core.records import Room, Site
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport.features import training_arrays_of
@@ -84,9 +84,8 @@ def test_bench_uses_the_choice_of_train_for_all_its_captures(
 ) -> None:
     given = _stated(captures, room)
     trained, _ = with_judged_box(given, "absolute")
-    monkeypatch.setattr(pieces, "load_pairs", lambda *_, **__: given)
-    files = pieces.BenchFiles(tmp_path, "pairs.csv", ("mean",), pool="pool.csv")
-    loaded = pieces.load(files)
+    monkeypatch.setattr(rows, "load_pairs", lambda *_, **__: given)
+    loaded = rows.load(tmp_path / "pairs.csv", ["mean"], pool=tmp_path / "pool.csv")
     assert loaded.pool is not None and loaded.data.scene is not None
     assert loaded.data.scene["chosen"] == chosen and loaded.data.notes[-1] == trained.notes[-1]
     for data in (loaded.data, loaded.pool):

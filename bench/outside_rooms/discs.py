@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.bench.pieces import bench_files, load
+from fieldlum.bench.rows import load
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.scores import Truth
+from fieldlum.learn.models.scores import Truth, truth
 from fieldlum.learn.train import patch_mode
 from fieldlum.learn.train.trials import fit_timed
 from fieldlum.year.glare import glare_directions
@@ -83,10 +83,9 @@ def wrong_classes(fitted: Any, asked: Truth, own_lx: Array) -> dict[str, Any]:
 
 def main() -> None:
     train, test, site, scene, model = sys.argv[1:6]
-    loaded = load(bench_files(Path(train), [model], test=Path(test), site=Path(site), scene=scene))
-    asked = loaded.asked
-    assert asked is not None
-    spec, data = loaded.spec(model), loaded.data
+    loaded = load(Path(train), [model], test=Path(test), site=Path(site), scene=scene)
+    assert loaded.test is not None
+    asked, data, spec = truth(loaded.test), loaded.data, loaded.specs[0]
     fitted, _ = fit_timed(
         spec.name, data, patch=patch_mode(data, spec.patch), seed=0, budget_s=None
     )

@@ -1,4 +1,4 @@
-"""Benchmark models on any pairs: speed, accuracy, captures, choice of days, disturbances."""
+"""Benchmark models on any pairs: speed, accuracy, disturbances."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import csv
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
-from fieldlum.bench import charts
-from fieldlum.bench.pieces import BenchData, BenchFiles, local_unit_of, pieces_of, unit_of
-from fieldlum.bench.rows import over_seeds
-from fieldlum.core.records import Progress, quiet
-from fieldlum.core.scheduler import LOCAL, Scheduler, run_each
+import numpy as np
+
+from fieldlum.bench import charts, stress
+from fieldlum.bench.cost import radiance_row
+from fieldlum.bench.rows import BenchData, BenchRow, over_seeds, score_row
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.models.scores import truth
+from fieldlum.learn.train.folds import day_folds
 from fieldlum.learn.train.selection import Trial, choose_model
 from fieldlum.session import replacing, replacing_path
 
@@ -53,29 +56,6 @@ TABLE = {
     "in_90_band": "in 90 %",
     "worst_decile_found": "worst tenth found",
 }
-CURVE = {
-    "name": "model",
-    "way": "chosen",
-    "captures": "captures",
-    "log10_mse_weighted": "log10 MSE",
-    "rer_weighted": "RER",
-    "worst": "worst",
-    "fit_cpu_s": "fit [CPU s]",
-}
-PERIODS = {
-    "period": "period",
-    "name": "model",
-    "captures": "captures",
-    "log10_mse_weighted": "log10 MSE",
-    "paper_log10_mse": "paper log10 MSE",
-    "paper_rer": "paper RER",
-    "dgp_mse_own_disc": "DGP MSE, own disc",
-    "dgp_mse": "DGP MSE, true disc",
-    "dgp_r2": "DGP R2, true disc",
-    "rammg_mse": "RAMMG MSE",
-    "worst": "worst",
-    "untrusted_share": "not trusted",
-}
 STRESS = {
     "regime": "regime",
     "name": "model",
@@ -90,11 +70,6 @@ STRESS = {
     "wild": "gross errors",
     "wild_unflagged": "gross errors unflagged",
 }
-
-# seconds; a learning curve of 1000 captures may take this long; not measured
-_SHORTEST_LIMIT_S = 7200.0
-# multiple of the budget that a unit may take to read, train and predict; not measured
-_BUDGETS = 4.0
 
 
 class BenchAnswer(TypedDict):
@@ -162,85 +137,66 @@ def store(
 # run
 
 
-def patient(scheduler: Scheduler, budget_min: float) -> Scheduler:
-    """Return the scheduler with a time limit per unit that even a dense training never reaches.
-
-    A limit that the scheduler has already stays; otherwise it is two hours plus four times the
-    budget.
-    """
-    limit_s = scheduler.unit_limit_s or _SHORTEST_LIMIT_S + _BUDGETS * 60.0 * budget_min
-    return replace(scheduler, unit_limit_s=limit_s)
-
-
 def run(
     loaded: BenchData,
-    models: Sequence[str] = tuple(MODELS),
     *,
     seeds: int = 1,
     budget_min: float = 5.0,
-    with_curve: bool = False,
     with_stress: bool = False,
     render_hours: int = 1,
     out: Path,
-    scheduler: Scheduler = LOCAL,
-    files: BenchFiles | None = None,
     progress: Progress = quiet,
 ) -> BenchAnswer:
-    """Run all pieces of a benchmark, write tables and charts into `out`, and return the scores.
+    """Score all models, write tables and charts into `out`, and return the scores.
 
-    Files: bench.md, scores and, with a year of data, collection periods; the learning curve with
-    `with_curve`, stress tests with `with_stress`. loaded: hours to train on, hours to test on (by
-    default held-out days), and hours from which seasons are drawn. files: where other processes
-    read these hours; needed for a scheduler other than this process. render_hours: hours for which
+    Files: bench.md and scores; with `with_stress` stress tests. seeds: trainings of each random
+    model; budget_min: minutes of one training of the dense network; render_hours: hours for which
     Radiance is timed.
     """
-    pieces = pieces_of(
-        loaded,
-        models,
-        seeds=seeds,
-        budget_s=60.0 * budget_min,
-        with_curve=with_curve,
-        with_stress=with_stress,
-        render_hours=render_hours,
-    )
-    if scheduler.kind == "local" or files is None:
-        units, scheduler = [local_unit_of(piece, loaded, progress) for piece in pieces], LOCAL
-    else:
-        units = [unit_of(piece, files) for piece in pieces]
-        scheduler = patient(scheduler, budget_min)
-    answers: dict[str, Any] = {}
-    run_each(units, scheduler, lambda o: answers.update({o.unit.name: o.result()}), progress)
-
-    def of(*kinds: str) -> list[Any]:
-        return [answers[piece.name] for piece in pieces if piece.kind in kinds]
-
-    rows = [row for row, _ in of("score")]
+    data, test = loaded.data, loaded.test
+    scored: list[BenchRow] = []
     trials: dict[str, Trial] = {}
-    for _, trial in of("score"):
-        trials.setdefault(trial.name, trial)
+    asked = None if test is None else truth(test)
+    for spec in loaded.specs:
+        once = spec.folder is not None or MODELS[spec.name].baseline
+        for seed in range(1 if once else seeds):
+            row, trial = score_row(
+                spec, data, asked, seed=seed, budget_s=60.0 * budget_min, progress=progress
+            )
+            scored.append(row)
+            trials.setdefault(trial.name, trial)
     chosen = choose_model(list(trials.values()))
-    table = [*over_seeds(rows), *of("rendering")]
-    rows += of("rendering")
+    rendering = radiance_row(data if test is None else test, render_hours, progress=progress)
+    rendered = [] if rendering is None else [rendering]
+    table = [*over_seeds(scored), *rendered]
+    rows: list[Mapping[str, object]] = [*scored, *rendered]
     store(out, "scores", table, lambda path: charts.speed_accuracy(path, table, machine()))
     write_csv(out / "scores_by_seed.csv", rows)
     parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
-    curve = list(chain(*of("random", "greedy")))
-    if curve:
-        store(out, "learning_curve", curve, partial(charts.learning_curves, rows=curve))
-        parts.append(f"## Captures\n\n{markdown(curve, CURVE)}")
-    periods = list(chain(*of("periods")))
-    if periods:
-        store(out, "periods", periods, partial(charts.collection_periods, rows=periods))
-        parts.append(f"## Collection periods\n\n{markdown(periods, PERIODS)}")
-    for regimes in of("stress"):
+    if with_stress and loaded.specs:
+        regimes = _stress(loaded, progress)
         cells = [asdict(regime) for regime in regimes]
         store(out, "stress", cells, partial(charts.stress, rows=regimes))
         parts.append(f"## Stress\n\n{markdown(cells, STRESS)}")
-    data, test = loaded.data, loaded.test
+    hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
-    head += (
-        f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
-    )
     with replacing(out / "bench.md", "w", encoding="utf-8") as file:
-        file.write(head + "\n".join(parts))
+        file.write(f"{head}; test: {hours}.\n\n" + "\n".join(parts))
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
+
+
+def _stress(loaded: BenchData, progress: Progress) -> list[stress.StressRow]:
+    """Run the stress tests of the first transport model, else of the first model."""
+    specs, data, test = loaded.specs, loaded.data, loaded.test
+    spec = next((spec for spec in specs if spec.name == "transport"), specs[0])
+    if test is None:
+        folds = day_folds(data)
+        if not folds:
+            raise NotEnoughDataError(
+                f"{data.source}: {counted(len(data), 'usable hour')}; expected at least 2, to "
+                "train and to test; capture more hours"
+            )
+        data, test = data.take(folds[0].teach), data.take(folds[0].check)
+    pool = loaded.pool or loaded.data
+    is_asked = np.isin(np.array(pool.slots), np.array(test.slots))
+    return stress.run(spec, data, test, pool.take(~is_asked), progress=progress)

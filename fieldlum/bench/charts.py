@@ -1,4 +1,4 @@
-"""Charts of the benchmarks: speed against accuracy, learning curves, collection periods, stress."""
+"""Charts of the benchmark: speed against accuracy, and stress."""
 
 from __future__ import annotations
 
@@ -113,48 +113,6 @@ def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) 
         axis.set(xscale="log", yscale="log", xlabel=label, ylabel="log10 MSE, paper mode")
         axis.legend(fontsize=7, frameon=False, loc="best")
     figure.suptitle(f"Speed and accuracy on {machine}", fontsize=11)
-    figure.savefig(path)
-
-
-def learning_curves(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the error over the number of captures, random and greedy, for each model."""
-    figure, axis = _figure(6.5, 4.5)
-    for name in dict.fromkeys(row["name"] for row in rows):
-        for way, style in (("random", "o--"), ("greedy", "o-")):
-            mine = [row for row in rows if row["name"] == name and row["way"] == way]
-            axis.plot(
-                [r["captures"] for r in mine],
-                [r["log10_mse_weighted"] for r in mine],
-                style,
-                color=_colour(name),
-                markersize=5,
-                label=f"{name}, {way}",
-            )
-    axis.set(
-        xscale="log", yscale="log", xlabel="captures", ylabel="log10 MSE, solid-angle weighted"
-    )
-    axis.legend(fontsize=8, frameon=False)
-    figure.savefig(path)
-
-
-def collection_periods(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the error of each collection period (as Figures 18 to 22 of Liu et al. 2020)."""
-    figure, axis = _figure(9.0, 4.2)
-    names = list(dict.fromkeys(row["period"] for row in rows))
-    models = list(dict.fromkeys(row["name"] for row in rows))
-    for k, model in enumerate(models):
-        values = {row["period"]: row["log10_mse_weighted"] for row in rows if row["name"] == model}
-        place = np.arange(len(names)) + (k - (len(models) - 1) / 2) * 0.8 / len(models)
-        axis.bar(
-            place,
-            [values.get(n, np.nan) for n in names],
-            0.8 / len(models),
-            color=_colour(model),
-            label=model,
-        )
-    axis.set_xticks(range(len(names)), names, rotation=45, ha="right")
-    axis.set(yscale="log", ylabel="log10 MSE over the year")
-    axis.legend(fontsize=8, frameon=False)
     figure.savefig(path)
 
 

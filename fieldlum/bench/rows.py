@@ -1,4 +1,4 @@
-"""Define the rows of the score table: one model, its training data and its test."""
+"""Read the pairs of a benchmark; compute the rows of its score table."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models import Patch
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.estimated_view import with_sky_view
 from fieldlum.learn.models.scores import Truth, evaluate, summary
 from fieldlum.learn.train import patch_mode
 from fieldlum.learn.train.folds import day_folds
 from fieldlum.learn.train.selection import Trial
 from fieldlum.learn.train.trials import Spent, evaluate_folds, fit_timed
+from fieldlum.room.fit.apply import in_scene
+from fieldlum.room.fit.stated_box import training_captures, with_same_box
 from fieldlum.session.files.scores_json import ScoreFigures
 
 # The errors that every table of the benchmarks has, as named by `models.scores.summary`.
@@ -59,35 +62,82 @@ class BenchRow(ScoreFigures):
     patch: NotRequired[Patch]
 
 
-def parse_specs(texts: Sequence[str], folder: Path = Path()) -> tuple[Spec, ...]:
+def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
     """Parse the models to compare.
 
-    folder: the folder to which folders of models are relative. Raises InputError for a text that is
-    neither a model nor a model folder.
+    Raises InputError for a text that is neither a model nor a model folder.
     """
-    return tuple(_parse_spec(text.strip(), folder) for text in texts if text.strip())
+    return tuple(_parse_spec(text.strip()) for text in texts if text.strip())
 
 
-def _parse_spec(text: str, at: Path) -> Spec:
+def _parse_spec(text: str) -> Spec:
     name, _, patch = text.partition(":")
     if name in MODELS and patch in ("", *get_args(Patch)):
         return Spec(text, name, cast(Patch, patch or "absolute"))
-    folder = at / text
+    folder = Path(text)
     if (folder / "config.json").is_file():
         config = models.read_config(folder)
-        patch = config.patch
-        return Spec(
-            f"{config.model}{'' if patch == 'absolute' else ':' + patch} ({folder.name})",
-            config.model,
-            cast(Patch, patch),
-            folder,
-        )
+        of_patch = "" if config.patch == "absolute" else f":{config.patch}"
+        label = f"{config.model}{of_patch} ({folder.name})"
+        return Spec(label, config.model, cast(Patch, config.patch), folder)
     raise InputError(
         "--models",
         f"the unknown name '{text}'",
         f"{', '.join(MODELS)}, alone or with :absolute (default), :gain, :none; or a model folder",
         "correct the name after --models",
     )
+
+
+@dataclass(frozen=True, slots=True)
+class BenchData:
+    """The pairs of a benchmark, and the models to compare.
+
+    data: hours to train on. test: hours that no model was trained on; None to use held-out days.
+    pool: hours from which seasons are drawn; None for those of `data`.
+    """
+
+    data: Dataset
+    test: Dataset | None
+    pool: Dataset | None
+    specs: tuple[Spec, ...]
+
+
+def load(
+    pairs: Path,
+    models: Sequence[str],
+    *,
+    test: Path | None = None,
+    pool: Path | None = None,
+    site: Path | None = None,
+    scene: str = "",
+    sky_view: Path | None = None,
+    progress: Progress = quiet,
+) -> BenchData:
+    """Read the pairs with their sun patches or their scene, as `train` learns them.
+
+    pairs, test, pool: sessions or csv files with the hours to train on, to test on, and to draw
+    seasons from. models: names, or folders of trained models. scene: "", "none" or the folder of a
+    scene. sky_view: a sky_view.exr, None for that of the pairs. Without a scene, pairs with few
+    clear hours choose between the stated box and no patch (`training_captures`), also for `test`
+    and `pool`. Test hours that a model was trained on are omitted. Raises InputError for files that
+    cannot be used, NotEnoughDataError if no test hour is left.
+    """
+    specs = parse_specs(models)
+    captures = load_pairs(pairs, site, progress=progress)
+    data, _ = training_captures(captures, pairs, scene, "absolute", progress=progress)
+    data = with_sky_view(data, sky_view, progress=progress)
+
+    def read(path: Path) -> Dataset:
+        others = load_pairs(path, site, progress=progress)
+        others, _ = in_scene(others, pairs, scene, "absolute", progress=progress)
+        others = with_same_box(others, data, progress=progress)
+        return replace(others, sky_view=data.sky_view)
+
+    test_data, pool_data = (read(path) if path else None for path in (test, pool))
+    if test_data is not None:
+        folders = (spec.folder for spec in specs if spec.folder is not None)
+        test_data = without_training_hours(test_data, data, *folders)
+    return BenchData(data, test_data, pool_data, specs)
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:

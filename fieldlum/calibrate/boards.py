@@ -23,8 +23,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.profiles import Lens
 from fieldlum.optics.projection import LensGeometry, lens_pixels
 
-LEAST = 4  # boards; chosen so that poses and lens can be separated, not measured
-_MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
+MIN_BOARDS = 4  # chosen so that poses and lens can be separated, not measured
+_MAX_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +75,11 @@ def from_boards(
     """
     import cv2
 
-    if len(corners) < LEAST:
+    if len(corners) < MIN_BOARDS:
         raise NotEnoughDataError(
             f"pictures in which the chessboard was detected: {len(corners)}; expected at least "
-            f"{LEAST}; "
-            "check the number of inner corners after --chessboard, and take sharp pictures in "
-            "which the board reaches the edge of the lens circle"
+            f"{MIN_BOARDS}; check the number of inner corners after --chessboard, and take sharp "
+            "pictures in which the board reaches the edge of the lens circle"
         )
     board = np.zeros((1, rows * columns, 3))
     board[0, :, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
@@ -99,13 +98,11 @@ def from_boards(
             "pictures with the board in many places, none seen edge-on",
             "take more pictures with the board in other places and tilts",
         ) from None
-    if not np.isfinite(rms) or rms > _MOST_MISS_PX:
-        raise InputError(
-            "chessboard",
-            f"the residual of the lens fit is {rms:.1f} px",
-            f"at most {_MOST_MISS_PX:g} px",
-            "take sharper pictures, with the board in more places and tilts",
-        )
+    if not np.isfinite(rms) or rms > _MAX_MISS_PX:
+        found = f"the residual of the lens fit is {rms:.1f} px"
+        expected = f"at most {_MAX_MISS_PX:g} px"
+        remedy = "take sharper pictures, with the board in more places and tilts"
+        raise InputError("chessboard", found, expected, remedy)
     corners_px = np.concatenate([np.asarray(c, float) for c in corners])
     targets = _model_rays(
         corners_px, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths)

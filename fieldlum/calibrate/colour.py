@@ -14,23 +14,26 @@ import numpy as np
 
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
 from fieldlum.calibrate.frames import LinearFrame, Place, linear_frame, transmission
-from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, held_out_errors
-from fieldlum.calibrate.readings_csv import needed, read_table
+from fieldlum.calibrate.model_selection import (
+    OrderSelection,
+    fit_and_choose,
+    gross_errors,
+    held_out_errors,
+)
+from fieldlum.calibrate.readings_csv import read_table
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import CameraProfile
 
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
-# least number of readings: three coefficients, and one reading to hold out; chosen
-LEAST = 4
+MIN_READINGS = 4  # three coefficients, and one reading to hold out; chosen
 # ln of luminance over the best start's: an isolated reading that is further away is a gross error.
 # Chosen, not measured.
-FAR = 0.5
+MIN_OUTLIER = 0.5
 # a larger held-out error means that readings and colours do not belong together; chosen
-MOST_U = 0.2
+MAX_U_REL = 0.2
 CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
 
 
@@ -82,24 +85,28 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     corrected. Raises InputError for an invalid csv, an unreadable frame, or a place that is clipped
     or outside the picture.
     """
-    rows = read_table(path, ("file", "x_px", "y_px", "luminance_cdm2"), ("radius_px", "u_rel"))
-    frames: dict[Path, LinearFrame] = {}
-    rgb, y, u, labels, places = [], [], [], [], []
-    for row in rows:
-        file = needed(row, "file", path)
-        x, at = needed(row, "x_px", path), needed(row, "y_px", path)
-        if file not in frames:
-            frames[file] = linear_frame(file, profile)
-        frame = frames[file]
-        patch = frame.patch(x, at, row.get("radius_px") or 12.0)
-        rgb.append(patch.rgb / transmission(profile, frame.exposure.f_number, x, at))
-        y.append(needed(row, "luminance_cdm2", path))
-        u.append(float(np.hypot(row.get("u_rel") or READING_U, patch.u_rel)))
-        labels.append(f"{file.stem} {x:g},{at:g}")
-        places.append(Place(file, x, at))
+    required = ("file", "x_px", "y_px", "luminance_cdm2")
+    rows = read_table(path, required, {"radius_px": 12.0, "u_rel": READING_U})
+    frames = {file: linear_frame(file, profile) for file in dict.fromkeys(r["file"] for r in rows)}
+    places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
+    patches = [
+        _patch(frames[place.path], place, row["radius_px"], row["u_rel"], profile)
+        for place, row in zip(places, rows, strict=True)
+    ]
     matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
-    values = np.array(rgb), np.array(y), np.array(u)
-    return Colours(*values, tuple(labels), tuple(frames), matrix, tuple(places))
+    rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
+    y = np.array([row["luminance_cdm2"] for row in rows])
+    labels = tuple(f"{at.path.stem} {at.x:g},{at.y:g}" for at in places)
+    return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places)
+
+
+def _patch(
+    frame: LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
+) -> tuple[Floats, float]:
+    """Return the colour [3] of a patch without vignetting, and the relative u of its comparison."""
+    patch = frame.patch(at.x, at.y, radius_px)
+    rgb = patch.rgb / transmission(profile, frame.exposure.f_number, at.x, at.y)
+    return rgb, float(np.hypot(u_rel, patch.u_rel))
 
 
 def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] = ()) -> Colours:
@@ -113,12 +120,10 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     centres, radius = (
         patch_centres(np.reshape(corners_px, (4, 2))) if len(corners_px) else find_chart(frame)
     )
-    rgb, u = [], []
-    for x, y in centres:
-        patch = frame.patch(x, y, radius)
-        rgb.append(patch.rgb / transmission(profile, frame.exposure.f_number, x, y))
-        u.append(float(np.hypot(CHART_U, patch.u_rel)))
-    if not in_order(np.array(rgb) @ np.array(profile.colour.y_from_rgb)):
+    places = tuple(Place(path, x, y) for x, y in centres.tolist())
+    patches = [_patch(frame, place, radius, CHART_U, profile) for place in places]
+    rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
+    if not in_order(rgb @ np.array(profile.colour.y_from_rgb)):
         raise InputError(
             path,
             "the 24 patches do not have a chart's colours in a chart's order",
@@ -126,9 +131,7 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
             "state --corners again, and begin at the brown patch",
         )
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
-    places = tuple(Place(path, x, y) for x, y in centres.tolist())
-    values = np.array(rgb), np.array(CHART_Y), np.array(u)
-    return Colours(*values, labels, (path,), frame.colour_matrix, places)
+    return Colours(rgb, CHART_Y, u_rel, labels, (path,), frame.colour_matrix, places)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -162,21 +165,17 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     NotEnoughDataError for fewer than four readings, InputError for readings that are not positive
     or do not fit the colours.
     """
-    n = len(colours.y)
-    if n < LEAST:
+    if len(colours.y) < MIN_READINGS:
         raise NotEnoughDataError(
-            f"{n} readings for three coefficients; expected at least {LEAST}; add readings "
-            "of other colours"
+            f"{len(colours.y)} readings for three coefficients; expected at least {MIN_READINGS}; "
+            "add readings of other colours"
         )
-    if not ((colours.y > 0).all() and (colours.rgb[:, 1] > 0).all()):
-        raise InputError(
-            colours.frames[0],
-            "a reading or a patch of the frame is zero or negative",
-            "readings and patches above zero",
-            "remove its line from the csv, or use a frame with a longer exposure",
-        )
+    if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
+        found = "a reading or a patch of the frame is zero or negative"
+        remedy = "remove its line from the csv, or use a frame with a longer exposure"
+        raise InputError(colours.frames[0], found, "readings and patches above zero", remedy)
     every = colours
-    colours, slips = _without_slips(colours, profile)
+    colours, outliers = _without_outliers(colours, profile)
     each = np.arange(len(colours.y))
 
     def solve(model: tuple[Floats, float], rows: Mask) -> Floats:
@@ -195,16 +194,16 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     scale = float(raw @ grey) / float(prior @ grey)
     a = raw / scale
     residual = every.rgb @ raw / every.y - 1.0
-    if choice.rms > MOST_U:
+    if choice.rms > MAX_U_REL:
         raise InputError(
             colours.frames[0],
             f"the error of held-out readings is {100 * choice.rms:.0f} %: the meter readings do "
             "not fit the colours of the patches",
-            f"an error of at most {100 * MOST_U:.0f} %",
+            f"an error of at most {100 * MAX_U_REL:.0f} %",
             "check that each line states the place of its reading, and that the light was steady",
         )
-    if slips:
-        choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(slips)}")
+    if outliers:
+        choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(outliers)}")
     return ColourFit(
         (round(float(a[0]), 6), round(float(a[1]), 6), round(float(a[2]), 6)),
         scale,
@@ -214,31 +213,23 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     )
 
 
-def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, tuple[str, ...]]:
+def _without_outliers(colours: Colours, profile: CameraProfile) -> tuple[Colours, tuple[str, ...]]:
     """Return the colours without gross errors of readings, and a note on each omitted reading.
 
     A gross error is a wrong factor, such as a decimal point or another unit. At most a quarter of
     the readings is omitted.
     """
     offs = [np.log((colours.rgb @ start) / colours.y) for start, _ in priors(colours, profile)]
-    offs = [off - np.median(off) for off in offs]
-    off = min(offs, key=lambda o: float(np.median(np.abs(o))))
-    far = np.abs(off) > max(FAR, 5 * robust_sigma(off, 0.0))
-    if not far.any() or far.mean() > 0.25 or len(off) - far.sum() < LEAST:
+    off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
+    far = gross_errors(off, sigmas=5.0, minimum=MIN_OUTLIER)
+    if (~far).sum() < MIN_READINGS:
         return colours, ()
     notes = [
         f"{colours.labels[i]}, {np.exp(-off[i]):.2g} times the value that the others predict"
         for i in np.flatnonzero(far)
     ]
-    labels = zip(colours.labels, far, strict=True)
-    without = replace(
-        colours,
-        rgb=colours.rgb[~far],
-        y=colours.y[~far],
-        u_rel=colours.u_rel[~far],
-        labels=tuple(label for label, is_far in labels if not is_far),
-    )
-    return without, tuple(notes)
+    near = {name: getattr(colours, name)[~far] for name in ("rgb", "y", "u_rel")}
+    return replace(colours, **near), tuple(notes)
 
 
 def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:

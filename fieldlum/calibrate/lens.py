@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
-from fieldlum.calibrate.readings_csv import needed, read_table
+from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
+from fieldlum.calibrate.readings_csv import read_table
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.profiles import Lens
@@ -21,22 +21,23 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 
-# least number of targets for the parameters of a lens with one free term, and its pose; chosen
-LEAST = 8
+MIN_TARGETS = 8  # for the parameters of a lens with one free term, and its pose; chosen
 # Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
 POWERS = {
     "two odd terms": (1, 3),
     "three odd terms": (1, 3, 5),
     "four terms": (1, 2, 3, 4),
 }
-# A target is a gross error if it misses by more than both: this many median misses, and this share
-# of the radius. It is omitted and listed. Chosen, not measured.
-FAR_SIGMA = 6.0
-FAR_RADIUS = 0.02
-MOST_FAR = 0.2  # largest share of targets that may be omitted; chosen
+# A target is a gross error if it misses by more than both: this many standard deviations, and this
+# share of the radius. It is omitted and listed. Chosen, not measured.
+OUTLIER_SIGMA, MIN_OUTLIER = 4.0, 0.02
+MAX_OUTLIERS = 0.2  # largest share of targets that may be omitted; chosen
 MISS_RADIUS = 0.01  # of the radius: with a larger median miss no lens fits the targets; chosen
 BEYOND = 1.06  # of half of the full angle: targets further from the axis are errors; chosen
 TURNED_DEG = 30.0  # a larger difference from the profile's pose causes a warning; chosen
+_WANTED = "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
+
+Model = tuple[str, tuple[int, ...]]  # the mapping, and the powers of a polynomial
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +91,10 @@ def from_table(path: Path) -> Targets:
     azimuth_deg is clockwise from the camera's heading, altitude_deg upwards from the horizon; x_px
     is to the right, y_px down. Raises InputError for an invalid csv.
     """
-    rows = read_table(path, ("x_px", "y_px", "azimuth_deg", "altitude_deg"))
-    columns = {n: np.array([needed(row, n, path) for row in rows]) for n in rows[0]}
-    rays = direction(columns["altitude_deg"], columns["azimuth_deg"])
-    return Targets(columns["x_px"], columns["y_px"], rays, (path,))
+    names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
+    rows = read_table(path, names)
+    x, y, azimuth, altitude = np.array([[row[n] for n in names] for row in rows]).T
+    return Targets(x, y, direction(altitude, azimuth), (path,))
 
 
 def geometry_of_figures(
@@ -149,50 +150,42 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     targets; InputError for directions that are mirrored, outside the lens's full angle, or fit no
     lens.
     """
-    n = len(targets.x_px)
-    if n < LEAST:
+    n, pose = len(targets.x_px), not targets.pose_known
+    if n < MIN_TARGETS:
         raise NotEnoughDataError(
-            f"{n} targets for a lens; expected at least {LEAST}, spread over the circle; add "
+            f"{n} targets for a lens; expected at least {MIN_TARGETS}, spread over the circle; add "
             "targets to the csv"
         )
     level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
-    start = level if targets.pose_known else _posed(targets, lens)
-    models: list[tuple[str, str, tuple[int, ...]]] = [
-        ("equidistant", "equidistant", ()),
-        ("equisolid", "equisolid", ()),
-        *((name, "polynomial", p) for name, p in POWERS.items() if n >= 3 * (len(p) + 5)),
-    ]
-    near = _near(targets, start, models)
-    kept = replace(
-        targets, x_px=targets.x_px[near], y_px=targets.y_px[near], rays=targets.rays[near]
-    )
+    start = _posed(targets, lens) if pose else level
+    models: dict[str, Model] = {"equidistant": ("equidistant", ()), "equisolid": ("equisolid", ())}
+    enough = {name: powers for name, powers in POWERS.items() if n >= 3 * (len(powers) + 5)}
+    models |= {name: ("polynomial", powers) for name, powers in enough.items()}
+    near = _near(targets, start, list(models.values()))
+    kept = {name: getattr(targets, name)[near] for name in ("x_px", "y_px", "rays")}
+    used = replace(targets, **kept)
 
-    def squares(model: tuple[str, tuple[int, ...]], figures: Array, held: Mask) -> Array:
-        shown = geometry_of_figures(start, figures, *model, not targets.pose_known)
-        x, y, _ = lens_pixels(shown, kept.rays[held])
-        return (x - kept.x_px[held]) ** 2 + (y - kept.y_px[held]) ** 2
+    def squares(model: Model, figures: Array, held: Mask) -> Array:
+        geometry = geometry_of_figures(start, figures, *model, pose)
+        return _misses(geometry, used)[0][held] ** 2
 
-    (mapping, powers), figures, choice = fit_and_choose(
+    model, figures, choice = fit_and_choose(
         "lens",
-        [(name, max(len(powers) - 1, 0), (mapping, powers)) for name, mapping, powers in models],
-        np.arange(len(kept.x_px)),
-        lambda model, rows: _solve(kept, rows, start, *model),
+        [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
+        np.arange(near.sum()),
+        lambda model, rows: _solve(used, rows, start, *model),
         squares,
         unit="px",
         scale=1.0,
     )
-    geometry = geometry_of_figures(start, figures, mapping, powers, not targets.pose_known)
+    geometry = geometry_of_figures(start, figures, *model, pose)
     residual, angle = _misses(geometry, targets)
     _check(geometry, residual[near], angle[near], targets)
     new = with_mapping(lens, geometry)
-    if not targets.pose_known:
+    if pose:
         azimuth = round(float(signed_angle_deg(geometry.azimuth_deg)), 4)
-        new = replace(
-            new,
-            azimuth_deg=azimuth,
-            tilt_deg=round(geometry.tilt_deg, 4),
-            roll_deg=round(geometry.roll_deg, 4),
-        )
+        tilt, roll = round(geometry.tilt_deg, 4), round(geometry.roll_deg, 4)
+        new = replace(new, azimuth_deg=azimuth, tilt_deg=tilt, roll_deg=roll)
     per_px = lens.full_angle_deg / 2 / geometry.radius_px
     doubts = _doubts(targets, residual, near, new, lens)
     widest_deg = float(np.degrees(angle[near].max()))
@@ -244,46 +237,33 @@ def _misses(geometry: LensGeometry, targets: Targets) -> tuple[Array, Array]:
     return np.hypot(x - targets.x_px, y - targets.y_px), angle
 
 
-def _near(
-    targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]
-) -> Mask:
+def _near(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
     """Return a mask [n] of the targets that the best of the robust fits explains."""
-    every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
-    for _, mapping, powers in models:
-        figures = _solve(targets, every, start, mapping, powers)
-        missed, _ = _misses(
-            geometry_of_figures(start, figures, mapping, powers, not targets.pose_known), targets
-        )
-        if np.median(missed) < np.median(best):
-            best = missed
-    near = best <= max(FAR_SIGMA * float(np.median(best)), FAR_RADIUS * start.radius_px)
-    return near if near.mean() >= 1 - MOST_FAR else every
+    every, misses = np.ones(len(targets.x_px), bool), []
+    for model in models:
+        figures = _solve(targets, every, start, *model)
+        geometry = geometry_of_figures(start, figures, *model, not targets.pose_known)
+        misses.append(_misses(geometry, targets)[0])
+    best = min(misses, key=lambda missed: float(np.median(missed)))
+    limit = MIN_OUTLIER * start.radius_px
+    return ~gross_errors(best, sigmas=OUTLIER_SIGMA, minimum=limit, max_share=MAX_OUTLIERS)
 
 
 def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
     """Raise InputError for a lens that its own targets contradict."""
-    wanted = (
-        "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
-    )
     if np.median(missed) > MISS_RADIUS * geometry.radius_px:
-        raise InputError(
-            targets.source,
+        found = (
             f"with the lens that fits the targets best, half of them are over "
-            f"{np.median(missed):.0f} px from where it puts them",
-            wanted,
-            "check the targets' signs and units, and the columns x_px and y_px",
+            f"{np.median(missed):.0f} px from where it puts them"
         )
+        remedy = "check the targets' signs and units, and the columns x_px and y_px"
+        raise InputError(targets.source, found, _WANTED, remedy)
     if angle.max() > BEYOND * geometry.half_angle_rad:
-        past = (
+        found = (
             f"a target is {np.degrees(angle.max()):.0f} deg from the lens axis, and the lens ends "
-            "at"
+            f"at {np.degrees(geometry.half_angle_rad):.0f} deg"
         )
-        raise InputError(
-            targets.source,
-            f"{past} {np.degrees(geometry.half_angle_rad):.0f} deg",
-            wanted,
-            "correct the targets, or --full-angle",
-        )
+        raise InputError(targets.source, found, _WANTED, "correct the targets, or --full-angle")
 
 
 def _posed(targets: Targets, lens: Lens) -> Lens:
@@ -292,11 +272,8 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
-    directions = lens_rays(
-        replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0),
-        targets.x_px,
-        targets.y_px,
-    )
+    level = replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
+    directions = lens_rays(level, targets.x_px, targets.y_px)
     (miss, turn), (mirrored, _) = (
         _turn(directions * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )

@@ -1,10 +1,9 @@
-"""Detect the image circle of a fisheye in a frame; measure its shift; make it smaller."""
+"""Detect the image circle of a fisheye in a frame, or make it smaller."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +38,9 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
         if picture is None:
-            raise InputError(
-                path,
-                "OpenCV cannot read the file as a picture",
-                "a JPEG, PNG or raw frame",
-                "convert the file to JPEG or PNG, or copy it from the card again",
-            )
+            found = "OpenCV cannot read the file as a picture"
+            remedy = "convert the file to JPEG or PNG, or copy it from the card again"
+            raise InputError(path, found, "a JPEG, PNG or raw frame", remedy)
         return np.asarray(picture, np.uint8)
     counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
     rows, columns = (n // 2 * 2 for n in counts.shape)
@@ -143,35 +139,6 @@ def _through(edge: Array, start: tuple[float, float, float]) -> tuple[Circle, Ar
     cx, cy, radius = (float(v) for v in solved.x)
     off = misses(solved.x)
     return Circle((cx, cy), radius, robust_sigma(off, 0.0)), off
-
-
-def _size(picture: NDArray[np.uint8]) -> str:
-    """Return width x height."""
-    return f"{picture.shape[1]} x {picture.shape[0]}"
-
-
-def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
-    """Return how far the scene in `after` moved from its place in `before` [px]: right, down.
-
-    Negative numbers are left or up. By cross-correlation of grey pictures [h, w]. Raises InputError
-    for different sizes.
-    """
-    from skimage.registration import phase_cross_correlation
-
-    if before.shape != after.shape:
-        raise InputError(
-            "shift",
-            f"pictures of {_size(before)} and {_size(after)} pixels",
-            "two frames of one camera, with one size",
-            "use frames of the same size",
-        )
-    window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
-    pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
-    plain: Any = None  # scikit-image's type hint lacks None
-    # Without normalisation, because with it the pattern of the mosaic, which does not move,
-    # dominates the scene.
-    (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=plain)
-    return -float(right), -float(down)
 
 
 def circle_lens(lens: Lens, image_circle: Circle, source: Path | str = "circle") -> Lens:

@@ -1,6 +1,6 @@
-"""Choose the size of a model: the smallest within one standard error of the best.
+"""Fit and choose: gross errors are left out, and held-out data choose the size of a model.
 
-Errors are those on held-out data.
+The chosen model is the smallest within one standard error of the best.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.statistics import is_no_worse
+from fieldlum.core.statistics import is_no_worse, robust_sigma
 
 Model = TypeVar("Model")
 Parameters = TypeVar("Parameters")
@@ -132,3 +132,14 @@ def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[Mask]:
     parts = len(names) if len(names) <= LEAVE_ONE_OUT else count
     for part in range(parts):
         yield np.isin(groups, names[part::parts])
+
+
+def gross_errors(off: Floats, *, sigmas: float, minimum: float, max_share: float = 0.25) -> Mask:
+    """Return a mask [n] of the residuals that are gross errors of single readings.
+
+    off [n] : residuals about 0. A gross error exceeds `minimum` and `sigmas` times their robust
+    standard deviation. All are False if more than `max_share` of them would be True, because the
+    model is then wrong and not the readings.
+    """
+    far = np.abs(off) > max(sigmas * robust_sigma(off, 0.0), minimum)
+    return far if far.mean() <= max_share else np.zeros(len(off), bool)

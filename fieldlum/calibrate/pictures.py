@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 
 Places = Sequence[Place]
+DOTS: dict[str, Any] = {"color": RED, "marker": "o", "markersize": 3.5, "linestyle": ""}
+LINE: dict[str, Any] = {"color": BLUE, "linewidth": 1.2}
+_TURN = np.linspace(0, 2 * np.pi, 400)
 
 
 def _two(
@@ -81,8 +84,8 @@ def _over(figure: Figure, axes: Any, places: Places, off: Array) -> None:
     height, width = grey.shape
     step = max(height // 800, 1)  # the figure has fewer pixels
     axes.imshow(grey[::step, ::step], cmap="gray", extent=(0, width, height, 0))
-    most = max(float(np.abs(percent).max()), 0.1)
-    marks = axes.scatter(*at.T, s=26, c=percent, cmap="coolwarm", vmin=-most, vmax=most)
+    limit = max(float(np.abs(percent).max()), 0.1)
+    marks = axes.scatter(*at.T, s=26, c=percent, cmap="coolwarm", vmin=-limit, vmax=limit)
     marks.set(edgecolors="white", linewidths=0.6)
     more = f" and {len(files) - 1} more" if len(files) > 1 and not is_panorama else ""
     axes.set_title(path.name + more, fontsize=8, color=INK)
@@ -97,10 +100,12 @@ def save(figure: Figure, path: Path) -> None:
         figure.savefig(temporary, dpi=110)
 
 
-def _plain_log(axes: Any) -> None:
-    """Label logarithmic axes with 1, 2, 5, 10 and so on."""
+def _equal_line(axes: Any, x: Array, y: Array) -> None:
+    """Draw the line of equal values through logarithmic axes, with labels 1, 2, 5, 10 and so on."""
     from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
+    ends = [min(x.min(), y.min()) * 0.8, max(x.max(), y.max()) * 1.25]
+    axes.loglog(ends, ends, **LINE)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.set_major_formatter(FormatStrFormatter("%g"))
@@ -108,8 +113,8 @@ def _plain_log(axes: Any) -> None:
 
 
 def _percent(axes: Any, x: Array, residual: Array, label: str) -> None:
-    axes.axhline(0, color=BLUE, linewidth=1)
-    axes.plot(x, 100 * residual, "o", color=RED, markersize=3.5)
+    axes.axhline(0, **LINE)
+    axes.plot(x, 100 * residual, **DOTS)
     axes.set(xlabel=label, ylabel="reading less fit [%]")
 
 
@@ -118,24 +123,18 @@ def of_response(places: response.Places, fit: response.ResponseFit) -> Figure:
 
     A residual is the light of a place by one frame less the mean by all frames [%].
     """
-    figure, left, right = _two(
-        f"JPEG response, {fit.response.kind}; held-out rms {100 * fit.response.u_rel:.2g} %"
-    )
     r = fit.response
-    tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
-    for c, (table, name) in enumerate(zip(tables, (RED, GREEN, BLUE), strict=True)):
-        codes, counts = (
-            places.codes[..., c],
-            (places.codes[..., c] >= r.low_code) & (places.codes[..., c] <= r.high_code),
-        )
+    figure, left, right = _two(f"JPEG response, {r.kind}; held-out rms {100 * r.u_rel:.2g} %")
+    for c, (curve, name) in enumerate(
+        zip((r.red, r.green, r.blue), (RED, GREEN, BLUE), strict=True)
+    ):
+        table, codes = response_table(r.kind, curve), places.codes[..., c]
         left.plot(np.arange(1, 256), np.maximum(table[1:], 1e-5), color=name, linewidth=1.3)
-        light = np.where(
-            counts, np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure, np.nan
-        )
-        n = counts.sum(axis=1)
-        mean = np.nansum(light, axis=1) / np.maximum(n, 1)
-        off = (light - mean[:, None])[counts & (n >= 2)[:, None]]
-        right.plot(codes[counts & (n >= 2)[:, None]], 100 * off, ",", color=name, alpha=0.5)
+        counts = (codes >= r.low_code) & (codes <= r.high_code)
+        counts &= counts.sum(axis=1, keepdims=True) >= 2
+        light = np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure
+        mean = np.average(light, axis=1, weights=counts + 1e-12, keepdims=True)
+        right.plot(codes[counts], 100 * (light - mean)[counts], ",", color=name, alpha=0.5)
     left.axvspan(r.low_code, r.high_code, color=SAND, alpha=0.5, linewidth=0)
     left.set(xlabel="code", ylabel="linear light z", yscale="log", xlim=(0, 255), ylim=(1e-4, 1.3))
     right.set(xlabel="code", ylabel="place's light less its mean [%]", ylim=(-15, 15))
@@ -149,32 +148,13 @@ def of_vignette(
 
     half_angle_deg : half of the lens's full angle. Residuals are reading less fit [%].
     """
-    figure, left, right = _two(
-        f"vignetting at f/{samples.f_number:g}; rms of held-out readings {100 * fit.u_rel:.2g} %",
-        places=samples.places,
-        off=fit.residual_rel,
-    )
+    title = f"vignetting at f/{samples.f_number:g}; held-out rms {100 * fit.u_rel:.2g} %"
+    figure, left, right = _two(title, places=samples.places, off=fit.residual_rel)
     r = np.linspace(0, 1, 200)
-    left.plot(
-        samples.r * half_angle_deg,
-        samples.value / fit.level,
-        "o",
-        color=RED,
-        markersize=3.5,
-        label="readings",
-    )
-    left.plot(
-        r * half_angle_deg,
-        vignetting_at(fit.coefficients, r),
-        color=BLUE,
-        linewidth=1.4,
-        label="fit",
-    )
-    left.set(
-        xlabel="angle from the optical axis [deg]",
-        ylabel="transmission relative to the axis",
-        ylim=(0, 1.1),
-    )
+    left.plot(samples.r * half_angle_deg, samples.value / fit.level, label="readings", **DOTS)
+    left.plot(r * half_angle_deg, vignetting_at(fit.coefficients, r), label="fit", **LINE)
+    left.set(xlabel="angle from the optical axis [deg]", ylim=(0, 1.1))
+    left.set(ylabel="transmission relative to the axis")
     left.legend(frameon=False, fontsize=8)
     _percent(right, samples.r * half_angle_deg, fit.residual_rel, "angle [deg]")
     return figure
@@ -188,24 +168,14 @@ def of_scale(readings: list[scale.LuminanceReading], fit: scale.ScaleFit) -> Fig
     title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
     places = [r.place for r in readings if r.place]
     figure, left, right = _two(title, places=places, off=fit.residual if places else None)
-    meter = np.array([r.meter for r in readings])
-    image = np.array([r.image for r in readings]) * fit.factor
-    for kind, mark in (("spot", "o"), ("illuminance", "s")):
+    meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
+    for kind, unit, marker in (("spot", "cd/m2", "o"), ("illuminance", "lx", "s")):
         rows = np.array([r.kind == kind for r in readings])
         if rows.any():
-            unit = "cd/m2" if kind == "spot" else "lx"
-            left.loglog(
-                meter[rows],
-                image[rows],
-                mark,
-                color=RED,
-                markersize=4.5,
-                label=f"{kind} [{unit}]",
-            )
-    ends = np.array([min(meter.min(), image.min()) * 0.8, max(meter.max(), image.max()) * 1.25])
-    left.loglog(ends, ends, color=BLUE, linewidth=1)
+            style = {**DOTS, "marker": marker, "label": f"{kind} [{unit}]"}
+            left.plot(meter[rows], image[rows], **style)
+    _equal_line(left, meter, image)
     left.set(xlabel="meter", ylabel="picture, corrected")
-    _plain_log(left)
     left.legend(frameon=False, fontsize=8)
     _percent(right, np.arange(1, len(readings) + 1), fit.residual, "reading")
     return figure
@@ -216,20 +186,13 @@ def of_lens(targets: lens.Targets, fit: lens.LensFit) -> Figure:
     figure, left, right = _two(
         f"lens, {fit.lens.mapping}; held-out rms {fit.rms_px:.2g} px ({fit.rms_deg:.2g} deg)"
     )
-    turn = np.linspace(0, 2 * np.pi, 200)
     (x, y), r = fit.lens.centre_px, fit.lens.radius_px
-    left.plot(x + r * np.cos(turn), y + r * np.sin(turn), color=BLUE, linewidth=1.2)
+    left.plot(x + r * np.cos(_TURN), y + r * np.sin(_TURN), **LINE)
     left.plot([x], [y], "+", color=BLUE)
     left.scatter(targets.x_px, targets.y_px, s=10, color=RED, linewidths=0)
     left.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
     left.invert_yaxis()
-    right.plot(
-        np.hypot(targets.x_px - x, targets.y_px - y) / r,
-        fit.residual_px,
-        "o",
-        color=RED,
-        markersize=3.5,
-    )
+    right.plot(np.hypot(targets.x_px - x, targets.y_px - y) / r, fit.residual_px, **DOTS)
     right.set(xlabel="distance from the centre / radius", ylabel="miss [px]", ylim=(0, None))
     return figure
 
@@ -241,15 +204,11 @@ def of_circle(picture: NDArray[np.uint8], image_circle: lens_circle.Circle) -> F
     figure = Figure(figsize=(5.2, 4.0), layout="constrained")
     axes = figure.add_subplot()
     axes.imshow(picture, cmap="gray")
-    turn = np.linspace(0, 2 * np.pi, 400)
     (x, y), r = image_circle.centre_px, image_circle.radius_px
-    axes.plot(x - 0.5 + r * np.cos(turn), y - 0.5 + r * np.sin(turn), color=RED, linewidth=1.2)
+    axes.plot(x - 0.5 + r * np.cos(_TURN), y - 0.5 + r * np.sin(_TURN), color=RED, linewidth=1.2)
     axes.plot([x - 0.5], [y - 0.5], "+", color=RED)
-    axes.set_title(
-        f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {image_circle.u_px:.2f} px",
-        fontsize=9,
-        loc="left",
-    )
+    title = f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {image_circle.u_px:.2f} px"
+    axes.set_title(title, fontsize=9, loc="left")
     return figure
 
 
@@ -260,15 +219,8 @@ def of_colour(colours: colour.Colours, fit: colour.ColourFit) -> Figure:
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
     left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
-    ends = np.array([colours.y.min() * 0.8, colours.y.max() * 1.25])
-    left.plot(ends, ends, color=BLUE, linewidth=1)
-    left.set(
-        xlabel="reading, or chart [%]",
-        ylabel="picture, at the readings' scale",
-        xscale="log",
-        yscale="log",
-    )
-    _plain_log(left)
+    _equal_line(left, colours.y, new)
+    left.set(xlabel="reading, or chart [%]", ylabel="picture, at the readings' scale")
     _percent(right, np.arange(1, len(new) + 1), -fit.residual, "patch")
     return figure
 
@@ -278,39 +230,26 @@ def of_shutter(fit: shutter.ShutterFit) -> Figure:
 
     Positive where the true time is longer. The bars are two standard uncertainties long each way.
     """
-    figure, left, right = _two(
-        f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets", (1, 1)
-    )
-    nominal = np.array([t.nominal_s for t in fit.times])
-    true, assumed = np.array([t.true_s for t in fit.times]), np.array(fit.assumed_s)
-    u = np.array([t.u_rel for t in fit.times])
+    title = f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets"
+    figure, left, right = _two(title, (1, 1))
+    nominal, true, u = np.array([(t.nominal_s, t.true_s, t.u_rel) for t in fit.times]).T
     for axes, against, label in (
         (left, nominal, "true over nominal [%]"),
-        (right, assumed, "over assumed [%]"),
+        (right, np.array(fit.assumed_s), "over assumed [%]"),
     ):
-        axes.axhline(0, color=BLUE, linewidth=1)
-        axes.errorbar(
-            nominal,
-            100 * (true / against - 1),
-            200 * u,
-            fmt="o",
-            color=RED,
-            markersize=3.5,
-            linewidth=1,
-        )
+        axes.axhline(0, **LINE)
+        axes.errorbar(nominal, 100 * (true / against - 1), 200 * u, **DOTS)
         axes.set(xscale="log", xlabel="nominal time [s]", ylabel=label)
     return figure
 
 
 def of_pixels(defects: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
     """Draw the bad pixels on the sensor, and a histogram of their distance from its middle."""
-    figure, left, right = _two(
-        f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views",
-        (2, 1),
-        [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px],
-    )
+    title = f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views"
+    places = [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px]
+    figure, left, right = _two(title, (2, 1), places)
     x, y = np.array(defects.bad_px, float).reshape(-1, 2).T
-    left.plot(x, y, "o", color=RED, markersize=3)
+    left.plot(x, y, **DOTS)
     left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")
     right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=BLUE)
     right.set(xlabel="from the middle [px]", ylabel="pixels")
@@ -323,37 +262,32 @@ def of_linearity(levels: linearity.Levels, fit: linearity.LinearityFit) -> Figur
     Values are relative to the block's mean [%], over the share of the full scale.
     """
     figure, left, right = _two(f"Linearity; held-out rms {100 * fit.u_rel:.2g} %")
-    seconds = levels.seconds[:, None]
     corrected = levels.share * linearity_factor(levels.share, fit.coefficients)
-    for axes, light, time_s in (
-        (left, levels.share, seconds),
-        (right, corrected, seconds + fit.offset_s),
+    for axes, light, offset_s, title in (
+        (left, levels.share, 0.0, "as recorded"),
+        (right, corrected, fit.offset_s, "corrected"),
     ):
-        off = np.log(light / time_s)
+        off = np.log(light / (levels.seconds[:, None] + offset_s))
         off -= np.nanmean(off, axis=0)
         axes.plot(100 * levels.share.ravel(), 100 * off.ravel(), ",", color=GREEN)
-        axes.set(xlabel="share of the full scale [%]", ylim=(-2, 2))
-    left.set(ylabel="light over time less its mean [%]", title="as recorded")
-    right.set(title="corrected")
+        axes.set(xlabel="share of the full scale [%]", ylim=(-2, 2), title=title)
+    left.set(ylabel="light over time less its mean [%]")
     return figure
 
 
 def of_stray(readings: Sequence[stray.StrayReading], fit: stray.StrayFit) -> Figure:
     """Draw the kernel over the angle, and the predicted over the recorded stray light."""
-    total = 100 * fit.total_share
     recorded = np.array([r.stray_cdm2 for r in readings])
     places = [r.place for r in readings if r.place]
     off = fit.predicted_cdm2 / recorded - 1.0 if places else None
-    title = f"Stray light: {total:.2g} % of a source's light is spread"
+    title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
     figure, left, right = _two(title, places=places, off=off)
     angle = np.geomspace(0.5, 180.0, 300)
     nodes, values = np.asarray(fit.kernel.angle_deg), np.asarray(fit.kernel.per_sr)
-    left.plot(angle, 100 * kernel_per_sr(np.radians(angle), nodes, values), color=BLUE)
-    left.plot(nodes, 100 * values, "o", color=RED, ms=4)
+    left.plot(angle, 100 * kernel_per_sr(np.radians(angle), nodes, values), **LINE)
+    left.plot(nodes, 100 * values, **DOTS)
     left.set(xlabel="angle from the source [deg]", ylabel="K [% per sr]", xscale="log")
-    right.plot(recorded, fit.predicted_cdm2, "o", color=RED, ms=4)
-    ends = [recorded.min(), recorded.max()]
-    right.plot(ends, ends, color=BLUE, lw=1)
+    right.plot(recorded, fit.predicted_cdm2, **DOTS)
+    _equal_line(right, recorded, fit.predicted_cdm2)
     right.set(xlabel="recorded [cd/m²]", ylabel="by the kernel [cd/m²]")
-    right.set(xscale="log", yscale="log")
     return figure

@@ -12,11 +12,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Mask
+from fieldlum.core.arrays import Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted
 from fieldlum.optics.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
@@ -25,19 +26,18 @@ from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, possible_fra
 
 # Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
 # real sensors.
-LEAST_VIEWS = 3
-LEAST_DARK = 2
-MOST = 1e-3  # largest share of bad pixels; more are not a list of defects
+MIN_VIEWS, MIN_DARK = 3, 2
+MAX_SHARE = 1e-3  # largest share of bad pixels; more are not a list of defects
 _SIGMA = 6.0  # of the noise
-_LEAST_REL = 0.1  # of the light: smaller deviations are normal for a sensor
+_MIN_REL = 0.1  # of the light: smaller deviations are normal for a sensor
 _SPREAD = 4.0  # largest multiple of the neighbours' median deviation from their own median
 _CHANCE = 0.5  # largest number of pixels expected to deviate everywhere by chance
 _INSIDE = 0.97  # of a lens's circle, because its edge is the same in every view
 _BLOCK = 4  # pixels of one colour along the edge of a block of detail
 _DETAIL = 5.0, 0.03  # sigma of the noise, share of the light: a smaller step is no detail
-_LEAST_DETAIL = 30  # least number of blocks with detail
+_MIN_DETAIL = 30  # number of blocks with detail
 _SAME_VIEW_CORRELATION = 0.3  # of the detail of two frames, from which they show one view
-_LIKE = 2  # neighbours that may be like a defect, as in a line of defects
+_MAX_ALIKE = 2  # neighbours that may be like a defect, as in a line of defects
 _FULL = 0.9  # of the saturation; pixels in brighter surroundings are not judged
 
 Detail = NDArray[np.int8]
@@ -58,6 +58,16 @@ class PixelDefects:
     line: str
 
 
+class _Plane(NamedTuple):
+    """One of R, G1, G2 and B: where it is in the mosaic, its counts, and its levels."""
+
+    at: tuple[slice, slice]
+    counts: NDArray[np.uint16]
+    black: float
+    gain: float  # electrons per count
+    full: float
+
+
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
     """Find the bad pixels of a raw camera.
 
@@ -74,136 +84,112 @@ def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False)
             "a profile of a raw camera",
             "use the camera's raw files, and a profile for them",
         )
-    area = (
-        np.ones((profile.camera.height_px, profile.camera.width_px), bool)
-        if dark
-        else _inside_lenses(profile)
-    )
-    frames, views, plain = [], [], 0
-    for source in sources:
-        for path in _frames_of(source):
-            mosaic = _mosaic(path, profile)
-            frames.append(path)
-            new = _View(deviating(mosaic, profile, alone=not dark) & area, [])
-            if dark:
-                _check_dark(path, mosaic, profile)
-                views.append(new)
-                continue
-            detail = _detail(mosaic, profile, area)
-            if np.count_nonzero(np.abs(detail) == 1) < _LEAST_DETAIL:
-                plain += 1
-                continue
-            new.shown.append((path.parent.resolve(), detail))
-            views = _join(views, new)
-    return _decide([view.deviating for view in views], tuple(frames), int(area.sum()), dark, plain)
-
-
-def _decide(
-    views: list[Mask], frames: tuple[Path, ...], pixels: int, dark: bool, plain: int
-) -> PixelDefects:
-    from scipy.stats import binom
-
-    least, kind, remedy = LEAST_DARK, "dark frames", "take more dark frames"
-    if not dark:
-        least, kind = LEAST_VIEWS, "views"
-        remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
-    if len(views) < least:
-        blank = f" ({counted(plain, 'frame')} with too little detail)" if plain else ""
-        views_text = counted(len(views), f"different {kind.removesuffix('s')}")
-        raise NotEnoughDataError(
-            f"bad pixels: {views_text}{blank}; expected at least {least}; {remedy}"
-        )
-    count = np.zeros(views[0].shape, np.uint16)
-    for view in views:
-        count += view
-    shares = np.array([view.sum() / pixels for view in views])
-    need = max(least, int(np.ceil(0.75 * len(views))))
-    by_chance = [
-        pixels * float(binom.sf(n - 1, len(views), shares.mean())) for n in range(len(views) + 1)
+    size = profile.camera.height_px, profile.camera.width_px
+    area = np.ones(size, bool) if dark else _inside_lenses(profile)
+    frames = [frame for source in sources for frame in _frames_of(source)]
+    used: list[tuple[Path, Indices, Detail]] = []  # deviating pixels as indices into the mosaic
+    for path in frames:
+        mosaic = _mosaic(path, profile)
+        planes = _planes(mosaic, profile)
+        detail = np.zeros(0, np.int8) if dark else _detail(planes[1], profile, area)
+        if dark:
+            _check_dark(path, planes, profile)
+        if dark or np.count_nonzero(np.abs(detail) == 1) >= _MIN_DETAIL:
+            pixels = np.flatnonzero(deviating(mosaic, profile, alone=not dark) & area)
+            used.append((path, pixels, detail))
+    of_view = np.arange(len(used)) if dark else _view_numbers(used)
+    views = [
+        np.unique(np.concatenate([used[i][1] for i in np.flatnonzero(of_view == view)]))
+        for view in np.unique(of_view)
     ]
-    while by_chance[need] > _CHANCE and need < len(views):
-        need += 1
-    rows, columns = np.nonzero(count >= need)
-    if by_chance[need] > _CHANCE:
+    need, by_chance = _needed_views(views, int(area.sum()), dark, len(frames) - len(used))
+    counts = np.unique(np.concatenate(views), return_counts=True)
+    bad = counts[0][counts[1] >= need]
+    if len(bad) > MAX_SHARE * area.sum():
         raise NotEnoughDataError(
-            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in each of the "
-            f"{len(views)} {kind}, so {by_chance[need]:.2g} good pixels would deviate in all of "
-            f"them by chance; {remedy}"
-        )
-    if len(rows) > MOST * pixels:
-        raise NotEnoughDataError(
-            f"bad pixels: {100 * len(rows) / pixels:.2g} % of the pixels were found to be bad; "
-            f"expected at most {100 * MOST:g} %; check gain and read noise under [sensor] in the "
-            "profile, and, unless the frames are dark, that the camera was turned between views"
+            f"bad pixels: {100 * len(bad) / area.sum():.2g} % of the pixels were found to be bad; "
+            f"expected at most {100 * MAX_SHARE:g} %; check gain and read noise under [sensor] in "
+            "the profile, and, unless the frames are dark, that the camera was turned between views"
         )
     line = (
-        f"bad pixels: {len(rows)}, which deviate from their neighbours in {need} or more of "
-        f"{len(views)} {kind}; {by_chance[need]:.2g} good pixels would do so by chance"
+        f"bad pixels: {len(bad)}, which deviate from their neighbours in {need} or more of "
+        f"{len(views)} {_kind(dark)}; {by_chance:.2g} good pixels would do so by chance"
     )
-    return PixelDefects(
-        tuple((int(x), int(y)) for y, x in zip(rows, columns, strict=True)),
-        len(views),
-        frames,
-        by_chance[need],
-        line,
+    rows, columns = np.unravel_index(bad, size)
+    places = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
+    return PixelDefects(places, len(views), tuple(frames), by_chance, line)
+
+
+def _kind(dark: bool) -> str:
+    return "dark frames" if dark else "views"
+
+
+def _needed_views(
+    views: Sequence[Indices], pixels: int, dark: bool, plain: int
+) -> tuple[int, float]:
+    """Return in how many views a bad pixel must deviate, and how many good pixels would by chance.
+
+    plain : number of frames with too little detail, for the error.
+    """
+    from scipy.stats import binom
+
+    lowest = MIN_DARK if dark else MIN_VIEWS
+    remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
+    remedy = "take more dark frames" if dark else remedy
+    if len(views) < lowest:
+        blank = f" ({counted(plain, 'frame')} with too little detail)" if plain else ""
+        views_text = counted(len(views), f"different {_kind(dark).removesuffix('s')}")
+        raise NotEnoughDataError(
+            f"bad pixels: {views_text}{blank}; expected at least {lowest}; {remedy}"
+        )
+    share = float(np.mean([len(view) / pixels for view in views]))
+    by_chance = 0.0
+    for need in range(max(lowest, int(np.ceil(0.75 * len(views)))), len(views) + 1):
+        by_chance = pixels * float(binom.sf(need - 1, len(views), share))
+        if by_chance <= _CHANCE:
+            return need, by_chance
+    raise NotEnoughDataError(
+        f"bad pixels: {100 * share:.2g} % of the pixels deviate in each of the {len(views)} "
+        f"{_kind(dark)}, so {by_chance:.2g} good pixels would deviate in all of them by chance; "
+        f"{remedy}"
     )
 
 
 def _frames_of(source: Path) -> list[Path]:
-    if not source.is_dir():
-        return [source]
-    frames = possible_frames(source)
+    frames = possible_frames(source) if source.is_dir() else [source]
     if not frames:
-        raise InputError(
-            source,
-            "no frames in this folder",
-            "a folder of raw frames of one view",
-            "check the path of the folder",
-        )
+        expected, remedy = "a folder of raw frames of one view", "check the path of the folder"
+        raise InputError(source, "no frames in this folder", expected, remedy)
     return frames
 
 
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     if is_jpeg(path):
-        raise InputError(
-            path,
-            "a JPEG frame",
-            f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels",
-            "use the camera's raw frames",
-        )
+        expected = f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels"
+        raise InputError(path, "a JPEG frame", expected, "use the camera's raw frames")
     mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic
 
 
-def _check_dark(path: Path, mosaic: Mosaic, profile: CameraProfile) -> None:
+def _check_dark(path: Path, planes: Sequence[_Plane], profile: CameraProfile) -> None:
     """Raise InputError if light reached a dark frame."""
-    for plane, black, gain, _ in _planes(mosaic, profile):
-        above = float(np.percentile(plane[::4, ::4], 90)) - black
-        noise = float(np.hypot(profile.sensor.read_noise_e / gain, 1.0))
-        if above > max(5 * noise, 0.01 * (profile.sensor.white_dn - black)):
-            raise InputError(
-                path,
-                f"the frame is {above:.0f} DN above the black level",
-                "a dark frame, without light",
-                "put the lens cap on and take the frame again",
-            )
+    for plane in planes:
+        above = float(np.percentile(plane.counts[::4, ::4], 90)) - plane.black
+        noise = float(np.hypot(profile.sensor.read_noise_e / plane.gain, 1.0))
+        if above > max(5 * noise, 0.01 * (profile.sensor.white_dn - plane.black)):
+            found = f"the frame is {above:.0f} DN above the black level"
+            remedy = "put the lens cap on and take the frame again"
+            raise InputError(path, found, "a dark frame, without light", remedy)
 
 
-def _planes(
-    mosaic: Mosaic, profile: CameraProfile
-) -> list[tuple[NDArray[np.uint16], float, float, float]]:
-    """Return counts, black, electrons per count, and saturation of each of R, G1, G2 and B."""
+def _planes(mosaic: Mosaic, profile: CameraProfile) -> list[_Plane]:
     gain = gain_e_per_dn(mosaic.exposure.iso, profile)
-    levels = zip(
-        channel_positions(mosaic.cfa),
-        black_dn(mosaic, profile),
-        full_dn(mosaic, profile),
-        strict=True,
-    )
+    places = [np.s_[r::2, c::2] for r, c in channel_positions(mosaic.cfa)]
+    levels = zip(places, black_dn(mosaic, profile), full_dn(mosaic, profile), strict=True)
     return [
-        (np.ascontiguousarray(mosaic.counts[r::2, c::2]), black, gain, full)
-        for (r, c), black, full in levels
+        _Plane(at, np.ascontiguousarray(mosaic.counts[at]), black, gain, full)
+        for at, black, full in levels
     ]
 
 
@@ -219,22 +205,16 @@ def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
     import cv2
 
     is_deviating = np.zeros(mosaic.counts.shape, bool)
-    read_dn2 = (
-        profile.sensor.read_noise_e / (profile.sensor.gain_e_per_dn * profile.sensor.iso)
-    ) ** 2
-    read_dn2 = read_dn2 * mosaic.exposure.iso**2 + 1 / 12
-    for (r, c), (plane, black, gain, full) in zip(
-        channel_positions(mosaic.cfa), _planes(mosaic, profile), strict=True
-    ):
-        middle = np.asarray(cv2.medianBlur(plane, 3), np.uint16)
-        off = cv2.absdiff(plane, middle)
+    for plane in _planes(mosaic, profile):
+        read_dn2 = (profile.sensor.read_noise_e / plane.gain) ** 2 + 1 / 12
+        middle = np.asarray(cv2.medianBlur(plane.counts, 3), np.uint16)
+        off = cv2.absdiff(plane.counts, middle)
         spread = cv2.medianBlur(off, 3).astype(np.float32)
-        light = np.maximum(middle.astype(np.float32) - np.float32(black), 0)
-        margin = np.maximum(
-            _SIGMA * np.sqrt(light / np.float32(gain) + np.float32(read_dn2)), _LEAST_REL * light
-        )
-        far = (off > np.maximum(margin, _SPREAD * spread)) & (middle < _FULL * full)
-        is_deviating[r::2, c::2] = _isolated(plane, middle, far) if alone else far
+        light = np.maximum(middle.astype(np.float32) - np.float32(plane.black), 0)
+        noise = np.sqrt(light / np.float32(plane.gain) + np.float32(read_dn2))
+        margin = np.maximum(np.maximum(_SIGMA * noise, _MIN_REL * light), _SPREAD * spread)
+        far = (off > margin) & (middle < _FULL * plane.full)
+        is_deviating[plane.at] = _isolated(plane.counts, middle, far) if alone else far
     return is_deviating
 
 
@@ -244,17 +224,13 @@ def _isolated(plane: NDArray[np.uint16], middle: NDArray[np.uint16], deviating_p
     Pixels of a line of defects remain, those at a corner of an object do not.
     """
     rows, columns = np.nonzero(deviating_px)
-    own = plane[rows, columns].astype(np.int32) - middle[rows, columns]
-    like = np.zeros(len(rows), np.int32)
-    for down, across in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
-        y, x = (
-            np.clip(v + d, 0, n - 1)
-            for v, d, n in zip((rows, columns), (down, across), plane.shape, strict=True)
-        )
-        like += 2 * (plane[y, x].astype(np.int32) - middle[rows, columns]) * np.sign(own) > np.abs(
-            own
-        )
-    deviating_px[rows, columns] = like <= _LIKE
+    around = np.pad(plane.astype(np.int32), 1, mode="edge")
+    own = around[rows + 1, columns + 1] - middle[rows, columns]
+    alike = np.full(len(rows), -1)  # the pixel itself is not counted
+    for down, right in np.ndindex(3, 3):
+        step = around[rows + down, columns + right] - middle[rows, columns]
+        alike += 2 * step * np.sign(own) > np.abs(own)
+    deviating_px[rows, columns] = alike <= _MAX_ALIKE
     return deviating_px
 
 
@@ -271,7 +247,7 @@ def _inside_lenses(profile: CameraProfile) -> Mask:
 # which view
 
 
-def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
+def _detail(plane: _Plane, profile: CameraProfile, area: Mask) -> Detail:
     """Return the detail of a frame, in blocks of one of the two green colours.
 
     A block is +1 or -1 if it is brighter or darker than its neighbours, else 0. It is 2 if this is
@@ -279,66 +255,39 @@ def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
     """
     import cv2
 
-    plane, black, gain, full = _planes(mosaic, profile)[1]
-    r, c = channel_positions(mosaic.cfa)[1]
-    size = plane.shape[1] // _BLOCK, plane.shape[0] // _BLOCK
+    size = plane.counts.shape[1] // _BLOCK, plane.counts.shape[0] // _BLOCK
     # Remove single pixels, because defects are not details of a view.
-    clean = cv2.medianBlur(plane, 3).astype(np.float32)
-    block = np.asarray(
-        cv2.resize(clean, size, interpolation=cv2.INTER_AREA), np.float32
-    ) - np.float32(black)
-    inside = (area[r::2, c::2] & (plane < _FULL * full)).astype(np.float32)
+    clean = cv2.medianBlur(plane.counts, 3).astype(np.float32) - np.float32(plane.black)
+    block = np.asarray(cv2.resize(clean, size, interpolation=cv2.INTER_AREA), np.float32)
+    inside = (area[plane.at] & (plane.counts < _FULL * plane.full)).astype(np.float32)
     around = np.maximum(np.asarray(cv2.medianBlur(block, 5), np.float32), 0)
-    noise = (
-        _DETAIL[0] * np.sqrt(around / gain + (profile.sensor.read_noise_e / gain) ** 2 + 1) / _BLOCK
-    )
+    variance = around / plane.gain + (profile.sensor.read_noise_e / plane.gain) ** 2 + 1
+    noise = _DETAIL[0] * np.sqrt(variance) / _BLOCK
     step = block - around
-    detail = np.where(
-        np.abs(step) > np.maximum(noise, _DETAIL[1] * around), np.sign(step), 0
-    ).astype(np.int8)
-    detail[
-        (cv2.resize(inside, size, interpolation=cv2.INTER_AREA) < 0.99) | (noise > 0.2 * around)
-    ] = 2
+    is_detail = np.abs(step) > np.maximum(noise, _DETAIL[1] * around)
+    detail = np.where(is_detail, np.sign(step), 0).astype(np.int8)
+    hidden = cv2.resize(inside, size, interpolation=cv2.INTER_AREA) < 0.99
+    detail[hidden | (noise > 0.2 * around)] = 2
     return detail
 
 
-def _alike(a: Detail, b: Detail) -> float | None:
-    """Return the correlation of the details of two frames: 1 equal, 0 unrelated, -1 opposite.
+def _is_same_view(a: tuple[Path, Indices, Detail], b: tuple[Path, Indices, Detail]) -> bool:
+    """Return whether two frames show one view: the details that both have agree.
 
-    Blocks known in both frames count, relative to the frame with less detail. Return None if these
-    are too few.
+    Frames of one folder that cannot be compared (long and short) count as the same view:
+    undercounting views is safe.
     """
-    both = (a != 2) & (b != 2)
-    x, y = a[both].astype(np.int32), b[both].astype(np.int32)
-    least = min(np.count_nonzero(x), np.count_nonzero(y))
-    return None if least < _LEAST_DETAIL else float((x * y).sum() / least)
+    both = (a[2] != 2) & (b[2] != 2)
+    x, y = a[2][both].astype(np.int32), b[2][both].astype(np.int32)
+    common = min(np.count_nonzero(x), np.count_nonzero(y))
+    if common < _MIN_DETAIL:
+        return a[0].parent.resolve() == b[0].parent.resolve()
+    return float((x * y).sum() / common) > _SAME_VIEW_CORRELATION
 
 
-@dataclass(slots=True)
-class _View:
-    deviating: Mask
-    shown: list[tuple[Path, Detail]]
+def _view_numbers(frames: Sequence[tuple[Path, Indices, Detail]]) -> Indices:
+    """Return the number of each frame's view [n]."""
+    from scipy.sparse.csgraph import connected_components
 
-    def shows(self, source: Path, detail: Detail) -> bool:
-        """Return whether a frame shows this view.
-
-        Frames of one folder that cannot be compared (long and short) count as the same view:
-        undercounting views is safe.
-        """
-        for other, other_detail in self.shown:
-            alike = _alike(detail, other_detail)
-            if other == source if alike is None else alike > _SAME_VIEW_CORRELATION:
-                return True
-        return False
-
-
-def _join(views: list[_View], new: _View) -> list[_View]:
-    """Return all views after adding a frame to the views that it shows; these become one view."""
-    source, detail = new.shown[0]
-    apart = []
-    for view in views:
-        if view.shows(source, detail):
-            new = _View(new.deviating | view.deviating, [*new.shown, *view.shown])
-        else:
-            apart.append(view)
-    return [*apart, new]
+    same = np.array([[_is_same_view(a, b) for b in frames] for a in frames], bool)
+    return connected_components(same.reshape(len(frames), -1))[1] if frames else np.zeros(0, int)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from fieldlum.core.errors import InputError
@@ -23,37 +24,41 @@ from fieldlum.session import sha256
 from fieldlum.version import __version__
 
 CsvRow = dict[str, Any]
-"""The cells of a line by column: a number, a path, or None if empty."""
+"""The cells of a line by column: numbers and paths."""
 
 
-def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[CsvRow]:
+def read_table(
+    path: Path, required: Sequence[str], optional: Mapping[str, Any] = MappingProxyType({})
+) -> list[CsvRow]:
     """Return the rows of a csv as dicts: numbers, and paths in the columns `file` and `panorama`.
 
-    needed, also : required and optional columns. Paths are relative to the csv. Separators are
-    commas, semicolons or tabs; with the last two, decimals may have a comma. An empty cell is None.
-    Empty lines and lines that begin with # are skipped. Raises InputError for a missing or unknown
-    column, an invalid cell, or a csv without readings.
+    required : columns with a value in every line; optional : other columns, with the value of a
+    missing column or an empty cell; a zero counts as empty unless that value is zero or None. Paths
+    are relative to the csv. Separators are commas,
+    semicolons or tabs; with the last two, decimals may have a comma. Empty lines and lines that
+    begin with # are skipped. Raises InputError for a missing or unknown column, an invalid or
+    empty cell, or a csv without readings.
     """
     lines = _lines(path)
     mark = _separator(lines)
     table = table_of(path, lines, mark) if lines else CsvTable(path, (), ())
-    names = table.names
-    columns = (*needed, *also)
-    expected = f"columns {', '.join(columns)}"
-    if missing := [name for name in needed if name not in names]:
-        raise InputError(
-            path, f"no column {missing[0]}", expected, "name the columns in the first line"
-        )
-    if unknown := [name for name in names if name not in columns]:
+    expected = f"columns {', '.join((*required, *optional))}"
+    if missing := [name for name in required if name not in table.names]:
+        remedy = "name the columns in the first line"
+        raise InputError(path, f"no column {missing[0]}", expected, remedy)
+    if unknown := [name for name in table.names if name not in (*required, *optional)]:
         raise InputError(path, f"unknown column {unknown[0]}", expected, "remove or rename it")
-    readings = [
-        {n: _cell(path, number, n, text, mark) for n, text in cells.items()}
-        for number, cells in table.dicts()
-    ]
+    readings = []
+    for number, cells in table.dicts():
+        row = {n: _cell(path, number, n, text, mark) for n, text in cells.items() if text}
+        if empty := [name for name in required if name not in row]:
+            found = f"an empty cell in the column {empty[0]}"
+            raise InputError(path, found, "a value in every line", "fill in the missing value")
+        stated = {n: cell for n, cell in row.items() if cell or not optional.get(n)}
+        readings.append({**optional, **stated})
     if not readings:
-        raise InputError(
-            path, "no readings", "one reading on each line", "add at least one reading"
-        )
+        remedy = "add at least one reading"
+        raise InputError(path, "no readings", "one reading on each line", remedy)
     return readings
 
 
@@ -77,34 +82,13 @@ def _separator(lines: Sequence[Line]) -> str:
 
 
 def _cell(path: Path, number: int, name: str, text: str, mark: str) -> Any:
-    if not text:
-        return None
     if name in ("file", "panorama"):
         return path.parent / text
     try:
         return float(text if mark == "," else text.replace(",", "."))
     except ValueError:
-        raise InputError(
-            f"{path}:{number}",
-            f"{name} is '{text}'",
-            "a number",
-            "write a number with a decimal point",
-        ) from None
-
-
-def needed(row: CsvRow, name: str, path: Path) -> Any:
-    """Return the cell `name` of a row of `read_table`; raise InputError if it is empty.
-
-    path : the csv, for the error.
-    """
-    if row.get(name) is None:
-        raise InputError(
-            path,
-            f"an empty cell in the column {name}",
-            "a value in every line",
-            "fill in the missing value",
-        )
-    return row[name]
+        found, remedy = f"{name} is '{text}'", "write a number with a decimal point"
+        raise InputError(f"{path}:{number}", found, "a number", remedy) from None
 
 
 def save_calibration(

@@ -83,12 +83,8 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     for folder in (path for path in paths if not path.is_file()):
         frames = sorted(p for p in folder.glob("*") if is_jpeg(p))
         if not frames:
-            raise InputError(
-                folder,
-                "no JPEG frames",
-                "a folder with the frames of one bracket",
-                "check the path of the folder",
-            )
+            expected = "a folder with the frames of one bracket"
+            raise InputError(folder, "no JPEG frames", expected, "check the path of the folder")
         brackets.append(frames)
     return brackets
 
@@ -112,17 +108,8 @@ def sample(
     InputError for a bracket of mixed apertures or sizes or with fewer than three exposures,
     NotEnoughDataError for one with fewer than 50 flat, well exposed places.
     """
-    parts: list[_Part] = []
-    for paths in brackets:
-        blocks, exposures = _blocks_of(paths, profile)
-        codes = _flat_places(blocks, profile, rng, paths[0].parent)
-        parts.append(_Part(codes, tuple(exposures), paths[0].parent))
-    files = tuple(path for paths in brackets for path in paths)
-    return _with_steps(_lawful(parts, files, profile))
-
-
-def _with_steps(places: Places) -> Places:
-    """Return the places with the exposures that the overlap of the frames shows."""
+    parts = [_flat_places(paths, profile, rng) for paths in brackets]
+    places = _lawful(parts, tuple(path for paths in brackets for path in paths), profile)
     steps = steps_by_overlap(places.codes, places.log_exposure, places.bracket, LOW, HIGH)
     return replace(places, log_exposure=steps.log_exposure, steps=steps)
 
@@ -142,7 +129,10 @@ def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
 
     The labels' law remains unless another law is better by more than chance, place by place.
     """
-    errors = {law: _left_by(places) for law, places in pooled.items()}
+    errors: dict[str, Floats] = {}
+    for law, places in pooled.items():
+        green, log_e = places.codes[..., 1], places.log_exposure
+        errors[law] = residuals(fit_response(green, log_e, smooth=SMOOTH[-1])[0], green, log_e)
     misfit = {law: round(100.0 * float(np.sqrt(np.nanmean(e))), 2) for law, e in errors.items()}
     best = min(LAWS, key=lambda law: (misfit[law], law != labels.law))
     gain = errors[labels.law] - errors[best]
@@ -154,13 +144,6 @@ def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
     return replace(pooled[law.law], law=law)
 
 
-def _left_by(places: Places) -> Floats:
-    """Return squared residuals of places: ln z of their green codes about a fitted response."""
-    codes = places.codes[..., 1]
-    table, _ = fit_response(codes, places.log_exposure, smooth=SMOOTH[-1])
-    return residuals(table, codes, places.log_exposure)
-
-
 def _pool(
     parts: Sequence[_Part], files: tuple[Path, ...], profile: CameraProfile, law: ShutterLaw
 ) -> Places:
@@ -169,14 +152,10 @@ def _pool(
     exposures: list[Floats] = []
     for part in parts:
         log_e = [np.log(true_shutter_s(e.shutter_s, with_law)[0] * e.iso) for e in part.exposures]
-        count = len({round(e, 3) for e in log_e})
-        if count < 3:
-            raise InputError(
-                part.folder,
-                f"{len(part.exposures)} frames with {count} different exposures",
-                "a bracket with at least three different exposures",
-                "take a bracket with more exposures",
-            )
+        if (count := len({round(e, 3) for e in log_e})) < 3:
+            found = f"{len(part.exposures)} frames with {count} different exposures"
+            expected = "a bracket with at least three different exposures"
+            raise InputError(part.folder, found, expected, "take a bracket with more exposures")
         exposures.append(np.array(log_e))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
     codes = np.zeros((sum(len(part.codes) for part in parts), len(grid), 3), np.uint8)
@@ -188,64 +167,43 @@ def _pool(
     return Places(codes, grid, bracket, files, law, labelled_steps(grid))
 
 
-@dataclass(frozen=True, slots=True)
-class _Blocks:
-    """Codes [frames, places, 9, 3] of 3 x 3 blocks, and the blocks' middles x_px, y_px [places]."""
+def _flat_places(paths: Sequence[Path], profile: CameraProfile, rng: np.random.Generator) -> _Part:
+    """Return the mean codes of a bracket's 3 x 3 blocks without an edge, inside the lens circles.
 
-    codes: NDArray[np.uint8]
-    x_px: Floats
-    y_px: Floats
-
-
-def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, list[Exposure]]:
-    """Read at most BLOCKS blocks on a grid, one frame at a time.
-
-    Therefore the memory needed does not grow with the sensor.
+    At most BLOCKS blocks on a grid are read, one frame at a time, so that the memory needed does
+    not grow with the sensor.
     """
-    codes, exposures, shape = [], [], (0, 0)
-    y, x = np.zeros(0, int), np.zeros(0, int)
+    height, width = profile.camera.height_px, profile.camera.width_px
+    step = max(3, int(np.ceil(np.sqrt(height * width / BLOCKS))))
+    y, x = np.mgrid[1 : height - 1 : step, 1 : width - 1 : step]
+    inside = np.zeros(x.shape, bool)
+    for lens in profile.lens:
+        off = np.hypot(x + 0.5 - lens.centre_px[0], y + 0.5 - lens.centre_px[1])
+        inside |= off < 0.95 * lens.radius_px
+    y, x, blocks, exposures = y[inside], x[inside], [], []
     for path in paths:
         frame = read_jpeg(path, camera_pixels=profile.camera.pixels)
-        if not codes:
-            check_frame(path, frame.codes.shape, frame.model, profile)
-            shape = frame.codes.shape[:2]
-            step = max(3, int(np.ceil(np.sqrt(shape[0] * shape[1] / BLOCKS))))
-            y, x = (g.ravel() for g in np.mgrid[1 : shape[0] - 1 : step, 1 : shape[1] - 1 : step])
-        elif frame.codes.shape[:2] != shape or frame.exposure.f_number != exposures[0].f_number:
-            raise InputError(
-                path,
-                "this frame's size or aperture differs from that of the first frame",
-                "the frames of one bracket of one camera",
-                "remove this frame",
-            )
-        around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
-        codes.append(np.stack(around, axis=1))
+        check_frame(path, frame.codes.shape, frame.model, profile)
         exposures.append(frame.exposure)
-    return _Blocks(np.stack(codes), x + 0.5, y + 0.5), exposures
-
-
-def _flat_places(
-    blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator, bracket: Path
-) -> NDArray[np.uint8]:
-    """Return mean codes [places, frames, 3] of blocks without an edge, inside the lens circles."""
-    codes = blocks.codes
+        if frame.exposure.f_number != exposures[0].f_number:
+            found = f"f/{frame.exposure.f_number:g}, but the first frame has another aperture"
+            raise InputError(path, found, "the frames of one bracket", "remove this frame")
+        around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
+        blocks.append(np.stack(around, axis=1))
+    codes = np.stack(blocks)  # [frames, places, 9, 3]
     holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
     spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # of green
-    inside = np.zeros(len(blocks.x_px), bool)
-    for lens in profile.lens:
-        x, y = lens.centre_px
-        inside |= np.hypot(blocks.x_px - x, blocks.y_px - y) < 0.95 * lens.radius_px
-    flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & inside & (holds.sum(axis=0) >= 2))
+    flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & (holds.sum(axis=0) >= 2))
     if len(flat) < 50:
         raise NotEnoughDataError(
-            f"{bracket}: {len(flat)} even places in the lens circle are exposed well (JPEG codes "
-            f"{LOW} to {HIGH}) by two frames; expected at least 50; use exposure steps of at most "
-            f"2 EV, and picture even surfaces such as walls and sky"
+            f"{paths[0].parent}: {len(flat)} even places in the lens circle are exposed well (JPEG "
+            f"codes {LOW} to {HIGH}) by two frames; expected at least 50; use exposure steps of at "
+            "most 2 EV, and picture even surfaces such as walls and sky"
         )
-    brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
-    brightness += rng.uniform(0, 1e-3, len(flat))
+    brightness = codes[:, flat][..., 1].mean(axis=(0, 2)) + rng.uniform(0, 1e-3, len(flat))
     chosen = flat[_spread(brightness, min(PLACES, len(flat)))]
-    return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
+    means = np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
+    return _Part(means, tuple(exposures), paths[0].parent)
 
 
 def _spread(level: Floats, count: int) -> Indices:
@@ -315,32 +273,27 @@ def fit(places: Places) -> ResponseFit:
     else:
         red, green, blue = (tuple(round(float(z), 7) for z in t) for t in tables)
         response = Response("table", red, green, blue)
-    rms = [
+    red_rms, green_rms, blue_rms = (
         float(np.sqrt(np.nanmean(residuals(t, places.codes[..., c], places.log_exposure, low))))
         for c, t in enumerate(tables)
-    ]
-    u = choice.rms
-    if u > DOUBTFUL:
+    )
+    if choice.rms > DOUBTFUL:
         doubt = (
-            f"CAUTION: the fitted light of the same places differs by {100 * u:.0f} % between "
-            "frames: check that camera and light did not change, and take the bracket again"
+            f"CAUTION: the fitted light of the same places differs by {100 * choice.rms:.0f} % "
+            "between frames: check that camera and light did not change, and take the bracket again"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
-    u_rel = round(max(u, 0.001), 5)
+    u_rel = round(max(choice.rms, 0.001), 5)
     response = replace(response, low_code=low, high_code=HIGH, u_rel=u_rel)
-    return ResponseFit(response, (rms[0], rms[1], rms[2]), choice)
+    return ResponseFit(response, (red_rms, green_rms, blue_rms), choice)
 
 
 def _misfit(places: Places, tables: list[Floats], held: Mask, low: int) -> Floats:
     """Return squared errors of places, averaged over colours; NaN unless two frames see a place."""
-    by_colour = np.stack(
-        [
-            residuals(table, places.codes[held, :, c], places.log_exposure, low)
-            for c, table in enumerate(tables)
-        ]
-    )
-    seen = np.isfinite(by_colour)
-    total, count = np.where(seen, by_colour, 0).sum(axis=0), seen.sum(axis=0)
+    codes, log_e = places.codes[held], places.log_exposure
+    by_colour = np.stack([residuals(t, codes[..., c], log_e, low) for c, t in enumerate(tables)])
+    count = np.isfinite(by_colour).sum(axis=0)
+    total = np.nan_to_num(by_colour).sum(axis=0)
     return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
 
 

@@ -9,32 +9,35 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate.frames import Place
-from fieldlum.calibrate.readings_csv import needed, read_table
+from fieldlum.calibrate.panorama_places import (
+    disc_radius_rad,
+    is_flagged,
+    pixels_within,
+    read_panoramas,
+)
+from fieldlum.calibrate.readings_csv import read_table
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import direction, equirect_rays
-from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of spot meters
 # relative u of a meter's calibration, common to its readings; typical of data sheets
 METER_U = 0.02
 READING_U = 0.02  # relative u of one reading: aim, flicker, a passing cloud. Chosen, not measured.
 HUBER = 2.0  # standard uncertainties beyond which a reading counts less; chosen
-# Readings that differ by more than this many u, and by at least FAR_LEAST, are listed. Chosen, not
+# Readings that differ by more than this many u, and by this share, are outliers. Chosen, not
 # measured.
-FAR = 3.0
-FAR_LEAST = 0.1  # chosen
+OUTLIER_SIGMA, MIN_OUTLIER = 3.0, 0.1
 # largest share of outliers: with more, the picture is wrong and not the readings; chosen
-MOST_FAR = 1 / 3
+MAX_OUTLIERS = 1 / 3
 UNEVEN = 0.1  # relative u of a spot's mean; a larger one means an edge in its field; chosen
 # Range of k (R + G + B) for cameras whose white_dn is their white level, without a filter. Chosen
 # around 1.
 SENSIBLE_K = 0.5, 2.0
-MOST_FACTOR = 10.0  # largest change of a profile's k; a larger factor means another unit; chosen
+MAX_FACTOR = 10.0  # largest change of a profile's k; a larger factor means another unit; chosen
 # Ratios of reading to picture that typing errors cause (1 fL = 3.426 cd/m2, 1 fc = 10.764 lx).
 SLIPS = {
     1 / 3.426: "fL entered as cd/m2",
@@ -44,7 +47,7 @@ SLIPS = {
     0.1: "a factor of ten",
     10.0: "a factor of ten",
 }
-_LIKE = 0.06  # largest relative difference from a ratio of `SLIPS`; chosen
+_SAME = 0.06  # largest relative difference from a ratio of `SLIPS`; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,100 +95,66 @@ def from_table(
     for the user (empty without any). Raises InputError for a line with both or neither reading, a
     place that is clipped or without light, and pictures of another calibration.
     """
-    rows = read_table(
-        path,
-        ("panorama", "azimuth_deg", "altitude_deg"),
-        ("luminance_cdm2", "illuminance_lx", "u_rel"),
-    )
-    files = dict.fromkeys(needed(row, "panorama", path) for row in rows)
-    pictures = {file: read_panorama_with_sun(file) for file in files}
+    optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": READING_U}
+    rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
+    pictures = read_panoramas(rows, profile)
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
     readings, uneven = [], []
     for row in rows:
-        azimuth, altitude = needed(row, "azimuth_deg", path), needed(row, "altitude_deg", path)
-        spot, plane = row.get("luminance_cdm2"), row.get("illuminance_lx")
+        file, at = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
+        spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
         if (spot is None) == (plane is None):
+            count = "neither" if spot is None else "both"
             raise InputError(
                 path,
-                f"the line with azimuth {azimuth:g} and altitude {altitude:g} deg has "
-                f"{'neither' if spot is None else 'both'} of luminance_cdm2 and illuminance_lx",
+                f"the line with azimuth {at[0]:g} and altitude {at[1]:g} deg has {count} of "
+                "luminance_cdm2 and illuminance_lx",
                 "one of the two in each line",
                 "correct that line",
             )
-        file, u = row["panorama"], row.get("u_rel") or READING_U
-        place = Place(file, azimuth, altitude)
-        picture, label = pictures[file], f"{file.stem} {azimuth:g}/{altitude:g} deg"
+        label = f"{file.stem} {at[0]:g}/{at[1]:g} deg"
         if spot is not None:
-            image, u_image = spot_cdm2(picture, azimuth, altitude, file)
+            kind, meter, (image, u_image) = "spot", spot, spot_cdm2(pictures[file], *at, file)
             uneven += [label] if u_image > UNEVEN else []
-            readings.append(
-                LuminanceReading(
-                    "spot", label, spot, image * to_k[file], float(np.hypot(u, u_image)), place
-                )
-            )
         else:
-            image = _plane_lx(picture, azimuth, altitude, file)
-            readings.append(
-                LuminanceReading("illuminance", label, plane or 0.0, image * to_k[file], u, place)
-            )
-    unmarked = [file.name for file, picture in pictures.items() if "k" not in picture.attributes]
-    notes: tuple[str, ...] = ()
-    if unmarked:
-        notes += (
+            kind, meter, u_image = "illuminance", plane, 0.0
+            image = _plane_lx(pictures[file], *at, file)
+        u_rel, place = float(np.hypot(row["u_rel"], u_image)), Place(file, *at)
+        readings.append(LuminanceReading(kind, label, meter, image * to_k[file], u_rel, place))
+    notes = []
+    if unmarked := [file.name for file, shown in pictures.items() if "k" not in shown.attributes]:
+        notes.append(
             f"no factor k is stored in {', '.join(unmarked)}: the profile's k is assumed; merge "
-            "again to be sure",
+            "again to be sure"
         )
     if uneven:
-        notes += (
+        notes.append(
             f"the luminance is uneven around these readings, which therefore have a low weight: "
-            f"{', '.join(uneven)}: measure places that are even over two degrees",
+            f"{', '.join(uneven)}: measure places that are even over two degrees"
         )
-    return readings, list(pictures), notes
+    return readings, list(pictures), tuple(notes)
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
-    """Return the profile's k divided by the k with which the picture was merged.
-
-    Raises InputError if the picture was merged with another calibration.
-    """
-    attributes, own = picture.attributes, calibration_mark(profile)
-    if attributes.get("calibration", own["calibration"]) != own["calibration"]:
-        raise InputError(
-            file,
-            f"the picture was merged with another calibration ({attributes.get('camera', '?')})",
-            f"the calibration of {profile.camera.name}",
-            "merge it again with this profile (fieldlum merge)",
-        )
-    stored = attributes.get("k", own["k"])
+    """Return the profile's k divided by the k with which the picture was merged."""
+    stored = picture.attributes.get("k", calibration_mark(profile)["k"])
     try:
         k = float(stored)
     except ValueError:
         k = math.nan
     if not 0.0 < k < math.inf:
-        raise InputError(
-            file,
-            f"the stored factor k is '{stored}'",
-            "a number above 0",
-            "merge it again (fieldlum merge)",
-        )
+        found, remedy = f"the stored factor k is '{stored}'", "merge it again (fieldlum merge)"
+        raise InputError(file, found, "a number above 0", remedy)
     return profile.scale.k / k
 
 
-def _inside(picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_rad: float) -> Mask:
-    height, width = picture.luminance_cdm2.shape
-    rays = equirect_rays(height, width, picture.heading_deg)
-    return rays @ direction(altitude_deg, azimuth_deg) >= np.cos(radius_rad)
-
-
-def _refuse_clipped(
-    picture: Panorama, inside: Mask, file: Path | str, place: str, remedy: str
-) -> None:
-    if picture.flags is not None and (picture.flags[inside] & Flag.CLIPPED_HIGH).any():
+def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: str) -> None:
+    if is_flagged(picture, inside, Flag.CLIPPED_HIGH):
         raise InputError(
             file,
             f"the picture is clipped in every frame {place}",
             "light that at least one frame records without clipping",
-            remedy,
+            "remove this reading from the csv, or capture shorter exposures as well",
         )
 
 
@@ -194,21 +163,11 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
 
     Raises InputError if light in front of the plane is clipped.
     """
-    front = _inside(picture, azimuth_deg, altitude_deg, np.pi / 2)
-    place = (
-        f"in front of the plane that faces azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg "
-        "(the sun or a lamp), so that a part of its illuminance is unknown"
-    )
-    _refuse_clipped(
-        picture,
-        front,
-        file,
-        place,
-        "remove this reading from the csv, or capture shorter exposures as well",
-    )
-    return illuminance_lx(
-        picture.luminance_cdm2, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun
-    )
+    front = pixels_within(picture, azimuth_deg, altitude_deg, np.pi / 2)
+    facing = f"azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
+    _refuse_clipped(picture, front, file, f"in front of the plane that faces {facing}")
+    light = picture.luminance_cdm2
+    return illuminance_lx(light, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun)
 
 
 def spot_cdm2(
@@ -223,15 +182,8 @@ def spot_cdm2(
     from scipy.stats import trim_mean
 
     place = f"at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
-    inside = _inside(
-        picture,
-        azimuth_deg,
-        altitude_deg,
-        np.radians(max(SPOT_DEG, 1.2 * 180.0 / len(picture.luminance_cdm2))),
-    )
-    _refuse_clipped(
-        picture, inside, file, place, "read a darker place, or capture shorter exposures as well"
-    )
+    inside = pixels_within(picture, azimuth_deg, altitude_deg, disc_radius_rad(picture, SPOT_DEG))
+    _refuse_clipped(picture, inside, file, place)
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
@@ -260,29 +212,24 @@ def fit(
             f"{source}: no readings; expected at least one luminance_cdm2 or illuminance_lx; add a "
             "line to the csv"
         )
-    meter = np.array([r.meter for r in readings], float)
-    image = np.array([r.image for r in readings], float)
-    u = np.array([r.u_rel for r in readings], float)
-    if not ((meter > 0).all() and (image > 0).all()):
+    meter, image, u = np.array([(r.meter, r.image, r.u_rel) for r in readings], float).T
+    if min(meter.min(), image.min()) <= 0:
         bad = readings[int(np.argmin(np.minimum(meter, image)))]
         unit = "cd/m2" if bad.kind == "spot" else "lx"
-        raise InputError(
-            bad.label,
-            f"the meter reads {bad.meter:g} {unit}, the picture {bad.image:g} {unit}",
-            "values above zero",
-            "remove this reading from the csv of readings",
-        )
+        found = f"the meter reads {bad.meter:g} {unit}, the picture {bad.image:g} {unit}"
+        remedy = "remove this reading from the csv of readings"
+        raise InputError(bad.label, found, "values above zero", remedy)
     log = np.log(meter / image)
     centre, weight = _centre(log, u)
-    off = np.abs(log - centre) / np.maximum(u, FAR_LEAST / FAR)
+    off = np.abs(log - centre) / np.maximum(u, MIN_OUTLIER / OUTLIER_SIGMA)
     scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
     u_log = np.sqrt(max(scatter, 1.0) / weight.sum())
-    far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > FAR)
-    if len(far) > MOST_FAR * len(log):
+    far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > OUTLIER_SIGMA)
+    if len(far) > MAX_OUTLIERS * len(log):
         raise InputError(
             source,
             f"{len(far)} of {len(log)} readings differ from the fitted factor k by more than "
-            f"{100 * FAR_LEAST:g} % and {FAR:g} times their u_rel: {', '.join(far[:4])}",
+            f"{100 * MIN_OUTLIER:g} % and {OUTLIER_SIGMA:g} u_rel: {', '.join(far[:4])}",
             "this of at most a third of the readings",
             "check the azimuths (clockwise from north), that all readings have one unit, "
             "and that the light was steady; correct the csv and run this again",
@@ -299,20 +246,14 @@ def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
     the likely error. The list is empty without outliers.
     """
     texts = []
-    for reading in readings:
-        if reading.label in scale_fit.far:
-            ratio = reading.meter / (reading.image * scale_fit.factor)
-            texts.append(
-                f"{reading.label}: the reading of {reading.meter:g} is {ratio:.3g} times the "
-                f"picture's value{_slip(ratio)}"
-            )
+    for reading in (r for r in readings if r.label in scale_fit.far):
+        ratio = reading.meter / (reading.image * scale_fit.factor)
+        near = (f" ({why}?)" for factor, why in SLIPS.items() if abs(ratio / factor - 1) < _SAME)
+        texts.append(
+            f"{reading.label}: the reading of {reading.meter:g} is {ratio:.3g} times the "
+            f"picture's value{next(near, '')}"
+        )
     return texts
-
-
-def _slip(ratio: float) -> str:
-    return next(
-        (f" ({name}?)" for factor, name in SLIPS.items() if abs(ratio / factor - 1) < _LIKE), ""
-    )
 
 
 def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
@@ -333,17 +274,13 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
         "check that readings are in cd/m2 and lx (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx "
         "= 1000 lx)"
     )
-    if not 1 / MOST_FACTOR <= scale_fit.factor <= MOST_FACTOR:
+    if not 1 / MAX_FACTOR <= scale_fit.factor <= MAX_FACTOR:
         remedy += (
             "; if a filter on the lens or white_dn causes this, first write a k near the new one "
             "under [scale] in the profile"
         )
-        raise InputError(
-            path,
-            f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k",
-            "readings in cd/m2 and lx",
-            remedy,
-        )
+        found = f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k"
+        raise InputError(path, found, "readings in cd/m2 and lx", remedy)
     return f"{doubt}: {remedy}"
 
 

@@ -12,7 +12,9 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +31,10 @@ from fieldlum.session import Session
 from fieldlum.session.files.merge_report import FrameQuality, NeighbourQuality
 from fieldlum.session.files.sidecar import Sidecar
 
-LEAST = 5  # least number of brackets with a pair of times; chosen so that a median is robust
+MIN_BRACKETS = 5  # with a pair of times; chosen so that a median is robust
 # largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;
 # chosen
-WIDEST = 0.02
+MAX_SPREAD = 0.02
 _NOISY = 0.01  # relative u of one bracket's pair; less certain pairs do not count; chosen
 _FLOOR = 2e-4  # smallest relative u of a time; chosen, not measured
 _LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in photometry.ratios; not measured
@@ -106,21 +108,17 @@ def from_session(
     """
     brackets, files, others = [], [], 0
     for path in session.sidecar_files():
-        try:
+        with suppress(InputError):  # damaged, or not written by a merge
             sidecar = Sidecar.read(path)
-        except InputError:
-            continue  # damaged, or not written by a merge
-        others += sidecar.profile.sha256 not in ("", profile_sha256)
-        readings = readings_of(sidecar) if sidecar.profile.sha256 == profile_sha256 else []
-        if readings:
-            brackets.append(readings)
-            files.append(path)
+            others += sidecar.profile.sha256 not in ("", profile_sha256)
+            if sidecar.profile.sha256 == profile_sha256 and (readings := readings_of(sidecar)):
+                brackets.append(readings)
+                files.append(path)
     if not brackets and others:
+        found = f"{counted(others, 'panorama')} merged with another profile"
+        remedy = "merge again (fieldlum merge), or name the other profile"
         raise InputError(
-            session.panoramas,
-            f"{counted(others, 'panorama')} merged with another profile",
-            "panoramas merged with the stated profile",
-            "merge again (fieldlum merge), or name the other profile",
+            session.panoramas, found, "panoramas merged with the stated profile", remedy
         )
     if not brackets:
         raise NotEnoughDataError(
@@ -141,12 +139,9 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
     if profile.shutter_law != AUTO or not laws:
         return profile
     if len(laws) > 1:
-        raise InputError(
-            sidecars[0].parent,
-            f"the brackets were merged with several shutter laws: {', '.join(sorted(laws))}",
-            "one law for all brackets",
-            'write shutter_law = "exact" (or another) into the profile and merge again',
-        )
+        found = f"the brackets were merged with several shutter laws: {', '.join(sorted(laws))}"
+        remedy = 'write shutter_law = "exact" (or another) into the profile and merge again'
+        raise InputError(sidecars[0].parent, found, "one law for all brackets", remedy)
     return replace(profile, shutter_law=laws.pop())
 
 
@@ -156,26 +151,18 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     Pairs with a filter, with two ISOs, with equal times or with an uncertainty above 1 % are
     omitted. The list is empty if the sidecar is damaged, or if frames of a heading do not overlap.
     """
-    headings: list[list[FrameQuality]] = []
-    for frame in sidecar.report.frames:
-        if not headings or headings[-1][0].heading_deg != frame.heading_deg:
-            headings.append([])
-        headings[-1].append(frame)
-    runs: list[list[NeighbourQuality]] = []
-    for neighbour in sidecar.report.neighbours:  # counted from 0 at each heading
-        if not runs or neighbour.long <= runs[-1][-1].long:
-            runs.append([])
-        runs[-1].append(neighbour)
+    report = sidecar.report
+    headings = [list(frames) for _, frames in groupby(report.frames, lambda f: f.heading_deg)]
+    neighbours = report.neighbours  # their frames are counted from 0 at each heading
+    starts = [i for i, n in enumerate(neighbours) if not i or n.long <= neighbours[i - 1].long]
+    runs = [neighbours[a:b] for a, b in pairwise([*starts, len(neighbours)])]
     if len(runs) != len(headings):
         return []  # a heading has no overlap, so pairs cannot be assigned to headings
+    readings = []
     for frames, run in zip(headings, runs, strict=True):
         if max(max(n.long, n.short) for n in run) >= len(frames):
             return []  # damaged: the sidecar lists frames that do not exist
-    readings = [
-        _reading(frames[n.long], frames[n.short], n)
-        for frames, run in zip(headings, runs, strict=True)
-        for n in run
-    ]
+        readings += [_reading(frames[n.long], frames[n.short], n) for n in run]
     return [r for r in readings if r is not None and r.u_log < _NOISY]
 
 
@@ -190,10 +177,9 @@ def _reading(
     u_log = neighbour.u_percent / 100
     if not (math.isfinite(log_ratio) and u_log > 0):
         return None
-    times = long.t_utc, short.t_utc
     seconds = None
-    if times[0] is not None and times[1] is not None:
-        seconds = (times[1] - times[0]).total_seconds()
+    if long.t_utc is not None and short.t_utc is not None:
+        seconds = (short.t_utc - long.t_utc).total_seconds()
     return ShutterReading((a.shutter_s, b.shutter_s), log_ratio, u_log, seconds)
 
 
@@ -267,16 +253,13 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
             "a profile of a raw camera",
             "leave the shutter times as they are, and calibrate only the response",
         )
-    pooled = pool(brackets)
-    left_out = [_why(t) for t in pooled.values() if t.brackets < LEAST or t.spread > WIDEST]
-    chain = _largest_chain(
-        [t for t in pooled.values() if t.brackets >= LEAST and t.spread <= WIDEST]
-    )
-    if not chain:
-        why = "; ".join(left_out) or "no frames overlap"
+    pooled = pool(brackets).values()
+    steady = [t for t in pooled if t.brackets >= MIN_BRACKETS and t.spread <= MAX_SPREAD]
+    left_out = tuple(_why(t) for t in pooled if t not in steady)
+    if not (chain := _largest_chain(steady)):
         raise NotEnoughDataError(
-            f"shutter: no ratio of two shutter times agrees in {LEAST} brackets or more: {why}; "
-            "capture more brackets in steady light"
+            f"shutter: no ratio of two shutter times agrees in {MIN_BRACKETS} brackets or more: "
+            f"{'; '.join(left_out) or 'no frames overlap'}; capture more brackets in steady light"
         )
     held = _held_out(brackets, {t.pair for t in chain})
     choice = choose(
@@ -289,33 +272,25 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
             f"{choice.line}; use the profile as it is"
         )
     nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
-    assumed = [true_shutter_s(time, profile) for time in nominal]
-    delta, u = _levelled(
-        chain, nominal, np.array([known_u for _, known_u in assumed]), _drift_error(brackets)
-    )
+    assumed_s, u_assumed = zip(*(true_shutter_s(time, profile) for time in nominal), strict=True)
+    delta, u = _levelled(chain, nominal, np.array(u_assumed), _drift_error(brackets))
     times, counts = [], []
     for number, time in enumerate(nominal):
         mine = [t for t in chain if time in t.pair]
         u_rel = float(np.hypot(u[number], min(t.spread for t in mine)))
-        true_s = assumed[number][0] * float(np.exp(delta[number]))
+        true_s = assumed_s[number] * float(np.exp(delta[number]))
         times.append(ShutterTime(time, float(f"{true_s:.7g}"), round(max(u_rel, _FLOOR), 6)))
         counts.append(max(t.brackets for t in mine))
-    return ShutterFit(
-        tuple(times),
-        tuple(known_s for known_s, _ in assumed),
-        tuple(counts),
-        tuple(left_out),
-        choice.line,
-    )
+    return ShutterFit(tuple(times), assumed_s, tuple(counts), left_out, choice.line)
 
 
 def _why(table: FramePairTable) -> str:
     a, b = map(shutter_text, table.pair)
-    if table.brackets < LEAST:
-        return f"{a} to {b} s: brackets with both times: {table.brackets}, needed: {LEAST}"
+    if table.brackets < MIN_BRACKETS:
+        return f"{a} to {b} s: brackets with both times: {table.brackets}, needed: {MIN_BRACKETS}"
     return (
         f"{a} to {b} s: the ratio varies by {100 * table.spread:.1f} % between brackets (standard "
-        f"deviation; limit {100 * WIDEST:g} %): the light or the shutter is unsteady"
+        f"deviation; limit {100 * MAX_SPREAD:g} %): the light or the shutter is unsteady"
     )
 
 

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.statistics import robust_sigma
+from fieldlum.core.statistics import median_standard_error, robust_sigma
 from fieldlum.optics.photometry import fit_response
 
-_FEWEST = 20  # places for which a step counts as measured; chosen
-_MEDIAN = 1.2533  # standard error of a median over that of a mean, sqrt(pi / 2), normal errors
+_MIN_PLACES = 20  # places for which a step counts as measured; chosen
 _SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
 _LABEL_U = 0.05  # ln of light: prior of a label, of the order of rounding to thirds (6.7 %); chosen
 _MEASURED_U = 0.02  # ln of light: a step with a larger uncertainty is the label's; chosen
@@ -70,7 +69,7 @@ def steps_by_overlap(
     [exposures] : ln, increasing; bracket [places] : index of each place's bracket; low, high :
     range of the codes that count.
     """
-    if len(codes) < _FEWEST:
+    if len(codes) < _MIN_PLACES:
         return labelled_steps(log_exposure)
     pairs = _pairs(codes, bracket)
     log_e, deviation = log_exposure, np.zeros(len(log_exposure) - 1)
@@ -130,11 +129,11 @@ def _fitted(light: Floats, log_e: Floats, pairs: list[tuple[int, int]]) -> tuple
         off = light[:, second] - light[:, first]  # [places, 3]
         seen = np.isfinite(off)
         places = seen.any(axis=1)
-        if places.sum() < _FEWEST:
+        if places.sum() < _MIN_PLACES:
             continue
         of_place = np.nansum(off[places], axis=1) / seen[places].sum(axis=1)
         middle = float(np.median(of_place))
-        u = _MEDIAN * robust_sigma(of_place, middle) / np.sqrt(len(of_place))
+        u = median_standard_error(robust_sigma(of_place, middle), len(of_place))
         weight = 1.0 / (u**2 + _SYSTEMATIC**2)
         row = np.zeros(count)
         row[first:second] = 1.0

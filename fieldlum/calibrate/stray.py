@@ -15,15 +15,19 @@ import numpy as np
 
 from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
-from fieldlum.calibrate.readings_csv import needed, read_table
+from fieldlum.calibrate.panorama_places import (
+    disc_radius_rad,
+    is_flagged,
+    pixels_within,
+    read_panoramas,
+)
+from fieldlum.calibrate.readings_csv import read_table
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Flag, Panorama
-from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry.stray_light import kernel_per_sr
 from fieldlum.optics.profiles import CameraProfile, StrayLight
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 # Angles of the tried kernels, in degrees; octaves, because haze falls roughly with a power. Chosen;
 # held-out readings select a set.
@@ -34,12 +38,12 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
     (1.5, 6.0, 24.0, 96.0),
     (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
 )
-FEWEST_READINGS = 8  # twice the nodes of the fourth kernel; chosen, not measured
+MIN_READINGS = 8  # twice the nodes of the fourth kernel; chosen, not measured
 TRAP_RADIUS_DEG = 0.5  # radius of the place that is averaged, unless the csv states another; chosen
 # of the stray light: interpolation on a grid of 3 degrees is not better; not measured
-LEAST_U_REL = 0.1
+MIN_U_REL = 0.1
 # of a source's light; with more, the lens is fogged or the place was not black; chosen
-MOST_SHARE = 0.3
+MAX_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,37 +88,21 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     invalid line, for a place that `reading` rejects, and for a picture that was merged with another
     calibration or with a stray-light kernel.
     """
-    rows = read_table(
-        path, ("panorama", "azimuth_deg", "altitude_deg"), ("luminance_cdm2", "radius_deg")
-    )
-    pictures: dict[Path, Panorama] = {}
-    for row in rows:
-        file = needed(row, "panorama", path)
-        if file not in pictures:
-            pictures[file] = read_panorama_with_sun(file)
-            _check_calibration(file, pictures[file], profile)
+    optional = {"luminance_cdm2": 0.0, "radius_deg": TRAP_RADIUS_DEG}
+    rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
+    plain = replace(profile, stray=StrayLight())
+    pictures = read_panoramas(rows, plain, ", after removing [stray] from the profile")
     return [
         reading(
             row["panorama"],
             pictures[row["panorama"]],
             profile,
-            (needed(row, "azimuth_deg", path), needed(row, "altitude_deg", path)),
-            row.get("luminance_cdm2") or 0.0,
-            row.get("radius_deg") or TRAP_RADIUS_DEG,
+            (row["azimuth_deg"], row["altitude_deg"]),
+            row["luminance_cdm2"],
+            row["radius_deg"],
         )
         for row in rows
     ]
-
-
-def _check_calibration(file: Path, picture: Panorama, profile: CameraProfile) -> None:
-    own = calibration_mark(replace(profile, stray=StrayLight()))["calibration"]
-    if picture.attributes.get("calibration", own) != own:
-        raise InputError(
-            file,
-            "the panorama was merged with another calibration, or with a stray-light correction",
-            f"a panorama merged with {profile.camera.name} without the table [stray]",
-            "merge it again with this profile, after removing [stray] from it if it has one",
-        )
 
 
 def reading(
@@ -140,15 +128,16 @@ def reading(
     angle = np.arccos(np.clip(rays @ toward, -1.0, 1.0))
     label = f"{file.stem} {at_deg[0]:g}/{at_deg[1]:g} deg"
 
-    inside = angle <= np.radians(max(radius_deg, 1.2 * 180.0 / height))
-    flags = np.zeros(len(light), int) if picture.flags is None else picture.flags.ravel()
+    disc = pixels_within(picture, *at_deg, disc_radius_rad(picture, radius_deg))
+    inside = disc.ravel()
     remedy = "check azimuth_deg and altitude_deg in its row of the csv, or use another place"
-    if (flags[inside] & Flag.OUTSIDE_LENS).any():
-        what = f"the dark place {label} is outside the lens's field"
-        raise InputError(file, what, "a place inside the field", remedy)
-    if (flags[inside] & Flag.CLIPPED_HIGH).any():
-        what = f"the dark place {label} is clipped (too bright)"
-        raise InputError(file, what, "an unclipped place", remedy)
+    for flag, what in (
+        (Flag.OUTSIDE_LENS, "outside the lens's field"),
+        (Flag.CLIPPED_HIGH, "clipped (too bright)"),
+    ):
+        if is_flagged(picture, disc, flag):
+            found = f"the dark place {label} is {what}"
+            raise InputError(file, found, "an unclipped place inside the field", remedy)
     in_view = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
     use = in_view & ~inside & (light > 0)
     flux, away = (light * solid)[use], angle[use]
@@ -188,11 +177,10 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     errors. Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that
     spreads over 30 % of a source's light.
     """
-    if len(readings) < FEWEST_READINGS:
+    if len(readings) < MIN_READINGS:
         raise NotEnoughDataError(
             f"{source}: readings of dark places: {len(readings)}; expected at least "
-            f"{FEWEST_READINGS}; "
-            "add dark places at other angles from the light"
+            f"{MIN_READINGS}; add dark places at other angles from the light"
         )
     stray = np.array([r.stray_cdm2 for r in readings])
     groups = np.unique([str(r.picture) for r in readings], return_inverse=True)[1]
@@ -208,15 +196,15 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
         unit="% of it",
     )
     share = total_share(nodes, values)
-    if share > MOST_SHARE:
+    if share > MAX_SHARE:
         raise InputError(
             source,
             f"the fitted stray light is {100 * share:.0f} % of the light in the lens",
-            f"at most {100 * MOST_SHARE:.0f} %",
+            f"at most {100 * MAX_SHARE:.0f} %",
             "check that places in rows without luminance_cdm2 are really black, and that "
             "luminance_cdm2 in the other rows is right",
         )
-    u_rel = max(choice.rms, LEAST_U_REL)
+    u_rel = max(choice.rms, MIN_U_REL)
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
     return StrayFit(kernel, designs[nodes] @ values, share, choice)
 

@@ -4,36 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import EXISTING_PATH, PATH, Decorator, json_option, out_option
+from fieldlum.cli.declared import EXISTING_PATH, PATH, declare
+from fieldlum.cli.options import SHARED
 
-
-def _files(metavar: str, *, many: bool = False, needed: bool = True) -> Decorator:
-    nargs = -1 if many else 1
-    return click.argument(
-        "sources", metavar=metavar, nargs=nargs, required=needed, type=EXISTING_PATH
-    )
-
-
-_LENS = click.option(
-    "--lens",
-    "lens_number",
-    type=click.IntRange(min=1),
-    default=1,
-    help="Number of the lens in the profile.",
-)
+LensNumber = Annotated[int, click.IntRange(min=1)]
 _EVERY = (
-    click.option(
-        "--camera", required=True, help="The profile to start from: a file, or a shipped name."
+    click.Option(
+        ["--camera"], required=True, help="The profile to start from: a file, or a shipped name."
     ),
-    out_option("The profile", required=True),
-    click.option("--picture", type=PATH, help="Draw readings, fit and residuals (PNG, SVG)."),
-    json_option,
+    click.Option(["--out"], type=PATH, required=True, help="The profile to write."),
+    click.Option(["--picture"], type=PATH, help="Draw readings, fit and residuals (PNG, SVG)."),
+    SHARED["as_json"],
 )
 
 
@@ -63,17 +51,17 @@ def command() -> None:
 
 
 def _run(
-    name: str, camera: str, out: Path, picture: Path | None, as_json: bool, own: dict[str, Any]
+    name: str, camera: str, out: Path, picture: Path | None, as_json: bool, **own: Any
 ) -> None:
     """Fit one part, draw it, print what it found, and write the profile."""
     from fieldlum.calibrate import pictures, save_calibration
-    from fieldlum.cli import calibrate_fits, calibrate_lens
+    from fieldlum.cli import calibrate_fits
     from fieldlum.optics.profiles import load_camera_profile
 
     profile = load_camera_profile(camera)
     own |= {"camera": camera} if name == "shutter" else {}
-    module = calibrate_lens if name == "lens" else calibrate_fits
-    new = getattr(module, f"fit_{name}")(profile, **own)
+    own |= {"camera": camera} if name == "shutter" else {}
+    new = getattr(calibrate_fits, f"fit_{name}")(profile, **own)
     for note in new.notes:
         terminal.say(f"note: {note}")
     if picture and new.figure:
@@ -88,58 +76,27 @@ def _run(
     click.echo("\n".join([*new.rows, *new.lines, *shown, f"wrote {out}"]))
 
 
-def _part(*parameters: Decorator) -> Callable[[Callable[[], None]], click.Command]:
-    """Make a command of the group from a function's name and docstring.
-
-    parameters : click arguments and options in the order of the help, besides those of every part;
-    they are the arguments of `fit_NAME` in `calibrate_fits`, or in `calibrate_lens`.
-    """
-
-    def declared(function: Callable[[], None]) -> click.Command:
-        def run(camera: str, out: Path, picture: Path | None, as_json: bool, **own: Any) -> None:
-            _run(function.__name__, camera, out, picture, as_json, own)
-
-        run.__doc__ = function.__doc__
-        for parameter in reversed((*parameters, *_EVERY)):
-            run = parameter(run)
-        return command.command(function.__name__)(run)
-
-    return declared
+def _part(function: Callable[..., None]) -> click.Command:
+    """Add the command of a part; its parameters are those of `calibrate_fits.fit_NAME`."""
+    name = function.__name__
+    made = declare(function, name, SHARED)
+    made.callback, made.params = partial(_run, name), [*made.params, *_EVERY]
+    command.add_command(made)
+    return made
 
 
 # The parts, in the order in which a profile is fitted.
 
 
-@_part(
-    _files("TARGETS.csv|FRAME...", many=True, needed=False),
-    _LENS,
-    click.option(
-        "--full-angle",
-        "full_angle_deg",
-        type=click.FloatRange(10, 330),
-        help="Full angle of the image circle.",
-    ),
-    click.option(
-        "--circle", is_flag=True, help="Centre and radius from the edge of one bright FRAME."
-    ),
-    click.option(
-        "--chessboard",
-        metavar="CxR",
-        help="Inner corners across x down of a board in the FRAMEs, like 9x6.",
-    ),
-    click.option(
-        "--against",
-        type=EXISTING_PATH,
-        help="An older frame; the centre is moved by the shift from it to FRAME.",
-    ),
-    click.option(
-        "--trim",
-        "trim_deg",
-        type=click.FloatRange(0.1, 30),
-        help="Leave out this many degrees at the edge of the image, where the lens is dark.",
-    ),
-)
-def lens() -> None:
+@_part
+def lens(
+    sources: Annotated[tuple[Path, ...], "TARGETS.csv|FRAME...", EXISTING_PATH] = (),
+    lens_number: LensNumber = 1,
+    full_angle_deg: Annotated[float | None, click.FloatRange(10, 330)] = None,
+    circle: bool = False,
+    chessboard: str | None = None,
+    trim_deg: Annotated[float | None, click.FloatRange(0.1, 30)] = None,
+) -> None:
     """Fit centre, circle, mapping and pose of a lens.
 
     TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; angles are relative to
@@ -151,11 +108,18 @@ def lens() -> None:
       fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
       fieldlum calibrate lens flat.jpg --circle --full-angle 186 --camera mine.toml --out mine.toml
       fieldlum calibrate lens --trim 2.5 --camera mine.toml --out mine.toml
+
+    Options:
+      --lens: Number of the lens in the profile.
+      --full-angle: Full angle of the image circle.
+      --circle: Centre and radius from the edge of one bright FRAME.
+      --chessboard CxR: Inner corners across x down of a board in the FRAMEs, like 9x6.
+      --trim: Leave out this many degrees at the edge of the image, where the lens is dark.
     """
 
 
-@_part(_files("BRACKETS...", many=True))
-def response() -> None:
+@_part
+def response(sources: Annotated[tuple[Path, ...], "BRACKETS...", EXISTING_PATH]) -> None:
     """Fit JPEG codes to linear light, from brackets of a still scene.
 
     BRACKETS are folders with one bracket each, or the JPEG files of one bracket.
@@ -166,8 +130,11 @@ def response() -> None:
     """
 
 
-@_part(_files("READINGS.csv|FRAME...", many=True), _LENS)
-def vignette() -> None:
+@_part
+def vignette(
+    sources: Annotated[tuple[Path, ...], "READINGS.csv|FRAME...", EXISTING_PATH],
+    lens_number: LensNumber = 1,
+) -> None:
     """Fit the loss of light towards the edge, for one aperture.
 
     READINGS.csv has the columns file, x_px, y_px (optional: radius_px, reference) of one patch
@@ -177,18 +144,16 @@ def vignette() -> None:
     \b
     Example:
       fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
+
+    Options:
+      --lens: Number of the lens in the profile.
     """
 
 
-@_part(
-    _files("SPOTS.csv|FRAME"),
-    click.option(
-        "--corners",
-        metavar="X,Y,...",
-        help="Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.",
-    ),
-)
-def colour() -> None:
+@_part
+def colour(
+    sources: Annotated[Path, "SPOTS.csv|FRAME", EXISTING_PATH], corners: str | None = None
+) -> None:
     """Fit luminance from camera R, G, B, by spot readings or a chart.
 
     SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours.
@@ -197,20 +162,17 @@ def colour() -> None:
     \b
     Example:
       fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
+
+    Options:
+      --corners X,Y,...: Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.
     """
 
 
-@_part(
-    _files("READINGS.csv"),
-    click.option(
-        "--meter-u",
-        type=click.FloatRange(0, 1),
-        default=0.02,
-        show_default=True,
-        help="The meter's own relative uncertainty.",
-    ),
-)
-def scale() -> None:
+@_part
+def scale(
+    sources: Annotated[Path, "READINGS.csv", EXISTING_PATH],
+    meter_u: Annotated[float, click.FloatRange(0, 1)] = 0.02,
+) -> None:
     """Fit the absolute factor k from spot and illuminance readings.
 
     READINGS.csv has the columns panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or
@@ -220,11 +182,14 @@ def scale() -> None:
     \b
     Example:
       fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
+
+    Options:
+      --meter-u: The meter's own relative uncertainty.
     """
 
 
-@_part(_files("SESSION...", many=True))
-def shutter() -> None:
+@_part
+def shutter(sources: Annotated[tuple[Path, ...], "SESSION...", EXISTING_PATH]) -> None:
     """Fit the shutter's true times from merged sessions (raw cameras).
 
     The SESSIONs must be merged with this profile. Two neighbouring times are used if five or
@@ -237,11 +202,10 @@ def shutter() -> None:
     """
 
 
-@_part(
-    _files("FRAME|FOLDER...", many=True),
-    click.option("--dark", is_flag=True, help="The frames were taken with the cap on."),
-)
-def pixels() -> None:
+@_part
+def pixels(
+    sources: Annotated[tuple[Path, ...], "FRAME|FOLDER...", EXISTING_PATH], dark: bool = False
+) -> None:
     """List hot, dead and stuck pixels in the profile (raw cameras).
 
     SOURCES are folders with the frames of three or more views; turn the camera between them, so
@@ -252,11 +216,14 @@ def pixels() -> None:
     \b
     Example:
       fieldlum calibrate pixels north south west --camera mine.toml --out mine.toml
+
+    Options:
+      --dark: The frames were taken with the cap on.
     """
 
 
-@_part(_files("FRAMES...", many=True))
-def linearity() -> None:
+@_part
+def linearity(sources: Annotated[tuple[Path, ...], "FRAMES...", EXISTING_PATH]) -> None:
     """Fit how far raw counts are from proportional to light.
 
     FRAMES are raw frames of one steady light (a lit wall, or a lamp after half an hour), or
@@ -270,8 +237,8 @@ def linearity() -> None:
     """
 
 
-@_part(_files("READINGS.csv"))
-def stray() -> None:
+@_part
+def stray(sources: Annotated[Path, "READINGS.csv", EXISTING_PATH]) -> None:
     """Fit the lens's stray light from black traps in bright fields.
 
     READINGS.csv has panorama, azimuth_deg and altitude_deg of places that emit no light: the

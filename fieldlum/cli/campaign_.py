@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fieldlum.cli.options import (
-    PATH,
-    Decorator,
-    force_option,
-    json_option,
-    out_option,
-    scheduler_of,
-    scheduler_option,
-)
+from fieldlum.cli.declared import PATH
+from fieldlum.cli.options import SHARED, command_of, scheduler_of
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
     from fieldlum.report.campaign.stages import Stage
 
-campaign_argument = click.argument("campaign_file", metavar="CAMPAIGN.toml", type=PATH)
+_CAMPAIGN_FILE = click.Argument(["campaign_file"], metavar="CAMPAIGN.toml", type=PATH)
 
 
 @click.group("campaign")
@@ -62,8 +55,8 @@ def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json
         raise SystemExit(InputError.exit_code)
 
 
-def _add_stage(stage: Stage, text: str, example: str = "", *options: Decorator) -> None:
-    """Add the command of a stage, with --json and the options that the stage has."""
+def _add_stage(stage: Stage, text: str, example: str = "", *options: str) -> None:
+    """Add the command of a stage, with --json and the shared options that the stage has."""
 
     def run_rooms(
         campaign_file: Path, as_json: bool, scheduler_text: str = "local", force: bool = False
@@ -71,49 +64,37 @@ def _add_stage(stage: Stage, text: str, example: str = "", *options: Decorator) 
         _run(campaign_file, stage, scheduler_text, force, as_json)
 
     line = f"fieldlum campaign {stage} rooms/CAMPAIGN.toml {example}".rstrip()
-    run_rooms.__doc__ = f"{text}\n\n\b\nExample:\n  {line}\n"
-    for option in (json_option, *reversed(options), campaign_argument):
-        run_rooms = option(run_rooms)
-    command.command(stage)(run_rooms)
+    parameters = [_CAMPAIGN_FILE, *(SHARED[name] for name in (*options, "as_json"))]
+    help_text = f"{text}\n\n\b\nExample:\n  {line}\n"
+    command.add_command(click.Command(stage, None, run_rooms, parameters, help_text))
 
 
 _add_stage("plan", "Plan the rooms that have no session yet.")
 _add_stage("status", "Show what each room has done and what is still to do.")
-_add_stage(
-    "merge", "Merge and pair every room.", "--scheduler processes:8", scheduler_option, force_option
-)
-_add_stage(
-    "train",
-    "Train a model for every room; each room is one unit of work.",
-    "--scheduler processes:4",
-    scheduler_option,
-)
-_add_stage(
-    "predict",
-    "Predict a year for every room.",
-    "--scheduler cluster.json",
-    scheduler_option,
-    force_option,
-)
+_MERGED = "--scheduler processes:8"
+_add_stage("merge", "Merge and pair every room.", _MERGED, "scheduler_text", "force")
+_TRAINED = "Train a model for every room; each room is one unit of work."
+_add_stage("train", _TRAINED, "--scheduler processes:4", "scheduler_text")
+_CLUSTER = "--scheduler cluster.json"
+_add_stage("predict", "Predict a year for every room.", _CLUSTER, "scheduler_text", "force")
 
 
-@command.command("report")
-@campaign_argument
-@out_option("Folder of the overview", default="campaign/ next to CAMPAIGN.toml")
-@click.option(
-    "--table",
-    type=PATH,
-    help="Also write all hourly figures of all rooms, as FILE.csv.",
-)
-@json_option
+@command_of("report", command)
 def report_command(
-    campaign_file: Path, out: Path | None, table: Path | None, as_json: bool
+    campaign_file: Annotated[Path, "CAMPAIGN.toml"],
+    out: Path | None = None,
+    table: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Write the overview: glare, failed slots, next steps.
 
     \b
     Example:
       fieldlum campaign report rooms/CAMPAIGN.toml --table hours.csv
+
+    Options:
+      --out: Folder of the overview to write. [default: campaign/ next to CAMPAIGN.toml]
+      --table: Also write all hourly figures of all rooms, as FILE.csv.
     """
     from fieldlum.core.records import counted
     from fieldlum.report.campaign import read_campaign

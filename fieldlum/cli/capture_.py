@@ -6,90 +6,32 @@ import os
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import PATH, device_options, device_uris, session_argument
+from fieldlum.cli.options import command_of, device_uris
 from fieldlum.core.errors import DeviceError
 
 if TYPE_CHECKING:
     from fieldlum.capture.notify import Post
 
 
-@click.command("capture")
-@session_argument
-@device_options
-@click.option(
-    "--clock",
-    type=click.Choice(["real", "fast"]),
-    default="real",
-    show_default=True,
-    help="fast: simulated time.",
-)
-@click.option(
-    "--grace",
-    "grace_s",
-    metavar="S",
-    type=click.FloatRange(min=0),
-    help="How late a bracket may start, after which its slot is missed; stored in the "
-    "session. [default: 300]",
-)
-@click.option(
-    "--log-every",
-    "log_every_s",
-    metavar="S",
-    type=click.FloatRange(min=0.1),
-    default=5.0,
-    show_default=True,
-    help="Seconds between irradiance rows.",
-)
-@click.option(
-    "--status-json",
-    type=PATH,
-    help="Update this file with the state of the capture, so that it can be watched from "
-    "elsewhere.",
-)
-@click.option(
-    "--on-misses",
-    metavar="COMMAND",
-    default="",
-    help="Run this command when two slots in a row gave no bracket. Its environment has "
-    "FIELDLUM_SLOT, FIELDLUM_OUTCOME, FIELDLUM_REASON and FIELDLUM_SESSION.",
-)
-@click.option(
-    "--notify",
-    metavar="@FILE",
-    default="",
-    help="Send faults and a daily summary to the apprise addresses in FILE, one per line "
-    "(mailto://, ntfy://, tgram:// ...). The variable FIELDLUM_NOTIFY can state them "
-    "instead.",
-)
-@click.option(
-    "--notify-picture",
-    is_flag=True,
-    help="Attach the latest contact sheet to the daily summary; it may show people.",
-)
-@click.option(
-    "--heartbeat",
-    metavar="@FILE",
-    default="",
-    help="Fetch the address in FILE after each slot and every 10 minutes, for an external monitor.",
-)
+@command_of("capture")
 def command(
     session_folder: Path,
-    camera: str | None,
-    pyranometer: str | None,
-    meter: str | None,
-    clock: str,
-    grace_s: float | None,
-    log_every_s: float,
-    status_json: Path | None,
-    on_misses: str,
-    notify: str,
-    notify_picture: bool,
-    heartbeat: str,
+    camera: str | None = None,
+    pyranometer: str | None = None,
+    meter: str | None = None,
+    clock: Literal["real", "fast"] = "real",
+    grace_s: Annotated[float | None, click.FloatRange(min=0)] = None,
+    log_every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
+    status_json: Path | None = None,
+    on_misses: str = "",
+    notify: str = "",
+    notify_picture: bool = False,
+    heartbeat: str = "",
 ) -> None:
     """Take the planned brackets and log irradiance.
 
@@ -99,6 +41,24 @@ def command(
     \b
     Example:
       fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
+
+    Options:
+      --clock: fast: simulated time.
+      --grace S: How late a bracket may start, after which its slot is missed; stored in the
+          session. [default: 300]
+      --log-every S: Seconds between irradiance rows.
+      --status-json: Update this file with the state of the capture, so that it can be
+          watched from elsewhere.
+      --on-misses COMMAND: Run this command when two slots in a row gave no bracket. Its
+          environment has FIELDLUM_SLOT, FIELDLUM_OUTCOME, FIELDLUM_REASON and
+          FIELDLUM_SESSION.
+      --notify @FILE: Send faults and a daily summary to the apprise addresses in FILE, one
+          per line (mailto://, ntfy://, tgram:// ...). The variable FIELDLUM_NOTIFY can
+          state them instead.
+      --notify-picture: Attach the latest contact sheet to the daily summary; it may show
+          people.
+      --heartbeat @FILE: Fetch the address in FILE after each slot and every 10 minutes, for
+          an external monitor.
     """
     from fieldlum import capture
     from fieldlum.capture.live import Live

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated, Literal
 
 import click
 
-from fieldlum.cli.options import PATH
+from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import progress, say
 from fieldlum.core.records import Progress
 
@@ -20,24 +21,12 @@ def _shown(name: str) -> Iterator[Progress]:
         yield bar
 
 
-@click.command()
-@click.argument("folder", default="fieldlum-demo", type=PATH)
-@click.option(
-    "--preset",
-    type=click.Choice(["quick", "paper", "hard"]),
-    default="quick",
-    show_default=True,
-    help="quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training. hard: "
-    "116 x 58, with clouds, lamps, a knocked camera and ten more troubles.",
-)
-@click.option(
-    "--seed",
-    default=1,
-    show_default=True,
-    type=click.IntRange(0),
-    help="Seed of the simulated camera, the instrument and the training.",
-)
-def command(folder: Path, preset: str, seed: int) -> None:
+@command_of("demo")
+def command(
+    folder: Path = Path("fieldlum-demo"),
+    preset: Literal["quick", "paper", "hard"] = "quick",
+    seed: Annotated[int, click.IntRange(0)] = 1,
+) -> None:
     """Run all stages on simulated captures.
 
     Plans nine days in the paper's office and renders their hours with Radiance. Then runs capture,
@@ -47,6 +36,12 @@ def command(folder: Path, preset: str, seed: int) -> None:
     \b
     Example:
       fieldlum demo my-demo
+
+    Options:
+      --preset: quick: 230 x 115, a short training. paper: 460 x 230, half an hour of
+          training. hard: 116 x 58, with clouds, lamps, a knocked camera and ten more
+          troubles.
+      --seed: Seed of the simulated camera, the instrument and the training.
     """
     from fieldlum.demo import run
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import device_options, device_uris, json_option, session_argument
+from fieldlum.cli.options import command_of, device_uris
 
 if TYPE_CHECKING:
     from fieldlum.session import Session
@@ -18,16 +18,13 @@ if TYPE_CHECKING:
 MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
 
 
-@click.command("doctor")
-@session_argument
-@device_options
-@json_option
+@command_of("doctor")
 def command(
     session_folder: Path,
-    camera: str | None,
-    pyranometer: str | None,
-    meter: str | None,
-    as_json: bool,
+    camera: str | None = None,
+    pyranometer: str | None = None,
+    meter: str | None = None,
+    as_json: bool = False,
 ) -> None:
     """Check devices, clock, disk and plan before you leave.
 

@@ -69,27 +69,24 @@ def simulate_s(quality: str, pixels: int, hours: int) -> float:
 
 def bench_s(
     transport: int,
-    slow: int,
     captures: int,
     pixels: int,
     *,
     folds: int,
-    curve_captures: int,
-    budget_min: float,
+    dense_min: float,
     render_hours: int,
     with_stress: bool,
 ) -> float:
     """Return the estimated time of a benchmark [s].
 
-    transport: number of transport models; slow: number of trainings of the dense network; captures,
-    pixels: number of pairs, and of pixels of one map; folds: fits of one model for the score table;
-    curve_captures: sum of the captures over all fits of a learning curve; budget_min: minutes of
-    one training of the dense network; render_hours: number of hours that Radiance renders;
-    with_stress: whether the stress tests run.
+    transport: number of transport models; captures, pixels: number of pairs, and of pixels of one
+    map; folds: fits of one model for the score table; dense_min: minutes of all trainings of the
+    dense network; render_hours: number of hours that Radiance renders; with_stress: whether the
+    stress tests run.
     """
-    quick = transport * _FIT_S_PER_CAPTURE * (folds * captures + curve_captures)
+    quick = transport * _FIT_S_PER_CAPTURE * folds * captures
     rendering = render_hours * _RADIANCE_S * pixels
-    return quick + 60.0 * budget_min * slow + rendering + _STRESS_S * with_stress
+    return quick + 60.0 * dense_min + rendering + _STRESS_S * with_stress
 
 
 def frames_s(count: int, pixels: int, *, boards: bool = False) -> float:

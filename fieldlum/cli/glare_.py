@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from fieldlum.cli.options import FILE_PATH, PATH, json_lines_option, part_option
+from fieldlum.cli.declared import FILE_PATH
+from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say, write_csv
 
 if TYPE_CHECKING:
@@ -47,53 +48,16 @@ CSV_COLUMNS = (
 )
 
 
-@click.command()
-@click.argument("images", nargs=-1, required=True, type=PATH)
-@click.option(
-    "--view-azimuth",
-    "azimuths",
-    multiple=True,
-    type=float,
-    metavar="DEG",
-    help="Judge a panorama in this direction, clockwise from true north; can be repeated. "
-    "[default: ten directions]",
-)
-@click.option(
-    "--view",
-    "view_options",
-    default="",
-    metavar="VIEW OPTIONS",
-    help='View of the pictures as Radiance options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180";'
-    " replaces the VIEW of the file.",
-)
-@part_option
-@click.option(
-    "--calibrate-ev",
-    "measured_ev_lx",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="LX",
-    help="Scale each picture to this measured vertical illuminance of its (first) view.",
-)
-@click.option(
-    "--csv",
-    "csv_path",
-    type=FILE_PATH,
-    metavar="FILE",
-    help="Write one row for each picture and view.",
-)
-@json_lines_option
-@click.option("--reference", is_flag=True, help="Also run evalglare and show its result.")
-@click.pass_context
+@command_of("glare")
 def command(
-    ctx: click.Context,
     images: tuple[Path, ...],
-    azimuths: tuple[float, ...],
-    view_options: str,
-    part: str,
-    measured_ev_lx: float | None,
-    csv_path: Path | None,
-    as_json: bool,
-    reference: bool,
+    view_azimuths: tuple[float, ...] = (),
+    view_options: str = "",
+    part: str = "",
+    calibrate_ev_lx: Annotated[float | None, click.FloatRange(min=0, min_open=True)] = None,
+    csv_path: Annotated[Path | None, FILE_PATH] = None,
+    json_lines: bool = False,
+    reference: bool = False,
 ) -> None:
     """Compute glare of panoramas and fisheyes (.exr, .hdr).
 
@@ -104,8 +68,19 @@ def command(
     \b
     Example:
       fieldlum glare panoramas/20270320T193000Z.exr --view-azimuth 180 --view-azimuth 216 --json
+
+    Options:
+      --json: Print one JSON object for each file, one per line.
+      --view-azimuth DEG: Judge a panorama in this direction, clockwise from true north; can
+          be repeated. [default: ten directions]
+      --view VIEW OPTIONS: View of the pictures as Radiance options, such as "-vta -vd 0 -1
+          0 -vh 180 -vv 180"; replaces the VIEW of the file.
+      --calibrate-ev LX: Scale each picture to this measured vertical illuminance of its
+          (first) view.
+      --csv FILE: Write one row for each picture and view.
+      --reference: Also run evalglare and show its result.
     """
-    if not all(math.isfinite(azimuth) for azimuth in azimuths):
+    if not all(math.isfinite(azimuth) for azimuth in view_azimuths):
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
     from fieldlum.core.errors import InputError
     from fieldlum.year.glare.single import picture_glare
@@ -116,11 +91,11 @@ def command(
         try:
             answer = picture_glare(
                 path,
-                azimuths,
+                view_azimuths,
                 reference=reference,
                 view_options=view_options,
                 part=part,
-                measured_ev_lx=measured_ev_lx,
+                measured_ev_lx=calibrate_ev_lx,
             )
         except InputError as error:
             say(f"fieldlum glare: {error}")
@@ -129,7 +104,7 @@ def command(
         for warning in answer["warnings"]:
             say(f"fieldlum glare: {path}: {warning}")
         rows += csv_rows(answer)
-        if as_json:
+        if json_lines:
             emit_json(answer)
         else:
             _table(answer)
@@ -138,7 +113,7 @@ def command(
     if bad and len(images) > 1:
         say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
     if bad:
-        ctx.exit(InputError.exit_code)
+        raise SystemExit(InputError.exit_code)
 
 
 def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import PATH, session_argument
+from fieldlum.cli.options import command_of
 
 if TYPE_CHECKING:
     from fieldlum.capture.import_card import Report
@@ -18,100 +19,57 @@ if TYPE_CHECKING:
 _SHOWN = 20  # lines of each kind; fits a terminal; chosen
 
 
-def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
-    if text is None:
-        return None
-    match = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
-    if not match or int(match[2]) > 14 or int(match[3]) > 59:
-        raise click.BadParameter(
-            f"{text} is not a UTC offset: write, for example, -08:00 (or +05:30:12 with seconds)"
-        )
-    seconds = int(match[2]) * 3600 + int(match[3]) * 60 + int(match[4] or 0)
-    return float(-seconds if match[1] == "-" else seconds)
+class _UtcOffset(click.ParamType):
+    """A UTC offset such as -08:00, or +05:30:12 with seconds, in seconds."""
+
+    name = "offset"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        match = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", str(value).strip())
+        if not match or int(match[2]) > 14 or int(match[3]) > 59:
+            example = "write, for example, -08:00 (or +05:30:12 with seconds)"
+            self.fail(f"{value} is not a UTC offset: {example}", param, ctx)
+        seconds = int(match[2]) * 3600 + int(match[3]) * 60 + int(match[4] or 0)
+        return float(-seconds if match[1] == "-" else seconds)
 
 
-def _columns(
-    ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
-) -> dict[str, str]:
+def _columns(texts: tuple[str, ...]) -> dict[str, str]:
     from fieldlum.devices.logger_files import QUANTITIES
 
-    named: dict[str, str] = {}
-    for text in texts:
-        quantity, _, name = text.partition("=")
-        named[quantity] = name
+    named = {text.partition("=")[0]: text.partition("=")[2] for text in texts}
+    for quantity, name in named.items():
         if quantity not in QUANTITIES or not name:
-            raise click.BadParameter(
-                f"{quantity}={name} is not QUANTITY=COLUMN: write, for example, "
+            raise click.UsageError(
+                f"--column: {quantity}={name} is not QUANTITY=COLUMN: write, for example, "
                 f"ghi_wm2=SlrW_Avg; quantities are {', '.join(QUANTITIES)}"
             )
     return named
 
 
-def _sensitivities(
-    ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
-) -> dict[str, float]:
+def _sensitivities(texts: tuple[str, ...]) -> dict[str, float]:
     stated: dict[str, float] = {}
     for text in texts:
         quantity, _, number = text.partition("=")
-        try:
+        with suppress(ValueError):
             stated[quantity] = float(number)
-        except ValueError:
-            stated[quantity] = 0.0
-        if quantity not in ("ghi_wm2", "dhi_wm2", "dni_wm2") or not 0.1 <= stated[quantity] <= 1e4:
-            raise click.BadParameter(
-                f"{text} is not QUANTITY=UV_PER_WM2: write, for example, ghi_wm2=8.63"
+        is_known = quantity in ("ghi_wm2", "dhi_wm2", "dni_wm2")
+        if not is_known or not 0.1 <= stated.get(quantity, 0.0) <= 1e4:
+            raise click.UsageError(
+                f"--sensitivity: {text} is not QUANTITY=UV_PER_WM2: write, for example, "
+                "ghi_wm2=8.63"
             )
     return stated
 
 
-@click.command("import")
-@session_argument
-@click.argument("folder", metavar="[FOLDER]", required=False, type=PATH)
-@click.option(
-    "--irradiance",
-    "logger",
-    type=PATH,
-    help="A logger's file: Campbell TOA5 or CSV.",
-)
-@click.option(
-    "--utc-offset",
-    "offset_s",
-    metavar="+HH:MM",
-    callback=_offset_s,
-    help="Camera's and logger's clock minus UTC. [default: from EXIF, or fitted to the plan]",
-)
-@click.option(
-    "--logger-utc-offset",
-    "logger_offset_s",
-    metavar="+HH:MM",
-    callback=_offset_s,
-    help="Logger's clock minus UTC, if it differs from the camera's. [default: --utc-offset]",
-)
-@click.option(
-    "--column",
-    "columns",
-    metavar="QUANTITY=NAME",
-    multiple=True,
-    callback=_columns,
-    help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its name is unusual; "
-    "the other columns are found by their names. A number counts columns of a file without names.",
-)
-@click.option(
-    "--sensitivity",
-    "sensitivities",
-    metavar="QUANTITY=UV_PER_WM2",
-    multiple=True,
-    callback=_sensitivities,
-    help="Sensitivity of the pyranometer, uV per W/m2, if the logger's column is a voltage.",
-)
+@command_of("import")
 def command(
     session_folder: Path,
-    folder: Path | None,
-    logger: Path | None,
-    offset_s: float | None,
-    logger_offset_s: float | None,
-    columns: dict[str, str],
-    sensitivities: dict[str, float],
+    folder: Annotated[Path | None, "[FOLDER]"] = None,
+    irradiance_file: Path | None = None,
+    utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
+    logger_utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
+    columns: tuple[str, ...] = (),
+    sensitivity_texts: tuple[str, ...] = (),
 ) -> None:
     """Import a card's folder and a logger's file.
 
@@ -121,16 +79,31 @@ def command(
     \b
     Example:
       fieldlum import office-2027 /media/card/DCIM --irradiance CR1000_sky.dat --utc-offset -08:00
+
+    Options:
+      --irradiance: A logger's file: Campbell TOA5 or CSV.
+      --utc-offset +HH:MM: Camera's and logger's clock minus UTC. [default: from EXIF, or
+          fitted to the plan]
+      --logger-utc-offset +HH:MM: Logger's clock minus UTC, if it differs from the camera's.
+          [default: --utc-offset]
+      --column QUANTITY=NAME: Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its
+          name is unusual; the other columns are found by their names. A number counts
+          columns of a file without names.
+      --sensitivity QUANTITY=UV_PER_WM2: Sensitivity of the pyranometer, uV per W/m2, if the
+          logger's column is a voltage.
     """
-    if folder is None and logger is None:
+    if folder is None and irradiance_file is None:
         raise click.UsageError(
             "no input: name a card's folder, or a logger's file with --irradiance"
         )
-    if logger is None and (logger_offset_s is not None or columns or sensitivities):
+    if irradiance_file is None and (
+        logger_utc_offset_s is not None or columns or sensitivity_texts
+    ):
         raise click.UsageError(
             "--logger-utc-offset, --column and --sensitivity are for a logger's file: name it with "
             "--irradiance"
         )
+    named, sensitivities = _columns(columns), _sensitivities(sensitivity_texts)
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
     from fieldlum.session import open_session
@@ -140,10 +113,10 @@ def command(
         report = import_card.run(
             session,
             folder,
-            logger=logger,
-            utc_offset_s=offset_s,
-            logger_utc_offset_s=logger_offset_s,
-            columns=columns or None,
+            logger=irradiance_file,
+            utc_offset_s=utc_offset_s,
+            logger_utc_offset_s=logger_utc_offset_s,
+            columns=named or None,
             sensitivities=sensitivities or None,
             progress=progress,
         )

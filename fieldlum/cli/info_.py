@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import PATH, json_lines_option, part_option
+from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say
 from fieldlum.core.errors import InputError
 
@@ -15,17 +15,17 @@ Facts = dict[str, object]  # facts about a file by name, as --json prints them
 _LINE = 200  # characters of a value without --json; chosen
 
 
-@click.command()
-@click.argument("files", nargs=-1, required=True, type=PATH)
-@part_option
-@json_lines_option
-def command(files: tuple[Path, ...], part: str, as_json: bool) -> None:
+@command_of("info")
+def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -> None:
     """Describe frames, pictures, plans, profiles or models.
 
     \b
     Example:
       fieldlum info canon-5d2-8mm-f5.6
       fieldlum info raw/20270320T193000Z/f00.dng panoramas/20270320T193000Z.exr plan.csv
+
+    Options:
+      --json: Print one JSON object for each file, one per line.
     """
     bad = 0
     for path in map(_shipped_profile, files):
@@ -37,7 +37,7 @@ def command(files: tuple[Path, ...], part: str, as_json: bool) -> None:
             say(f"fieldlum info: {error}")
             bad += 1
             continue
-        if as_json:
+        if json_lines:
             emit_json(facts)
         else:
             click.echo(str(path))

@@ -4,41 +4,32 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import session_argument
+from fieldlum.cli.options import command_of
 from fieldlum.core.records import counted
 
 
-@click.command("log")
-@session_argument
-@click.option(
-    "--pyranometer",
-    "uri",
-    metavar="URI",
-    required=True,
-    help="For example serial:/dev/ttyUSB0?kind=spn1.",
-)
-@click.option(
-    "--every",
-    "every_s",
-    metavar="S",
-    type=click.FloatRange(min=0.1),
-    default=5.0,
-    show_default=True,
-    help="Seconds between rows.",
-)
-@click.option(
-    "--rows", type=click.IntRange(min=1), help="Stop after this many rows. [default: at Ctrl-C]"
-)
-def command(session_folder: Path, uri: str, every_s: float, rows: int | None) -> None:
+@command_of("log")
+def command(
+    session_folder: Path,
+    pyranometer: str,
+    every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
+    rows: Annotated[int | None, click.IntRange(min=1)] = None,
+) -> None:
     """Log irradiance without a camera, until Ctrl-C or --rows.
 
     \b
     Example:
       fieldlum log office-2027 --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
+
+    Options:
+      --pyranometer URI: For example serial:/dev/ttyUSB0?kind=spn1.
+      --every S: Seconds between rows.
+      --rows: Stop after this many rows. [default: at Ctrl-C]
     """
     from fieldlum.capture.logger import log
     from fieldlum.devices.clock import RealClock
@@ -47,8 +38,9 @@ def command(session_folder: Path, uri: str, every_s: float, rows: int | None) ->
     session = open_session(session_folder)
     try:
         with terminal.unattended(), terminal.awake():
+            clock = RealClock()
             written = log(
-                session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say
+                session, pyranometer, clock=clock, every_s=every_s, rows=rows, say=terminal.say
             )
         message = counted(written, "row")
     except KeyboardInterrupt:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -11,13 +11,10 @@ from fieldlum.cli.estimates import estimate_text, merge_s
 from fieldlum.cli.options import (
     DEFAULT_FISHEYE_SIZE,
     DEFAULT_SIZE,
-    PATH,
+    command_of,
     dimensions,
-    force_option,
-    json_option,
     panorama_height,
     scheduler_of,
-    scheduler_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.core.errors import InputError
@@ -29,62 +26,21 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 
-@click.command()
-@click.argument("session", required=False, type=PATH)
-@click.argument("more", nargs=-1, type=PATH)
-@click.option("--frames", is_flag=True, help="Merge the named FILES instead of a session.")
-@click.option(
-    "--camera", help="Camera profile: a TOML file or a name in calibration/ (with --frames)."
-)
-@click.option("--out", type=PATH, help="OUT.exr or OUT.hdr (with --frames).")
-@click.option(
-    "--size",
-    metavar="WxH",
-    help=f"WxH of the result. [default: that of the session's panoramas, else {DEFAULT_SIZE}; "
-    f"fisheye {DEFAULT_FISHEYE_SIZE}]",
-)
-@click.option(
-    "--projection",
-    type=click.Choice(["equirect", "fisheye"]),
-    default="equirect",
-    show_default=True,
-    help="Panorama, or equidistant fisheye along the first lens (with --frames).",
-)
-@click.option(
-    "--heading",
-    metavar="DEG",
-    type=float,
-    default=180.0,
-    show_default=True,
-    help="Azimuth that the camera faces (with --frames).",
-)
-@click.option(
-    "--fit/--no-fit",
-    default=None,
-    help="Estimate exposure ratios from the frames. [default: for raw frames only]",
-)
-@click.option(
-    "--drop-moved",
-    is_flag=True,
-    help="Exclude frames from pixels where something moved through the picture.",
-)
-@scheduler_option
-@force_option
-@json_option
+@command_of("merge")
 def command(
-    session: Path | None,
-    more: tuple[Path, ...],
-    frames: bool,
-    camera: str | None,
-    out: Path | None,
-    size: str | None,
-    projection: str,
-    heading: float,
-    fit: bool | None,
-    drop_moved: bool,
-    scheduler_text: str,
-    force: bool,
-    as_json: bool,
+    session: Path | None = None,
+    more: tuple[Path, ...] = (),
+    frames: bool = False,
+    camera: str | None = None,
+    out: Path | None = None,
+    size: str | None = None,
+    projection: Literal["equirect", "fisheye"] = "equirect",
+    heading: float = 180.0,
+    fit: bool | None = None,
+    drop_moved: bool = False,
+    scheduler_text: str = "local",
+    force: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Merge brackets to calibrated luminance maps.
 
@@ -92,6 +48,18 @@ def command(
     Example:
       fieldlum merge my-session --scheduler processes:2
       fieldlum merge --frames *.JPG --camera mine.toml --out office.hdr --projection fisheye
+
+    Options:
+      --frames: Merge the named FILES instead of a session.
+      --camera: Camera profile: a TOML file or a name in calibration/ (with --frames).
+      --out: OUT.exr or OUT.hdr (with --frames).
+      --size WxH: Size of the result. [default: that of the session's panoramas, else 460x230;
+          fisheye 1000x1000]
+      --projection: Panorama, or equidistant fisheye along the first lens (with --frames).
+      --heading DEG: Azimuth that the camera faces (with --frames).
+      --fit/--no-fit: Estimate exposure ratios from the frames. [default: for raw frames
+          only]
+      --drop-moved: Exclude frames from pixels where something moved through the picture.
     """
     from fieldlum.merge import MergeOptions
 

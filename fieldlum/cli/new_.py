@@ -7,11 +7,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import click
 
-from fieldlum.cli.options import PATH
+from fieldlum.cli.options import command_of
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 
@@ -22,18 +22,12 @@ _MIN_WINDOW_M = 0.05
 _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 
 
-@click.command("new")
-@click.argument("site_file", metavar="SITE.toml|CAMERA.toml", type=PATH)
-@click.option(
-    "--camera",
-    "start",
-    metavar="PROFILE",
-    help="Write an own camera profile instead, which starts from this one.",
-)
-@click.option(
-    "--photo", type=PATH, metavar="FRAME", help="With --camera: frame with size and camera."
-)
-def command(site_file: Path, start: str | None, photo: Path | None) -> None:
+@command_of("new")
+def command(
+    site_file: Annotated[Path, "SITE.toml|CAMERA.toml"],
+    camera: str | None = None,
+    photo: Path | None = None,
+) -> None:
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
     Each answer is checked and stored at once: after an interruption, the same command continues.
@@ -44,6 +38,10 @@ def command(site_file: Path, start: str | None, photo: Path | None) -> None:
     Example:
       fieldlum new office.toml
       fieldlum new my-z1.toml --camera ricoh-theta-z1-uncalibrated --photo R0010001.DNG
+
+    Options:
+      --camera PROFILE: Write an own camera profile instead, which starts from this one.
+      --photo FRAME: With --camera: frame with size and camera.
     """
     from fieldlum.cli.site_text import site_text
     from fieldlum.optics.profiles import (
@@ -57,25 +55,24 @@ def command(site_file: Path, start: str | None, photo: Path | None) -> None:
 
     if site_file.exists():
         raise InputError(site_file, "the file exists already", "a new file", "choose another name")
-    if start is not None:
+    if camera is not None:
         from fieldlum.cli.new_camera import write_own_camera
 
-        write_own_camera(site_file, start, photo)
+        write_own_camera(site_file, camera, photo)
         return
     if photo is not None:
         raise click.UsageError("--photo describes an own camera: name a profile with --camera")
     answers = _Answers.read(site_file.with_name(f"{site_file.name}.answers"))
     click.get_current_context().meta[_ANSWERS] = answers
     site = _site()
-    camera = _camera(site_file.parent)
-    setup = SiteFile(site, camera)
-    profile = load_camera_profile(camera.profile)
-    blind = coverage_text(profile, camera)
-    for note in (*assumed_texts(camera), uncalibrated_text(profile), blind):
+    setup = SiteFile(site, _camera(site_file.parent))
+    profile = load_camera_profile(setup.camera.profile)
+    blind = coverage_text(profile, setup.camera)
+    for note in (*assumed_texts(setup.camera), uncalibrated_text(profile), blind):
         if note:
             click.echo(f"note: {note}")
     if _ask("Describe the room by tape measure? It allows sun patches (y, n)", _yes, default="y"):
-        setup = _checked_room(site, camera)
+        setup = _checked_room(site, setup.camera)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
     answers.path.unlink(missing_ok=True)

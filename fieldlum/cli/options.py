@@ -1,20 +1,18 @@
-"""Define options and arguments of several commands: one name, one meaning, one help text."""
+"""Options and arguments of several commands: one name, one meaning, one help text."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
+
+from fieldlum.cli.declared import FILE_PATH, PATH, declare
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
     from fieldlum.session import Session
-
-Command = TypeVar("Command", bound=Callable[..., Any])
-Decorator = Callable[[Command], Command]
 
 
 class LazyGroup(click.Group):
@@ -39,55 +37,91 @@ class LazyGroup(click.Group):
         return import_module(f"fieldlum.cli.{self._module.format(cmd_name)}").command
 
 
-class _LocalPath(click.Path):
-    """A path of the file system.
+CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]
+Above0 = Annotated[float, click.FloatRange(min=0, min_open=True)]
+Port = Annotated[int, click.IntRange(0, 65535)]
+Year = Annotated[int | None, click.IntRange(1950, 2100)]
+DAY = click.DateTime(["%Y-%m-%d"])
 
-    URLs are rejected, because one would become a folder named "s3:".
-    """
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if "://" in str(value):
-            self.fail(
-                f"{value} is a URL; expected a path, because a bucket has no locks; only "
-                "pair --pairs-to and predict --maps-to write to a URL",
-                param,
-                ctx,
-            )
-        return super().convert(value, param, ctx)
+DEVICES = {
+    "camera": "For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
+    "pyranometer": "For example serial:/dev/ttyUSB0?kind=spn1.",
+    "meter": "Illuminance meter at the lens, like cl200a:/dev/ttyUSB1.",
+}
 
 
-class _PathOrUrl(click.Path):
-    """A path of a file system, or a URL as text."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return str(value) if "://" in str(value) else super().convert(value, param, ctx)
-
-
-PATH = _LocalPath(path_type=Path)
-PATH_OR_URL = _PathOrUrl(path_type=Path)
-EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
-FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
-CAPTURE_SET = click.Choice(("month", "9-day", "12-day", "4-day", "even", "best"))
-
-session_argument = click.argument("session_folder", metavar="SESSION", type=PATH)
-"""The session folder, as the parameter `session_folder`."""
-
-pairs_argument = click.argument("pairs", metavar="SESSION|PAIRS.csv", type=PATH)
-"""A session or a pairs.csv, as the parameter `pairs`."""
-
-_OF_LAST_CAPTURE = "[default: as in the last capture]"
-_DEVICES = (
-    ("--camera", "For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1."),
-    ("--pyranometer", "For example serial:/dev/ttyUSB0?kind=spn1."),
-    ("--meter", "Illuminance meter at the lens, like cl200a:/dev/ttyUSB1."),
-)
+def _device(name: str, text: str) -> click.Option:
+    return click.Option(
+        [f"--{name}"], metavar="URI", help=f"{text} [default: as in the last capture]"
+    )
 
 
-def device_options(function: Command) -> Command:
-    """Add the options --camera, --pyranometer and --meter to a command."""
-    for name, text in reversed(_DEVICES):
-        function = click.option(name, metavar="URI", help=f"{text} {_OF_LAST_CAPTURE}")(function)
-    return function
+def flag(parameter: str, name: str, text: str) -> click.Option:
+    """Return an option without a value."""
+    return click.Option([parameter, name], is_flag=True, help=text)
+
+
+SHARED: dict[str, click.Parameter] = {
+    "session_folder": click.Argument(["session_folder"], metavar="SESSION", type=PATH),
+    "pairs": click.Argument(["pairs"], metavar="SESSION|PAIRS.csv", type=PATH),
+    "as_json": flag("as_json", "--json", "Print the answer as one JSON object."),
+    "force": flag("force", "--force", "Compute again, even if the inputs have not changed."),
+    **{name: _device(name, text) for name, text in DEVICES.items()},
+    "label_shift_min": click.Option(
+        ["label_shift_min", "--label-shift"],
+        type=click.FloatRange(-720, 720),
+        default=0.0,
+        metavar="MIN",
+        help="Minutes to add to the times of the weather file, if they are known to be wrong.",
+    ),
+    "site": click.Option(
+        ["--site"],
+        type=PATH,
+        help="SITE.toml. [default: the session's, or site.toml in the folder of the csv]",
+    ),
+    "scene": click.Option(
+        ["--scene"],
+        metavar="DIR|none",
+        default="",
+        help="Folder of a fitted scene, or the word none. [default: scene/ next to the pairs, if "
+        "it exists]",
+    ),
+    "sky_view": click.Option(
+        ["--sky-view"],
+        type=FILE_PATH,
+        metavar="FILE",
+        help="sky_view.exr that decides when the sun's disc is seen. [default: that of the "
+        "session, else estimated from the panoramas]",
+    ),
+    "scheduler_text": click.Option(
+        ["scheduler_text", "--scheduler", "--workers"],
+        default="local",
+        show_default=True,
+        metavar="local|N|processes:N|tcp://HOST:PORT|FILE.json",
+        help="Where the work runs: here, in N processes, or on a Dask cluster (fieldlum[cluster]).",
+    ),
+    "part": click.Option(
+        ["--part"],
+        default="",
+        metavar="NAME",
+        help="Read this part, layer or stereo view of an .exr that has several.",
+    ),
+}
+"""Options and arguments of several commands, by the name of the function's parameter."""
+
+
+def command_of(
+    name: str, group: click.Group | None = None
+) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that makes a command of a function, as `declared` describes."""
+
+    def decorate(function: Callable[..., Any]) -> click.Command:
+        made = declare(function, name, SHARED)
+        if group is not None:
+            group.add_command(made)
+        return made
+
+    return decorate
 
 
 def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
@@ -101,11 +135,11 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
 
     uris = session.table().get("devices", {}).get("uris", {})
     answer = []
-    for (option, _), uri in zip(_DEVICES, given, strict=True):
+    for name, uri in zip(DEVICES, given, strict=True):
         if uri is None:
-            uri = uris.get(option.removeprefix("--"), "")
+            uri = uris.get(name, "")
             if uri:
-                require_permitted(uri, session.toml, option)
+                require_permitted(uri, session.toml, f"--{name}")
         else:
             _permit_device(uri)
         answer.append(uri)
@@ -126,81 +160,6 @@ def _permit_device(uri: str) -> None:
         return
     except OSError as error:
         say(f"note: could not store that you permit {uri} ({error}): name it again next time")
-
-
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print the answer as one JSON object."
-)
-json_lines_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object for each file, one per line."
-)
-force_option = click.option(
-    "--force", is_flag=True, help="Compute again, even if the inputs have not changed."
-)
-label_shift_option = click.option(
-    "--label-shift",
-    "label_shift_min",
-    type=click.FloatRange(-720, 720),
-    default=0.0,
-    metavar="MIN",
-    help="Minutes to add to the times of the weather file, if they are known to be wrong.",
-)
-site_option = click.option(
-    "--site",
-    type=PATH,
-    help="SITE.toml. [default: the session's, or site.toml in the folder of the csv]",
-)
-scene_option = click.option(
-    "--scene",
-    metavar="DIR|none",
-    default="",
-    help="Folder of a fitted scene, or the word none. [default: scene/ next to the pairs, if it "
-    "exists]",
-)
-
-sky_view_option = click.option(
-    "--sky-view",
-    type=FILE_PATH,
-    metavar="FILE",
-    help="sky_view.exr that decides when the sun's disc is seen. [default: that of the session, "
-    "else estimated from the panoramas]",
-)
-
-
-def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:
-    """Return the click option --out; its help is `content` "to write", such as "Plan to write"."""
-    text = f"{content} to write." + (f" [default: {default}]" if default else "")
-    return click.option("--out", type=PATH, required=required, help=text)
-
-
-def budget_option(default_min: float, text: str) -> Decorator:
-    """Return the click option --budget, in minutes, with the help `text`."""
-    return click.option(
-        "--budget",
-        default=default_min,
-        show_default=True,
-        type=click.FloatRange(min=0, min_open=True),
-        help=text,
-    )
-
-
-seeds_option = click.option(
-    "--seeds",
-    default=1,
-    show_default=True,
-    type=click.IntRange(min=1),
-    help="Trainings of each random model, with seeds 0, 1, 2 ...",
-)
-scheduler_option = click.option(
-    "--scheduler",
-    "--workers",
-    "scheduler_text",
-    default="local",
-    show_default=True,
-    metavar="local|N|processes:N|tcp://HOST:PORT|FILE.json",
-    help="Where the work runs: here, in N processes, or on a Dask cluster (fieldlum[cluster]).",
-)
-"""Where units of work run, as the parameter `scheduler_text`."""
 
 
 def scheduler_of(text: str) -> Scheduler:
@@ -240,11 +199,3 @@ def panorama_height(size: str) -> int:
             f"--size {size}: a panorama must be twice as wide as high, for example {DEFAULT_SIZE}"
         )
     return height
-
-
-part_option = click.option(
-    "--part",
-    default="",
-    metavar="NAME",
-    help="Read this part, layer or stereo view of an .exr that has several.",
-)

@@ -9,28 +9,25 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import force_option, scheduler_of, scheduler_option, session_argument
+from fieldlum.cli.options import command_of, scheduler_of
 
 if TYPE_CHECKING:
     from fieldlum.session import Session
 
 
-@click.command("pair")
-@session_argument
-@scheduler_option
-@click.option(
-    "--pairs-to",
-    metavar="URL",
-    default="",
-    help="Also write the training data to a bucket, such as s3://BUCKET/FOLDER (fieldlum[cloud]).",
-)
-@force_option
-def command(session_folder: Path, scheduler_text: str, pairs_to: str, force: bool) -> None:
+@command_of("pair")
+def command(
+    session_folder: Path, scheduler_text: str = "local", pairs_to: str = "", force: bool = False
+) -> None:
     """Match panoramas with irradiance, sun and sun patches.
 
     \b
     Example:
       fieldlum pair office-2027
+
+    Options:
+      --pairs-to URL: Also write the training data to a bucket, such as s3://BUCKET/FOLDER
+          (fieldlum[cloud]).
     """
     from fieldlum import pair
     from fieldlum.core.records import counted

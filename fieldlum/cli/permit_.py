@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from fieldlum.cli.options import EXISTING_PATH
+from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.options import command_of
 
 
-@click.command("permit")
-@click.argument("paths", metavar="PATH...", type=EXISTING_PATH, nargs=-1, required=True)
-def command(paths: tuple[Path, ...]) -> None:
+@command_of("permit")
+def command(paths: Annotated[tuple[Path, ...], "PATH...", EXISTING_PATH]) -> None:
     """Permit a room file that runs commands, or a link in a session.
 
     A Radiance room file (kind = "radiance") can run any command, and a link can lead out of the

@@ -5,19 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import (
-    CAPTURE_SET,
-    EXISTING_PATH,
-    PATH,
-    json_option,
-    label_shift_option,
-    out_option,
-)
+from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.options import DAY, CaptureSet, Year, command_of
 
 if TYPE_CHECKING:
     from fieldlum.core.records import Site, SiteFile
@@ -27,57 +21,22 @@ WeatherFile = tuple[Path | None, float]
 """A weather file, and the minutes to add to its times."""
 
 
-@click.command("plan")
-@click.argument("target", metavar="SITE.toml|SESSION", type=EXISTING_PATH)
-@click.option("--set", "set_", type=CAPTURE_SET, help="Which hours of the year to capture.")
-@click.option(
-    "--start",
-    type=click.DateTime(["%Y-%m-%d"]),
-    metavar="YYYY-MM-DD",
-    help="First day, local date. [default: the next possible one]",
-)
-@click.option("--year", type=click.IntRange(1950, 2100), help="Plan the events of this year.")
-@click.option(
-    "--days",
-    type=click.IntRange(1, 366),
-    help="Number of days of a month (31), or of the period for even and best (365).",
-)
-@click.option(
-    "--count", type=click.IntRange(min=1), help="Number of hours, for even (200) and best (50)."
-)
-@click.option(
-    "--weather",
-    "weather_file",
-    type=PATH,
-    help="Weather year (EPW, TMY3 or CSV), for skies and coverage.",
-)
-@label_shift_option
-@out_option("The session folder")
-@click.option("--ics", is_flag=True, help="Also write plan.ics, one event per day.")
-@click.option("--html", is_flag=True, help="Also write plan.html, one printable sheet per day.")
-@click.option(
-    "--next",
-    "next_",
-    is_flag=True,
-    help="Rank the hours of the next two weeks by how much they would improve the model.",
-)
-@click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
-@json_option
+@command_of("plan")
 def command(
-    target: Path,
-    set_: str | None,
-    start: datetime | None,
-    year: int | None,
-    days: int | None,
-    count: int | None,
-    weather_file: Path | None,
-    label_shift_min: float,
-    out: Path | None,
-    ics: bool,
-    html: bool,
-    next_: bool,
-    replan: bool,
-    as_json: bool,
+    target: Annotated[Path, "SITE.toml|SESSION", EXISTING_PATH],
+    set_: CaptureSet | None = None,
+    start: Annotated[datetime | None, DAY] = None,
+    year: Year = None,
+    days: Annotated[int | None, click.IntRange(1, 366)] = None,
+    count: Annotated[int | None, click.IntRange(min=1)] = None,
+    weather_file: Path | None = None,
+    label_shift_min: float = 0.0,
+    out: Path | None = None,
+    ics: bool = False,
+    html: bool = False,
+    next_: bool = False,
+    replan: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Choose the hours to capture and write the session.
 
@@ -89,6 +48,19 @@ def command(
       fieldlum plan office.toml --set 9-day --out office-2027 --ics --html
       fieldlum plan office-2027 --next --weather seattle.epw
       fieldlum plan office-2027 --replan
+
+    Options:
+      --set: Which hours of the year to capture.
+      --start YYYY-MM-DD: First day, local date. [default: the next possible one]
+      --year: Plan the events of this year.
+      --days: Number of days of a month (31), or of the period for even and best (365).
+      --count: Number of hours, for even (200) and best (50).
+      --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.
+      --out: The session folder to write.
+      --ics: Also write plan.ics, one event per day.
+      --html: Also write plan.html, one printable sheet per day.
+      --next: Rank the hours of the next two weeks by how much they would improve the model.
+      --replan: Add make-up slots for the missed ones.
     """
     if next_ and replan:
         raise click.UsageError("--next and --replan exclude each other: use one of them")

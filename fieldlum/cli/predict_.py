@@ -3,82 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import click
 
 from fieldlum.cli.estimates import estimate_text, predict_s
-from fieldlum.cli.options import (
-    PATH,
-    force_option,
-    json_option,
-    label_shift_option,
-    out_option,
-    scheduler_of,
-    scheduler_option,
-)
+from fieldlum.cli.options import command_of, scheduler_of
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
 
 
-@click.command()
-@click.argument("model_folder", metavar="MODELDIR", type=PATH)
-@click.option(
-    "--weather",
-    "weather_path",
-    required=True,
-    type=PATH,
-    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere or CSV; or the word synthetic, for "
-    "an invented year that must not be used to judge a place.",
-)
-@label_shift_option
-@out_option("Folder of the year", default="SESSION/annual/NAME")
-@click.option(
-    "--maps",
-    is_flag=True,
-    help="Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).",
-)
-@click.option(
-    "--maps-to",
-    default="",
-    metavar="URL",
-    help="Write every map to a bucket, such as s3://BUCKET/FOLDER (fieldlum[cloud]).",
-)
-@click.option(
-    "--views",
-    default=10,
-    show_default=True,
-    type=click.IntRange(1, 360),
-    help="Number of view directions, evenly spread around.",
-)
-@click.option(
-    "--occupancy",
-    "occupancy_path",
-    type=PATH,
-    help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to "
-    "18:00]",
-)
-@click.option(
-    "--lamps",
-    default="",
-    metavar="FILE|off",
-    help="When lamps that are marked in the captures are on: a csv as for --occupancy, or "
-    "off. [default: as in captures without a mark]",
-)
-@scheduler_option
-@force_option
-@json_option
+@command_of("predict")
 def command(
-    model_folder: Path,
+    model_folder: Annotated[Path, "MODELDIR"],
     weather_path: Path,
-    label_shift_min: float,
-    out: Path | None,
-    maps: bool,
-    maps_to: str,
-    views: int,
-    occupancy_path: Path | None,
-    lamps: str,
-    scheduler_text: str,
-    force: bool,
-    as_json: bool,
+    label_shift_min: float = 0.0,
+    out: Path | None = None,
+    maps: bool = False,
+    maps_to: str = "",
+    views: Annotated[int, click.IntRange(1, 360)] = 10,
+    occupancy_path: Path | None = None,
+    lamps: str = "",
+    scheduler_text: str = "local",
+    force: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Predict a year of maps and glare from a weather file.
 
@@ -89,6 +36,19 @@ def command(
     \b
     Example:
       fieldlum predict office-2027/models/auto --weather seattle.epw --views 10
+
+    Options:
+      --weather: EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere or CSV; or the word
+          synthetic, for an invented year that must not be used to judge a place.
+      --out: Folder of the year to write. [default: SESSION/annual/NAME]
+      --maps: Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).
+      --maps-to URL: Write every map to a bucket, such as s3://BUCKET/FOLDER
+          (fieldlum[cloud]).
+      --views: Number of view directions, evenly spread around.
+      --occupancy: When the room is used: csv days,start,end, or 8760 rows of occupied.
+          [default: 08:00 to 18:00]
+      --lamps FILE|off: When lamps that are marked in the captures are on: a csv as for
+          --occupancy, or off. [default: as in captures without a mark]
     """
     from fieldlum.learn.models import read_config
     from fieldlum.optics.projection import compass_name

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import out_option, session_argument
+from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import progress, say
 
 
-@click.command()
-@session_argument
-@out_option("Folder of the page", default="SESSION/report")
-def command(session_folder: Path, out: Path | None) -> None:
+@command_of("report")
+def command(session_folder: Path, out: Path | None = None) -> None:
     """Write a page that shows in which direction to sit, and why.
 
     Writes index.html, which loads no other file, and report.json.
@@ -21,6 +19,9 @@ def command(session_folder: Path, out: Path | None) -> None:
     \b
     Example:
       fieldlum report office-2027
+
+    Options:
+      --out: Folder of the page to write. [default: SESSION/report]
     """
     from fieldlum.report import run
     from fieldlum.session import open_session

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fieldlum.cli.options import PATH, json_option, pairs_argument, site_option
+from fieldlum.cli.options import command_of
 from fieldlum.cli.scene_click import command as click_command
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.core.records import JsonTable
@@ -21,21 +21,14 @@ def command() -> None:
     """Find the room's geometry, north and clock error from captures."""
 
 
-@command.command()
-@pairs_argument
-@site_option
-@click.option("--out", type=PATH, help="Folder to write. [default: scene/ in the session's folder]")
-@click.option(
-    "--clock-sd",
-    default=5.0,
-    show_default=True,
-    type=click.FloatRange(min=0, min_open=True),
-    help="Standard uncertainty of the captures' times in minutes; 0.1 for a clock set by NTP.",
-)
-@click.option("--seed", default=0, show_default=True, help="Seed of the randomly chosen pixels.")
-@json_option
+@command_of("fit", command)
 def fit(
-    pairs: Path, site: Path | None, out: Path | None, clock_sd: float, seed: int, as_json: bool
+    pairs: Path,
+    site: Path | None = None,
+    out: Path | None = None,
+    clock_sd: Annotated[float, click.FloatRange(min=0, min_open=True)] = 5.0,
+    seed: int = 0,
+    as_json: bool = False,
 ) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
 
@@ -47,6 +40,12 @@ def fit(
     Example:
       fieldlum scene fit office-2027
       fieldlum scene fit renderings/pairs.csv --site office.toml --out office-scene
+
+    Options:
+      --out: Folder to write. [default: scene/ in the session's folder]
+      --clock-sd: Standard uncertainty of the captures' times in minutes; 0.1 for a clock
+          set by NTP.
+      --seed: Seed of the randomly chosen pixels.
     """
     from fieldlum.learn.models.data import load_pairs
     from fieldlum.room.fit.stage import run

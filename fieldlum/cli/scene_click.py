@@ -4,52 +4,23 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import PATH, json_option, session_argument
+from fieldlum.cli.options import Port, command_of
 
 
-@click.command("click")
-@session_argument
-@click.option("--slot", default="", help="Panorama to click on. [default: the newest]")
-@click.option(
-    "--csv",
-    "csv_path",
-    type=PATH,
-    metavar="FILE",
-    help="Read corners from a csv of kind,window,x_px,y_px instead of a page.",
-)
-@click.option(
-    "--camera-height",
-    "camera_height_m",
-    type=click.FloatRange(0.05, 50.0),
-    metavar="M",
-    help="Height of the lens above the floor, the only length needed. [default: the session's]",
-)
-@click.option(
-    "--replace",
-    "replace_room",
-    is_flag=True,
-    help="With --csv: replace the room that the session has.",
-)
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=8766,
-    show_default=True,
-    help="Port of the page; 0 takes a free one.",
-)
-@json_option
+@command_of("click")
 def command(
     session_folder: Path,
-    slot: str,
-    csv_path: Path | None,
-    camera_height_m: float | None,
-    replace_room: bool,
-    port: int,
-    as_json: bool,
+    slot: str = "",
+    csv_path: Path | None = None,
+    camera_height_m: Annotated[float | None, click.FloatRange(0.05, 50.0)] = None,
+    replace_room: bool = False,
+    port: Port = 8766,
+    as_json: bool = False,
 ) -> None:
     """Describe the room by clicking its corners on a panorama.
 
@@ -61,6 +32,14 @@ def command(
     Example:
       fieldlum scene click office-2027
       fieldlum scene click office-2027 --csv corners.csv --camera-height 1.42
+
+    Options:
+      --slot: Panorama to click on. [default: the newest]
+      --csv FILE: Read corners from a csv of kind,window,x_px,y_px instead of a page.
+      --camera-height M: Height of the lens above the floor, the only length needed.
+          [default: the session's]
+      --replace: With --csv: replace the room that the session has.
+      --port: Port of the page; 0 takes a free one.
     """
     from fieldlum.session import open_session
 

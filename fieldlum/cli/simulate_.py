@@ -5,23 +5,20 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.estimates import estimate_text, simulate_s
 from fieldlum.cli.options import (
-    CAPTURE_SET,
+    DAY,
     DEFAULT_SIZE,
-    EXISTING_PATH,
-    PATH,
-    force_option,
-    json_option,
-    out_option,
+    CaptureSet,
+    command_of,
     panorama_height,
     scheduler_of,
-    scheduler_option,
 )
 
 if TYPE_CHECKING:
@@ -30,79 +27,24 @@ if TYPE_CHECKING:
     from fieldlum.weather import Weather
 
 
-@click.command("simulate")
-@click.argument("site", metavar="SITE.toml|SESSION", type=EXISTING_PATH)
-@out_option("The session folder")
-@click.option(
-    "--set",
-    "set_",
-    type=CAPTURE_SET,
-    default="9-day",
-    show_default=True,
-    help="Hours to render.",
-)
-@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), help="First day, local date.")
-@click.option(
-    "--year",
-    type=click.IntRange(1950, 2100),
-    default=2027,
-    show_default=True,
-    help="Year of the events.",
-)
-@click.option("--count", type=click.IntRange(min=1), help="Number of hours, for even and best.")
-@click.option(
-    "--year-sample",
-    type=click.IntRange(min=1),
-    help="Use this many random daylight hours instead of a set.",
-)
-@click.option(
-    "--weather",
-    "weather_file",
-    type=PATH,
-    help="EPW, TMY3 or CSV of the place.",
-)
-@click.option(
-    "--size", default=DEFAULT_SIZE, show_default=True, metavar="WxH", help="Size of the panoramas."
-)
-@click.option(
-    "--quality",
-    type=click.Choice(("draft", "quick", "paper")),
-    help="Quality of the rendering. [default: quick up to 230x115, paper above]",
-)
-@click.option("--drift", is_flag=True, help="Let the light change within the hour.")
-@click.option(
-    "--troubles",
-    "troubles_file",
-    type=PATH,
-    help="TOML file of troubles: clouds, lamps, a knocked camera ... (docs/simulation.md).",
-)
-@click.option(
-    "--seed",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Seed of random hours and synthetic weather.",
-)
-@scheduler_option
-@force_option
-@json_option
+@command_of("simulate")
 def command(
-    site: Path,
-    out: Path | None,
-    set_: str,
-    start: datetime | None,
-    year: int,
-    count: int | None,
-    year_sample: int | None,
-    weather_file: Path | None,
-    size: str,
-    quality: str | None,
-    drift: bool,
-    troubles_file: Path | None,
-    seed: int,
-    scheduler_text: str,
-    force: bool,
-    as_json: bool,
+    site: Annotated[Path, "SITE.toml|SESSION", EXISTING_PATH],
+    out: Path | None = None,
+    set_: CaptureSet = "9-day",
+    start: Annotated[datetime | None, DAY] = None,
+    year: Annotated[int, click.IntRange(1950, 2100)] = 2027,
+    count: Annotated[int | None, click.IntRange(min=1)] = None,
+    year_sample: Annotated[int | None, click.IntRange(min=1)] = None,
+    weather_file: Path | None = None,
+    size: str = DEFAULT_SIZE,
+    quality: Literal["draft", "quick", "paper"] | None = None,
+    drift: bool = False,
+    troubles_file: Path | None = None,
+    seed: int = 1,
+    scheduler_text: str = "local",
+    force: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Render a box room by Radiance at the hours of a plan.
 
@@ -115,6 +57,21 @@ def command(
     \b
     Example:
       fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
+
+    Options:
+      --out: The session folder to write.
+      --set: Hours to render.
+      --start: First day, local date.
+      --year: Year of the events.
+      --count: Number of hours, for even and best.
+      --year-sample: Use this many random daylight hours instead of a set.
+      --weather: EPW, TMY3 or CSV of the place.
+      --size WxH: Size of the panoramas.
+      --quality: Quality of the rendering. [default: quick up to 230x115, paper above]
+      --drift: Let the light change within the hour.
+      --troubles: TOML file of troubles: clouds, lamps, a knocked camera ...
+          (docs/simulation.md).
+      --seed: Seed of random hours and synthetic weather.
     """
     height = panorama_height(size)
     import_module("pyradiance")  # so that a missing package is reported before any file is written

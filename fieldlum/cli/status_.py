@@ -8,28 +8,26 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import json_option, session_argument
+from fieldlum.cli.options import command_of
 
 if TYPE_CHECKING:
     from fieldlum.core.records import JsonTable
 
 
-@click.command("status")
-@session_argument
-@click.option(
-    "--mark",
-    nargs=2,
-    metavar="SLOT STATE",
-    help="Record the room's state at a slot: lamp=on|off, blind=up|half|down, snow=yes|no.",
-)
-@json_option
-def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -> None:
+@command_of("status")
+def command(
+    session_folder: Path, mark: tuple[str, str] | None = None, as_json: bool = False
+) -> None:
     """Show what a session has done and what is still to do.
 
     \b
     Example:
       fieldlum status office-2027
       fieldlum status office-2027 --mark 20270320T153000Z lamp=on
+
+    Options:
+      --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
+          snow=yes|no.
     """
     from fieldlum.capture.status import status
     from fieldlum.session import mark_slot, open_session

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
+from fieldlum.cli.declared import PATH_OR_URL
 from fieldlum.cli.estimates import estimate_text, train_s
-from fieldlum.cli.options import (
-    PATH_OR_URL,
-    budget_option,
-    force_option,
-    json_option,
-    out_option,
-    scene_option,
-    site_option,
-    sky_view_option,
-)
+from fieldlum.cli.options import Above0, command_of
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.learn.model_registry import MODELS
 
@@ -26,44 +18,19 @@ if TYPE_CHECKING:
     from fieldlum.session.files.scores_json import TrainAnswer
 
 
-@click.command()
-@click.argument("pairs", metavar="SESSION|PAIRS.csv|URL", type=PATH_OR_URL)
-@site_option
-@click.option(
-    "--model",
-    default="auto",
-    show_default=True,
-    type=click.Choice(["auto", *MODELS]),
-    help="auto tries all models and chooses one.",
-)
-@click.option(
-    "--patch",
-    default="absolute",
-    show_default=True,
-    type=click.Choice(["absolute", "gain", "none"]),
-    help="Use sun patches in cd/m2, up to an unknown factor, or not at all.",
-)
-@budget_option(10.0, "Time limit of the complete command, in minutes.")
-@click.option(
-    "--seed", default=0, show_default=True, help="Seed of all random numbers in training."
-)
-@scene_option
-@sky_view_option
-@out_option("Model folder", default="models/MODEL in the folder of the pairs")
-@force_option
-@json_option
+@command_of("train")
 def command(
-    pairs: Path | str,
-    site: Path | None,
-    model: str,
-    patch: Any,
-    budget: float,
-    seed: int,
-    scene: str,
-    sky_view: Path | None,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
+    pairs: Annotated[Path | str, "SESSION|PAIRS.csv|URL", PATH_OR_URL],
+    site: Path | None = None,
+    model: Annotated[str, click.Choice(["auto", *MODELS])] = "auto",
+    patch: Literal["absolute", "gain", "none"] = "absolute",
+    budget: Above0 = 10.0,
+    seed: int = 0,
+    scene: str = "",
+    sky_view: Path | None = None,
+    out: Path | None = None,
+    force: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
@@ -77,6 +44,13 @@ def command(
     Example:
       fieldlum train my-session --budget 10
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
+
+    Options:
+      --model: auto tries all models and chooses one.
+      --patch: Use sun patches in cd/m2, up to an unknown factor, or not at all.
+      --budget: Time limit of the complete command, in minutes.
+      --seed: Seed of all random numbers in training.
+      --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """
     from fieldlum.learn.models.data import load_pairs
     from fieldlum.learn.models.estimated_view import with_sky_view
@@ -93,11 +67,12 @@ def command(
         folder, place, scene = out, out, scene or "none"
     else:
         folder, place = out or default_folder(pairs, model), pairs
+    used: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures") as show:
         data = (
             read_pairs(pairs) if isinstance(pairs, str) else load_pairs(pairs, site, progress=show)
         )
-        data, patch = training_captures(data, place, scene, patch, progress=show)
+        data, used = training_captures(data, place, scene, patch, progress=show)
         data = with_sky_view(data, sky_view, progress=show)
     pixels = data.shape[0] * data.shape[1]
     say_if(estimate_text(train_s(model, len(data), pixels, budget)))
@@ -107,7 +82,7 @@ def command(
             model,
             budget_min=budget,
             spent_s=time.monotonic() - started,
-            patch=patch,
+            patch=used,
             seed=seed,
             out=folder,
             force=force,

@@ -4,48 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from fieldlum.cli.options import FILE_PATH, PATH, part_option
+from fieldlum.cli.declared import FILE_PATH
+from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import say, write_csv
 
 
-@click.command()
-@click.argument("files", nargs=-1, required=True, type=PATH)
-@click.option(
-    "--out",
-    type=FILE_PATH,
-    metavar="FILE.png|FILE.html",
-    help="False-colour picture (.png), or a page that works offline (.html). [default: "
-    "FILE-view.html of the first picture]",
-)
-@click.option(
-    "--region",
-    "region_texts",
-    multiple=True,
-    metavar="REGION",
-    help="Statistics of rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,... (pixels from the top "
-    "left) or cone:AZ,ALT,RADIUS (degrees; azimuth from north); can be repeated.",
-)
-@click.option(
-    "--csv",
-    "csv_path",
-    type=FILE_PATH,
-    metavar="FILE",
-    help="Write the statistics of the regions.",
-)
-@part_option
-@click.option("--isolines", is_flag=True, help="Draw lines at 1, 10, 100 ... cd/m2 into the PNG.")
-@click.pass_context
+@command_of("view")
 def command(
-    ctx: click.Context,
     files: tuple[Path, ...],
-    out: Path | None,
-    region_texts: tuple[str, ...],
-    csv_path: Path | None,
-    part: str,
-    isolines: bool,
+    out: Annotated[Path | None, FILE_PATH] = None,
+    region_texts: tuple[str, ...] = (),
+    csv_path: Annotated[Path | None, FILE_PATH] = None,
+    part: str = "",
+    isolines: bool = False,
 ) -> None:
     """Show pictures in false colour, with statistics of regions.
 
@@ -55,6 +30,15 @@ def command(
     \b
     Example:
       fieldlum view office.hdr --out office.html --region cone:180,-30,15 --csv regions.csv
+
+    Options:
+      --out FILE.png|FILE.html: False-colour picture (.png), or a page that works offline
+          (.html). [default: FILE-view.html of the first picture]
+      --region REGION: Statistics of rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,...
+          (pixels from the top left) or cone:AZ,ALT,RADIUS (degrees; azimuth from north);
+          can be repeated.
+      --csv FILE: Write the statistics of the regions.
+      --isolines: Draw lines at 1, 10, 100 ... cd/m2 into the PNG.
     """
     from fieldlum.core.errors import InputError
     from fieldlum.report.view.measured_picture import MeasuredPicture, read_measured_picture
@@ -92,7 +76,7 @@ def command(
     if pictures:
         click.echo(str(out))
     if len(pictures) < len(files):
-        ctx.exit(InputError.exit_code)
+        raise SystemExit(InputError.exit_code)
 
 
 def _latest_panorama(path: Path) -> Path:

@@ -4,52 +4,25 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import session_argument
+from fieldlum.cli.options import Port, command_of
 from fieldlum.core.errors import InputError
 
 DEFAULT_PORT = 8765  # chosen, because other programs rarely use it; scene click has the next number
 
 
-@click.command("watch")
-@session_argument
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=DEFAULT_PORT,
-    show_default=True,
-    help="Port of the page; 0 takes a free one.",
-)
-@click.option(
-    "--lan",
-    is_flag=True,
-    help="Let other devices of this network open the page. It is plain HTTP: anyone who can "
-    "listen to the network can read it.",
-)
-@click.option(
-    "--weather",
-    metavar="FILE|synthetic",
-    default="synthetic",
-    show_default=True,
-    help="Weather year for the prediction so far, as for predict.",
-)
-@click.option(
-    "--compute/--no-compute",
-    default=True,
-    show_default=True,
-    help="Merge new brackets and compute the prediction so far, at lowest priority between slots.",
-)
-@click.option(
-    "--control",
-    count=True,
-    help="Let the page write notes, mark states, request an extra bracket and pause the "
-    "capture. With --lan, state it twice.",
-)
+@command_of("watch")
 def command(
-    session_folder: Path, port: int, lan: bool, weather: str, compute: bool, control: int
+    session_folder: Path,
+    port: Port = DEFAULT_PORT,
+    lan: bool = False,
+    weather: str = "synthetic",
+    compute: bool = True,
+    control: Annotated[int, "count"] = 0,
 ) -> None:
     """Show a session as a live page in the browser.
 
@@ -60,6 +33,16 @@ def command(
     Example:
       fieldlum watch office-2027
       fieldlum watch office-2027 --lan --port 8080
+
+    Options:
+      --port: Port of the page; 0 takes a free one.
+      --lan: Let other devices of this network open the page. It is plain HTTP: anyone who
+          can listen to the network can read it.
+      --weather FILE|synthetic: Weather year for the prediction so far, as for predict.
+      --compute/--no-compute: Merge new brackets and compute the prediction so far, at
+          lowest priority between slots.
+      --control: Let the page write notes, mark states, request an extra bracket and pause
+          the capture. With --lan, state it twice.
     """
     if control and lan and control < 2:
         raise click.UsageError(

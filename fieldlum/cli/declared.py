@@ -1,0 +1,129 @@
+"""Declare a command's parameters once: types in the signature, help in the docstring.
+
+    @command_of("log")
+    def command(session_folder: Path, every_s: Annotated[float, click.FloatRange(0.1)] = 5.0):
+        '''Log irradiance without a camera.
+
+        Options:
+          --every S: Seconds between rows.
+        '''
+
+A line of `Options:` belongs to the parameter of the same name, which may end with a unit or an s
+(`--every` is `every_s`). A bool is a flag, a Literal a choice, `tuple[X, ...]` can be repeated. A
+parameter without a line is a shared option, by its name (`options.SHARED`), or an argument.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import types
+import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import click
+
+_ENTRY = re.compile(r"(--[^\s:]+)(?: (.+?))?: (.+)")
+
+
+class _LocalPath(click.Path):
+    """A path of the file system.
+
+    URLs are rejected, because one would become a folder named "s3:".
+    """
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if "://" in str(value):
+            self.fail(
+                f"{value} is a URL; expected a path, because a bucket has no locks; only "
+                "pair --pairs-to and predict --maps-to write to a URL",
+                param,
+                ctx,
+            )
+        return super().convert(value, param, ctx)
+
+
+class _PathOrUrl(click.Path):
+    """A path of a file system, or a URL as text."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return str(value) if "://" in str(value) else super().convert(value, param, ctx)
+
+
+PATH = _LocalPath(path_type=Path)
+PATH_OR_URL = _PathOrUrl(path_type=Path)
+EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
+FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
+
+
+class _Entry(NamedTuple):
+    """A line below `Options:`: the option with its opposite if it has one, metavar and help."""
+
+    names: str
+    metavar: str | None
+    help: str
+
+    def is_of(self, parameter: str) -> bool:
+        """Return whether the option is that of a parameter of the function."""
+        name = self.names.split("/")[0].removeprefix("--").replace("-", "_")
+        return re.fullmatch(rf"{name}s?(_\w*)?", parameter) is not None
+
+
+def declare(
+    function: Callable[..., Any], name: str, shared: Mapping[str, click.Parameter]
+) -> click.Command:
+    """Return the command of a function; shared : options by the name of their parameter."""
+    text, _, options = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
+    lines = re.sub(r"\n {4,}", " ", options).splitlines()
+    entries = [
+        _Entry(*match.groups()) for line in lines if (match := _ENTRY.fullmatch(line.strip()))
+    ]
+    hints = typing.get_type_hints(function, include_extras=True)
+    parameters = []
+    for parameter in inspect.signature(function).parameters.values():
+        own = [entry for entry in entries if entry.is_of(parameter.name)]
+        entry = max(own, key=lambda entry: len(entry.names), default=None)
+        made = _parameter(parameter, hints[parameter.name], entry)
+        is_shared = entry is None and made.metavar is None
+        parameters.append(shared.get(parameter.name, made) if is_shared else made)
+    return click.Command(name, callback=function, params=parameters, help=text)
+
+
+def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) -> click.Parameter:
+    """Return the click option of a line of `Options:`, or the argument of a parameter without."""
+    extras: tuple[Any, ...] = ()
+    if typing.get_origin(hint) is typing.Annotated:
+        hint, extras = hint.__origin__, hint.__metadata__
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):  # X | None
+        hint = next(part for part in typing.get_args(hint) if part is not type(None))
+    is_required = parameter.default is inspect.Parameter.empty
+    settings: dict[str, Any] = {"required": is_required}
+    if not is_required:
+        settings["default"] = parameter.default
+    parts = typing.get_args(hint) if typing.get_origin(hint) is tuple else ()
+    base = parts[0] if parts else hint
+    if typing.get_origin(base) is Literal:
+        settings["type"] = click.Choice(typing.get_args(base))
+    elif base is not bool and base is not Any:
+        settings["type"] = PATH if base is Path else base
+    for extra in extras:
+        if isinstance(extra, click.ParamType):
+            settings["type"] = extra
+    is_many = bool(parts) and parts[-1] is Ellipsis
+    if entry is None:
+        metavar = next((extra for extra in extras if isinstance(extra, str)), None)
+        return click.Argument(
+            [parameter.name], nargs=-1 if is_many else 1, metavar=metavar, **settings
+        )
+    if parts:
+        settings |= {"multiple": True} if is_many else {"nargs": len(parts), "type": str}
+    if "count" in extras:
+        settings |= {"count": True, "type": None}
+    if base is bool:
+        settings |= {"is_flag": True}
+    is_empty = parameter.default is False or parameter.default in (None, "", ())
+    settings["show_default"] = not (is_required or is_empty or "count" in extras)
+    declarations = [parameter.name, entry.names]
+    return click.Option(declarations, metavar=entry.metavar, help=entry.help, **settings)
