@@ -20,10 +20,10 @@ from collections.abc import Callable
 from datetime import timedelta
 from typing import Any, NamedTuple
 
-import minimalmodbus
-import serial
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from pymodbus.client import ModbusSerialClient
+from pymodbus.exceptions import ModbusException
 
 from fieldlum.core.errors import FieldlumError
 from fieldlum.devices import ascii_lines, cl200a, registers, spn1, toa5
@@ -38,32 +38,31 @@ class Parser(NamedTuple):
     read: Callable[[bytes], Any]
 
 
-class _Reply(serial.Serial):
-    """A port whose answer is given."""
+class _Reply:
+    """A port that answers each question with `answer`."""
+
+    is_open = True
 
     def __init__(self) -> None:
-        super().__init__()
-        self.is_open, self.answer = True, b""
+        self.answer = self._left = b""
 
-    def reset_input_buffer(self) -> None:
-        pass
+    @property
+    def in_waiting(self) -> int:
+        return len(self._left)
 
-    def reset_output_buffer(self) -> None:
-        pass
-
-    def write(self, data: Any, /) -> int:
+    def write(self, data: bytes) -> int:
+        self._left = self.answer
         return len(data)
 
-    def read(self, size: int = 1, /) -> bytes:
-        return self.answer[:size]
+    def read(self, size: int) -> bytes:
+        data, self._left = self._left[:size], self._left[size:]
+        return data
 
 
 def modbus() -> Parser:
     profile, port = registers.load_register_profile("smp"), _Reply()
-    client = minimalmodbus.Instrument(port, 1)
-    minimalmodbus._calculate_minimum_silent_period = lambda baud: (
-        0.0
-    )  # the wire's silence, not ours to wait for
+    client = ModbusSerialClient("none", timeout=0.005, retries=0)
+    client.socket = port
 
     def line(tenths: int, warm: int, status: int) -> bytes:
         words = [1, status, 1, tenths, tenths, 0, warm & 0xFFFF, 234]
@@ -73,10 +72,12 @@ def modbus() -> Parser:
     def read(data: bytes) -> Any:
         port.answer = data
         try:
-            words = client.read_registers(2, 8, 4)
-        except (minimalmodbus.ModbusException, OSError) as error:
+            answer = client.read_input_registers(2, count=8, device_id=1)
+        except (ModbusException, OSError) as error:
             raise FieldlumError(str(error)) from None  # as the driver turns it into a DeviceError
-        return registers.decode(profile, dict(enumerate(words, start=2)))
+        if answer.isError() or len(answer.registers) != 8:
+            raise FieldlumError(str(answer))
+        return registers.decode(profile, dict(enumerate(answer.registers, start=2)))
 
     return Parser("Modbus RTU (SMP)", "CRC-16", st.builds(line, WATTS, CELSIUS, st.just(0)), read)
 

@@ -266,7 +266,7 @@ def test_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> No
 @pytest.mark.contract
 def test_profiles_are_checked(tmp_path: Path) -> None:
     with pytest.raises(
-        DeviceError, match=r"no profile of text lines named 'x'; expected one of .*arduino-json"
+        DeviceError, match=r"no profile of text lines 'x'; expected one of .*arduino-json"
     ):
         load_ascii_profile("x")
     own = tmp_path / "own.toml"

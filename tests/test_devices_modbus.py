@@ -2,7 +2,9 @@
 line.
 """
 
+import asyncio
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -180,7 +182,7 @@ def test_apogee_and_eko_floats() -> None:
     ("fault", "said"),
     [
         (lambda reply: b"", "does not answer; check wiring"),
-        (lambda reply: reply[:-1] + bytes([reply[-1] ^ 1]), "Checksum"),
+        (lambda reply: reply[:-1] + bytes([reply[-1] ^ 1]), "unit 1"),
         (lambda reply: reply[:7], "unit 1"),
         (lambda reply: b"\xff" + reply, "unit 1"),
         (lambda reply: bytes([9]) + reply[1:-2] + crc16(bytes([9]) + reply[1:-2]), "unit 1"),
@@ -194,6 +196,53 @@ def test_faults_on_the_line(fault: Callable[[bytes], bytes], said: str) -> None:
             device.read()  # type: ignore[attr-defined]
         line.fault = lambda reply: reply
         assert device.read().ghi_wm2 == 997.0  # type: ignore[attr-defined]
+
+
+@contextmanager
+def tcp_gateway() -> Iterator[tuple[str, Callable[[], None]]]:
+    """Run a Modbus TCP server of pymodbus; yield its address and what ends it."""
+    from pymodbus.server import ModbusTcpServer
+    from pymodbus.simulator import DataType, SimData, SimDevice
+
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+
+    async def started() -> ModbusTcpServer:
+        content = SimData(0, values=list(SMP.values()), datatype=DataType.REGISTERS)
+        server = ModbusTcpServer(SimDevice(1, simdata=[content]), address=("127.0.0.1", 0))
+        await server.listen()
+        return server
+
+    server = asyncio.run_coroutine_threadsafe(started(), loop).result(10.0)
+
+    def end() -> None:
+        asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result(10.0)
+
+    port = server.transport.sockets[0].getsockname()[1]
+    try:
+        yield f"tcp=127.0.0.1:{port}", end
+    finally:
+        end()
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join(10.0)
+        loop.close()
+
+
+@pytest.mark.contract
+def test_modbus_tcp_is_read_like_rtu_and_its_faults_are_device_errors() -> None:
+    with tcp_gateway() as (place, end):
+        uri = f"modbus:{place}?kind=smp&timeout=0.3"
+        device = open_pyranometer(uri, clock=FastClock(START))
+        assert (device.read().ghi_wm2, device.info.port) == (997.0, place)
+        with pytest.raises(DeviceError, match="unit 7"):
+            open_pyranometer(f"{uri}&unit=7", clock=FastClock(START))
+        end()
+        with pytest.raises(DeviceError, match="tcp=127"):
+            device.read()
+        with pytest.raises(DeviceError, match="no connection; check host"):
+            open_pyranometer(uri, clock=FastClock(START))
+        device.close()
 
 
 @pytest.mark.contract
@@ -222,6 +271,7 @@ def test_unplugged_is_a_device_error() -> None:
         ("modbus:/dev/x?unit=1", "expected a port and a kind"),
         ("modbus:/dev/x?kind=smp&unit=1&dhi_unit=1", "occurs twice"),
         ("modbus:/dev/x?kind=smp&write=1", "unknown option 'write'"),
+        ("modbus:tcp=:502?kind=smp", "no host; expected one like modbus:tcp="),
         ("modbus:/dev/does-not-exist?kind=smp", "/dev/does-not-exist"),
     ],
 )

@@ -6,11 +6,12 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import Clock
+from fieldlum.devices.serial_port import Closable
 from fieldlum.session.tables import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
@@ -20,14 +21,6 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 def error_text(error: BaseException) -> str:
     """Return an error of any kind as one short text for the journal."""
     return f"{type(error).__name__}: {error}"[:300]
-
-
-class Closable(Protocol):
-    """A device that can be closed."""
-
-    def close(self) -> None:
-        """Close the device."""
-        ...
 
 
 D = TypeVar("D", bound=Closable)

@@ -16,11 +16,13 @@ instrument's calibration or writes its registers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, IrradianceSample
@@ -28,6 +30,7 @@ from fieldlum.devices.clock import Clock
 from fieldlum.devices.uri import DeviceUri, parse_uri
 from fieldlum.session import Session
 
+T = TypeVar("T")
 FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no checksum
 
 
@@ -158,6 +161,31 @@ def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
     return list(dict.fromkeys(reasons))
 
 
+def store_frame(path: Path, body: bytes) -> None:
+    """Write a frame; it is on the disk when this returns."""
+    with path.open("wb") as file:
+        file.write(body)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def retried(
+    work: Callable[[], T], tries: int, again: Callable[[Exception], bool], pause_s: float = 0.0
+) -> T:
+    """Return the result of `work`; call it up to `tries` times while it raises an expected error.
+
+    again: whether an error is expected, such as that of a busy camera; pause_s: between two tries.
+    """
+    for _ in range(tries - 1):
+        try:
+            return work()
+        except Exception as error:
+            if not again(error):
+                raise
+        time.sleep(pause_s)
+    return work()
+
+
 class Pyranometer(Protocol):
     """An instrument that measures irradiance."""
 
@@ -228,7 +256,7 @@ METERS = {
 }
 PYRANOMETERS = {
     "sim": ("fieldlum.devices.simulated", "open_pyranometer"),
-    "serial": ("fieldlum.devices.serial_ascii", "open_pyranometer"),
+    "serial": ("fieldlum.devices.serial_lines", "open_pyranometer"),
     "modbus": ("fieldlum.devices.modbus", "open_pyranometer"),
 }
 

@@ -15,13 +15,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import reduce
 from operator import xor
-from pathlib import Path
 from typing import Literal
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
+from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2, read_profile
 from fieldlum.devices.serial_port import SerialLine
 from fieldlum.optics.profiles import shipped
 
@@ -94,14 +92,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
     broken profile.
     """
     folder = shipped("calibration") / "instruments" / "ascii"
-    path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
-    if not path.is_file():
-        names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
-        raise DeviceError(
-            f"no profile of text lines named '{name}'; expected one of {names}, or the path "
-            "of a TOML file; correct profile= in the URI"
-        )
-    profile = build(AsciiProfile, read_toml(path), str(path))
+    profile, path = read_profile(AsciiProfile, name, folder, "profile of text lines", "profile=")
     quantities = [e.quantity for e in profile.entry]
     is_repeated = len(set(quantities)) != len(quantities)
     if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or is_repeated:

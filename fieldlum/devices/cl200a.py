@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from functools import reduce
 from operator import xor
 from typing import Literal
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import IlluminanceReading, InstrumentInfo
+from fieldlum.devices import IlluminanceReading, InstrumentInfo, retried
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.serial_port import SerialLine, SerialPort
+from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 from fieldlum.devices.uri import DeviceUri, one_of
 
 # Commands and frame marks of CS-A32T.
@@ -136,16 +135,13 @@ class Cl200a:
         # them.
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
         self._port = SerialPort(place, line, timeout_s=timeout_s)
-        try:
+        with closed_on_error(self):
             self._answer(PC_MODE)
             sleep(_LONG_PAUSE_S)
             self._port.write(frame(HOLD))
             sleep(_LONG_PAUSE_S)
             self._answer(EXT_ON)
             sleep(_SHORT_PAUSE_S)
-        except DeviceError:
-            self.close()
-            raise
 
     @property
     def info(self) -> InstrumentInfo:
@@ -160,10 +156,7 @@ class Cl200a:
         Raises DeviceError if the meter does not answer or is not ready after four measurements, or
         if its answer is damaged, impossible or reports an error.
         """
-        for _ in range(_TRIES - 1):
-            with suppress(NotReady):
-                return self._measure()
-        return self._measure()
+        return retried(self._measure, _TRIES, lambda error: isinstance(error, NotReady))
 
     def _measure(self) -> IlluminanceReading:
         self._port.drain()

@@ -14,6 +14,7 @@ from fieldlum.core.records import Exposure
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.driver_process import Child, Serve
+from fieldlum.devices.serial_port import closed_on_error
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.session import Session
@@ -76,11 +77,8 @@ class GphotoCamera:
         self._readout_s = readout_s
         self._late_ms = round(1000 * late_file_s)
         self._about: dict[str, Any] = {}
-        try:
+        with closed_on_error(self):
             self._open()
-        except DeviceError:
-            self.close()
-            raise
 
     def _open(self) -> None:
         self._about = self._child.ask("open", self._model, timeout_s=OPEN_S)

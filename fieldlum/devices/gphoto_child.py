@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypedDict
 
+from fieldlum.devices import retried, store_frame
 from fieldlum.devices.driver_process import failure
 from fieldlum.optics.raw import RAW_SUFFIXES
 
@@ -133,16 +134,9 @@ def _describe(gp: Any, camera: Any) -> GphotoDescription:
     }
 
 
-def _patiently(gp: Any, work: Any) -> Any:
+def _patiently(work: Callable[[], Any]) -> Any:
     """Call `work`; call it again while the camera reports that it is busy."""
-    for tries_left in reversed(range(_TRIES)):
-        try:
-            return work()
-        except gp.GPhoto2Error as error:
-            if error.code != _BUSY or not tries_left:
-                raise
-            time.sleep(0.5)
-    return None
+    return retried(work, _TRIES, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
 
 
 def _set(gp: Any, camera: Any, name: str, text: str) -> str:
@@ -156,7 +150,7 @@ def _set(gp: Any, camera: Any, name: str, text: str) -> str:
         raise ValueError(f"{name}: {text} is not offered; expected one of the camera's choices")
     if widget.get_value() != text:
         widget.set_value(text)
-        _patiently(gp, lambda: camera.set_single_config(name, widget))
+        _patiently(lambda: camera.set_single_config(name, widget))
     return camera.get_single_config(name).get_value()
 
 
@@ -169,7 +163,7 @@ def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> st
     for _ in range(50):  # discard events of earlier pictures
         if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
             break
-    first = _patiently(gp, lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
+    first = _patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
     files = [(first.folder, first.name)]
     kind, data = camera.wait_for_event(late_ms)
     while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
@@ -181,10 +175,7 @@ def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> st
     # `shot` must exist until this copy is complete
     body = bytes(memoryview(shot.get_data_and_size()))
     path = Path(f"{target}{Path(name).suffix.lower()}")
-    with path.open("wb") as file:
-        file.write(body)
-        file.flush()
-        os.fsync(file.fileno())
+    store_frame(path, body)
     if delete:
         for folder, name in files:
             camera.file_delete(folder, name)

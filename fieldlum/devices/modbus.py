@@ -1,4 +1,6 @@
-"""Read pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``.
+"""Read pyranometers on Modbus RTU or TCP: ``modbus:PLACE?kind=smp&unit=1``.
+
+PLACE is a port, usb=VID:PID:SERIAL, or tcp=HOST:PORT of a gateway (port 502 if not stated).
 
 One driver serves all kinds; a register profile describes each. Options: kind (or the path of
 another profile), unit, dhi_unit and dni_unit (more instruments of the same kind on the bus), baud,
@@ -7,8 +9,11 @@ parity, stop, timeout. Only functions 3 and 4 are sent: no register is ever writ
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import IrradianceSample
@@ -21,7 +26,7 @@ from fieldlum.devices.registers import (
     decode,
     load_register_profile,
 )
-from fieldlum.devices.serial_port import SerialLine, SerialPort, device_errors
+from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error, device_errors
 from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
 from fieldlum.session import Session
 
@@ -52,14 +57,11 @@ class ModbusPyranometer:
         timeout_s: float,
     ) -> None:
         self._profile, self._units, self._clock = profile, tuple(units), clock
-        self._port = SerialPort(place, line, timeout_s=timeout_s)
-        try:
+        self._client, self.name = _connected(place, line, timeout_s)
+        with closed_on_error(self):
             self._about = [
                 self._ask(unit, profile.at_open + profile.poll)[0] for unit in self._units
             ]
-        except DeviceError:
-            self.close()
-            raise
 
     @property
     def info(self) -> InstrumentInfo:
@@ -83,7 +85,7 @@ class ModbusPyranometer:
             min(dates, default=""),  # the oldest of several instruments
             texts("sensitivity"),
             " ".join(d.status for d in self._about if d.status),
-            self._port.name,
+            self.name,
             tuple(unit.measures for unit in self._units),
             "CRC-16",
         )
@@ -115,31 +117,57 @@ class ModbusPyranometer:
 
     def _ask(self, unit: Unit, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
         """Return the register blocks of one unit, decoded, and as hexadecimal words."""
-        import minimalmodbus
-
-        client = minimalmodbus.Instrument(self._port.handle, unit.address)
         registers: dict[int, int] = {}
         for block in blocks:
-            with device_errors(self._port.name):
-                try:
-                    words = client.read_registers(block.start, block.count, self._profile.function)
-                except minimalmodbus.NoResponseError:
-                    raise DeviceError(
-                        f"{self._port.name}: {self._profile.kind} unit {unit.address} does not "
-                        f"answer; check wiring, power, unit number, baud rate and parity"
-                    ) from None
-                except minimalmodbus.ModbusException as error:
-                    raise DeviceError(
-                        f"{self._port.name}: {self._profile.kind} unit {unit.address}: {error}; "
-                        "check wiring, baud rate and parity"
-                    ) from None
-            registers.update(zip(block.numbers, words, strict=True))
+            registers.update(zip(block.numbers, self._words(unit, block), strict=True))
         raw = " ".join(f"{registers[r]:04x}" for b in self._profile.poll for r in b.numbers)
         return decode(self._profile, registers), raw
 
+    def _words(self, unit: Unit, block: RegisterBlock) -> list[int]:
+        """Return the registers of one block. Raises DeviceError."""
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        whose = f"{self.name}: {self._profile.kind} unit {unit.address}"
+        read = self._client.read_holding_registers
+        if self._profile.function == 4:
+            read = self._client.read_input_registers
+        try:
+            with device_errors(self.name):
+                answer = read(block.start, count=block.count, device_id=unit.address)
+        except ConnectionException:
+            raise DeviceError(f"{whose}: the connection is lost; check cable and power") from None
+        except ModbusException:  # no answer, or one with a wrong checksum
+            raise DeviceError(
+                f"{whose} does not answer; check wiring, power, unit number, baud rate and parity"
+            ) from None
+        if answer.isError() or len(answer.registers) != block.count:
+            raise DeviceError(f"{whose} refused or cut the registers ({answer}); check the kind")
+        return answer.registers
+
     def close(self) -> None:
-        """Close the port."""
-        self._port.close()
+        """Close the port or the connection; ignore errors of a port that was unplugged."""
+        with suppress(DeviceError), device_errors(self.name):
+            self._client.close()
+
+
+def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str]:
+    """Return a client that asks each question once, and the name of its port or host."""
+    from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+
+    # A missing answer raises an error here; pymodbus would print it too.
+    logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+    if place.startswith("tcp="):
+        host, _, port = place.removeprefix("tcp=").partition(":")
+        if not host or not (port or "502").isdecimal():
+            raise DeviceError(f"modbus:{place}: no host; expected one like modbus:tcp=10.0.0.7:502")
+        client = ModbusTcpClient(host, port=int(port or 502), timeout=timeout_s, retries=0)
+        if not client.connect():
+            raise DeviceError(f"{place}: no connection; check host, port, cable and power")
+        return client, place
+    port = SerialPort(place, line, timeout_s=timeout_s)
+    client = ModbusSerialClient(port.name, baudrate=line.baud, timeout=timeout_s, retries=0)
+    client.socket = port.handle
+    return client, port.name
 
 
 def _integer_text(value: float | None) -> str:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.strict_toml import build, read_toml
@@ -21,6 +21,7 @@ WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}
 LOWEST_WM2 = -200.0
 HIGHEST_WM2 = 4000.0
 Registers = Mapping[int, int]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +107,31 @@ def known_kinds() -> list[str]:
     return sorted(p.stem for p in (shipped("calibration") / "instruments").glob("*.toml"))
 
 
+def read_profile(cls: type[T], name: str, folder: Path, what: str, option: str) -> tuple[T, Path]:
+    """Return the profile of an instrument and its file: a shipped one by name, others by path.
+
+    A path ends in .toml. folder: of the shipped profiles; what, option: the kind of profile and the
+    URI's option, for the DeviceError of an unknown name or a missing file. Raises InputError for a
+    broken profile.
+    """
+    path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
+    if not path.is_file():
+        names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+        raise DeviceError(
+            f"no {what} '{name}'; expected one of {names}, or the path of a TOML file; correct "
+            f"{option} in the URI"
+        )
+    return build(cls, read_toml(path), str(path)), path
+
+
 def load_register_profile(kind: str) -> RegisterProfile:
     """Read a profile of registers: a shipped one by kind, any other by path.
 
     A path ends in .toml. Raises InputError for a broken profile, DeviceError for an unknown kind or
     a missing file.
     """
-    path = Path(kind)
-    if path.suffix != ".toml":
-        path = shipped("calibration") / "instruments" / f"{kind}.toml"
-    if not path.is_file():
-        raise DeviceError(
-            f"no instrument '{kind}'; expected one of {', '.join(known_kinds())}, or the path of a "
-            f"TOML file; correct kind= in the URI"
-        )
-    profile = build(RegisterProfile, read_toml(path), str(path))
+    folder = shipped("calibration") / "instruments"
+    profile, path = read_profile(RegisterProfile, kind, folder, "instrument", "kind=")
     for block in (*profile.poll, *profile.at_open):
         if (
             not 0 < block.count <= profile.largest_request

@@ -1,4 +1,8 @@
-"""Read an instrument that sends lines by itself; nothing is ever sent to it."""
+"""Open serial pyranometers, and read those that send lines by themselves.
+
+``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``; PLACE is a device file or
+usb=VID:PID:SERIAL. Nothing is ever sent to an instrument that sends lines.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,19 @@ from statistics import median
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices import FORM_ALONE, InstrumentInfo
-from fieldlum.devices.ascii_lines import AsciiProfile, body_of, parse_line, sample_of
+from fieldlum.devices import FORM_ALONE, InstrumentInfo, Pyranometer
+from fieldlum.devices.ascii_lines import (
+    AsciiProfile,
+    body_of,
+    load_ascii_profile,
+    parse_line,
+    sample_of,
+)
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.learned_format import LineForm
 from fieldlum.devices.serial_port import SerialPort
+from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
+from fieldlum.session import Session
 
 _POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; chosen
 # this many bytes without an end mark mean a wrong baud rate; chosen, not measured
@@ -131,3 +143,38 @@ class LineInstrument:
     def close(self) -> None:
         """Close the port."""
         self._port.close()
+
+
+def open_pyranometer(
+    uri: DeviceUri, *, clock: Clock, session: Session | None = None
+) -> Pyranometer:
+    """Open the serial pyranometer that a URI names: an SPN1, or one that prints lines.
+
+    Raises DeviceError for unknown options, a missing port, kind or profile, and for an SPN1 that
+    does not answer; InputError for a broken profile.
+    """
+    if not uri.place:
+        raise DeviceError(
+            f"{uri.text}: no port; expected a URI like serial:/dev/serial/by-id/NAME?kind=spn1"
+        )
+    kind = one_of("spn1", "ascii")
+    if uri.options.get("kind") == "ascii":
+        return _open_lines(uri, clock)
+    options = uri.read(kind=kind, baud=integer_option(300, 921600), timeout=number(0.1, 60.0))
+    if "kind" not in options:
+        raise DeviceError(f"{uri.text}: no kind; add ?kind=spn1 or ?kind=ascii&profile=NAME")
+    from fieldlum.devices.spn1 import Spn1
+
+    return Spn1(
+        uri.place, clock, baud=options.get("baud", 9600), timeout_s=options.get("timeout", 2.0)
+    )
+
+
+def _open_lines(uri: DeviceUri, clock: Clock) -> Pyranometer:
+    options = uri.read(kind=str, profile=str, silence=number(0.1, 600.0))
+    if "profile" not in options:
+        raise DeviceError(
+            f"{uri.text}: no profile; add &profile=NAME or &profile= and the path of a TOML file"
+        )
+    profile = load_ascii_profile(options["profile"])
+    return LineInstrument(uri.place, profile, clock, silence_s=options.get("silence"))

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from fieldlum.core.errors import DeviceError
 
@@ -25,6 +25,24 @@ def device_errors(port: str) -> Iterator[None]:
         # serial.SerialException is an OSError, termios.error is not.
         lines = str(error.args[-1] if error.args else error).splitlines()
         raise DeviceError(f"{port}: {lines[0] if lines else type(error).__name__}") from None
+
+
+class Closable(Protocol):
+    """A device that can be closed."""
+
+    def close(self) -> None:
+        """Close the device."""
+        ...
+
+
+@contextmanager
+def closed_on_error(device: Closable) -> Iterator[None]:
+    """Close a device if it raises DeviceError inside the block, which talks to it at first."""
+    try:
+        yield
+    except DeviceError:
+        device.close()
+        raise
 
 
 def _cannot_open(port: str, error: DeviceError) -> str:

@@ -17,7 +17,7 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.serial_port import SerialLine, SerialPort
+from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
 AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)
@@ -172,11 +172,8 @@ class Spn1:
     ) -> None:
         self._clock, self._close_too = clock, close_too
         self._port = SerialPort(place, SerialLine(baud), timeout_s=timeout_s)
-        try:
+        with closed_on_error(self):
             self._status = self._ask_status()
-        except DeviceError:
-            self.close()
-            raise
 
     @property
     def info(self) -> InstrumentInfo:

@@ -7,7 +7,6 @@ v2.1. If the file format is raw+ (Z1), the DNG of a single picture is copied, el
 from __future__ import annotations
 
 import json
-import os
 import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from urllib.parse import urlsplit
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, refuse_turning
+from fieldlum.devices import CameraInfo, refuse_turning, store_frame
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
@@ -190,10 +189,7 @@ class ThetaCamera:
             )
         path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
         body = self._http(urllib.request.Request(url), 60.0)
-        with path.open("wb") as file:
-            file.write(body)
-            file.flush()
-            os.fsync(file.fileno())
+        store_frame(path, body)
         return path
 
     def _clear(self, urls: list[str]) -> None:

@@ -183,8 +183,14 @@ class JsonFile(msgspec.Struct, frozen=True):
 
 
 def to_json(value: object) -> Any:
-    """Return a record as the plain values of JSON; arrays become lists."""
-    return msgspec.to_builtins(value, enc_hook=_plain)
+    """Return a record as the plain values of JSON; arrays and tuples become lists."""
+    return _with_lists(msgspec.to_builtins(value, enc_hook=_plain))
+
+
+def _with_lists(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _with_lists(inner) for key, inner in value.items()}
+    return [_with_lists(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
