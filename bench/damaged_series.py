@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fieldlum.core.errors import FieldlumError
-from fieldlum.devices import ascii_lines, spn1, toa5
+from fieldlum.devices import ascii_lines, logger_files, spn1
 from fieldlum.devices.learned_format import LineForm
 from fieldlum.pair import irradiance
 
@@ -126,7 +126,7 @@ def _toa5(rows: int, line: bytes) -> Reading:
     lines[rows // 2] = line
     text = (TOA5_HEAD + b"".join(lines)).decode("utf-8", "replace")
     due = NOON.replace(hour=8) + timedelta(minutes=_TOA5_MINUTE)
-    found = [s for s in toa5.parse_toa5(text, timedelta()).samples if s.t_utc == due]
+    found = [s for s in logger_files.parse_toa5(text, timedelta()).samples if s.t_utc == due]
     if len(found) != 1 or found[0].ghi_wm2 is None:
         raise FieldlumError("left out, or blank")
     return found[0].ghi_wm2, found[0].dhi_wm2

@@ -26,7 +26,7 @@ from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ModbusException
 
 from fieldlum.core.errors import FieldlumError
-from fieldlum.devices import ascii_lines, cl200a, registers, spn1, toa5
+from fieldlum.devices import ascii_lines, cl200a, logger_files, registers, spn1
 
 WATTS, CELSIUS = st.integers(0, 14000), st.integers(-300, 600)  # tenths
 
@@ -112,8 +112,10 @@ TOA5_HEAD = (
 
 
 def _toa5_row(data: bytes) -> Any:
-    table = toa5.parse_toa5((TOA5_HEAD + data).decode("utf-8", "replace"), timedelta(hours=-8))
-    if len(table.samples) != 1 or table.broken:
+    table = logger_files.parse_toa5(
+        (TOA5_HEAD + data).decode("utf-8", "replace"), timedelta(hours=-8)
+    )
+    if len(table.samples) != 1 or table.left_out:
         raise FieldlumError("left out")
     return table.samples
 

@@ -37,9 +37,9 @@ from fieldlum.devices.cl200a import (
 )
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.learned_format import LineForm
+from fieldlum.devices.logger_files import parse_toa5
 from fieldlum.devices.serial_lines import LineInstrument
 from fieldlum.devices.simulated.spn1 import PtyInstrument
-from fieldlum.devices.toa5 import parse_toa5
 
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
 CLOCK = FastClock(START)
@@ -379,12 +379,12 @@ TOA5 = (
 @pytest.mark.authority
 def test_toa5_table() -> None:
     table = parse_toa5(TOA5, timedelta(hours=-8))
-    assert (table.station, table.model, table.serial) == ("Roof", "CR1000X", "12345")
+    assert table.about == "TOA5 of Roof, CR1000X 12345"
     first, second, third = table.samples
     assert first.t_utc == datetime(2027, 3, 20, 16, 0, tzinfo=UTC)
     assert (first.ghi_wm2, first.dhi_wm2, first.temperature_c) == (512.3, 88.1, 21.5)
     assert second.ghi_wm2 is None and second.dhi_wm2 == 88.2
-    assert third.ghi_wm2 == 515.0 and table.missing_records == 2 and not table.broken
+    assert third.ghi_wm2 == 515.0 and table.missing_records == 2 and not table.left_out
 
 
 @pytest.mark.contract
@@ -394,8 +394,8 @@ def test_toa5_damage() -> None:
         '08:04:00",106,51'
     )
     table = parse_toa5(broken, timedelta())
-    assert len(table.samples) == 3 and len(table.broken) == 3
-    assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "line feed" in table.broken[2]
+    assert len(table.samples) == 3 and len(table.left_out) == 3
+    assert "line 8: ghi_wm2 is '5#5.0'" in table.left_out[0] and "line feed" in table.left_out[2]
     for text, said in (
         ("TIMESTAMP,GHI\n", "no complete TOA5 header in the first four lines"),
         (TOA5.replace('"","","Avg","Avg","Smp"\n', ""), "no complete TOA5 header"),
@@ -423,7 +423,7 @@ def test_a_toa5_row_out_of_step_is_left_out() -> None:
         (",107,", ",1107,"),
     ):
         table = parse_toa5(head + "".join(rows).replace(*damage), timedelta())
-        assert len(table.samples) == 29 and "line 12" in table.broken[0]
+        assert len(table.samples) == 29 and "line 12" in table.left_out[0]
     # Rows that are missing, and a clock that was set by an hour, are no damage.
     moved = rows[:9] + [row.replace(" 08:", " 09:") for row in rows[12:]]
     assert len(parse_toa5(head + "".join(moved), timedelta()).samples) == 27
@@ -440,17 +440,17 @@ def toa5_of(values: list[str]) -> str:
 @pytest.mark.contract
 def test_a_toa5_number_with_other_decimals_than_its_column_is_left_out() -> None:
     values = [f"{40 + m}.5" for m in range(20)] + [f"{500 + m}.5" for m in range(30)]
-    assert not parse_toa5(toa5_of(values), timedelta()).broken
+    assert not parse_toa5(toa5_of(values), timedelta()).left_out
     for damage in ("512", "1125", "51.25"):
         table = parse_toa5(toa5_of([*values[:40], damage, *values[41:]]), timedelta())
-        assert len(table.samples) == 49 and table.broken[0].startswith("line 45: ghi_wm2 has"), (
+        assert len(table.samples) == 49 and table.left_out[0].startswith("line 45: ghi_wm2 has"), (
             damage
         )
     # Campbell's FP2 writes four digits, whatever the size; other loggers drop noughts.
     assert not parse_toa5(
         toa5_of([f"{990 + m}.5" if m < 10 else f"{990 + m}" for m in range(40)]), timedelta()
-    ).broken
-    assert not parse_toa5(toa5_of([f"{500 + m / 10:g}" for m in range(40)]), timedelta()).broken
+    ).left_out
+    assert not parse_toa5(toa5_of([f"{500 + m / 10:g}" for m in range(40)]), timedelta()).left_out
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.capture import doctor
-from fieldlum.capture.doctor import awake, computer, instruments, planned
+from fieldlum.capture.doctor import computer, instruments, planned
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
@@ -232,98 +232,23 @@ def test_pyranometer_readings() -> None:
     ] and "let the instrument's program print a CRC-16" in told[1].text
 
 
-# What systemd 252 printed for three real locks (systemd-logind on a bus of its own), and the form
-# of before 240.
-TABLE = """WHO          UID USER PID   COMM            WHAT              WHY                           MODE
-NM           0   root 13720 systemd-inhibit sleep             turn off networks             delay
-field laptop 0   root 13715 systemd-inhibit sleep:idle        a month of captures, no sleep block
-lid          0   root 13719 systemd-inhibit handle-lid-switch Unknown reason                block
-
-3 inhibitors listed.
-"""  # noqa: E501
-BLOCKS = """     Who: NetworkManager (UID 0/root, PID 640/NetworkManager)
-    What: sleep
-     Why: NetworkManager needs to turn off networks
-    Mode: delay
-
-     Who: field laptop (UID 1000/me, PID 900/systemd-inhibit)
-    What: sleep:idle
-     Why: a month of captures
-    Mode: block
-
-2 inhibitors listed.
-"""
-
-
-@pytest.mark.contract
-@pytest.mark.parametrize(
-    "text", [TABLE, "\n".join(TABLE.splitlines()[1:4]), BLOCKS], ids=["table", "no-legend", "old"]
-)
-def test_locks_are_read_in_every_form(text: str) -> None:
-    locks = awake.parse_locks(text)
-    assert awake.Lock("field laptop", frozenset({"sleep", "idle"}), "block") in locks
-    assert [lock.mode for lock in locks[:2]] == ["delay", "block"] and doctor.check_sleep(
-        locks
-    ).verdict == "ok"
-
-
 @pytest.mark.contract
 def test_what_does_not_keep_a_computer_awake() -> None:
-    said = "GNOME Shell 1000 me 77 gnome-shell handle-power-key user must not sleep block\n"
-    for text in (said, TABLE.splitlines()[1], "No inhibitors.\n", "", "sleep block\n"):
-        assert doctor.check_sleep(awake.parse_locks(text)).verdict == "warn"
-    locks = awake.parse_locks(TABLE)
-    assert doctor.check_sleep(locks, lid=True).verdict == "ok"
-    shut = doctor.check_sleep(locks[:2], lid=True)
+    assert doctor.check_sleep("sleep:idle").verdict == "ok"
+    assert doctor.check_sleep("sleep:idle:handle-lid-switch", lid=True).verdict == "ok"
+    shut = doctor.check_sleep("sleep:idle", lid=True)
     assert shut.verdict == "warn" and "a closed lid" in shut.text
-    assert doctor.check_sleep([], lid=True, own="sleep:idle:handle-lid-switch").verdict == "ok"
-    assert "capture itself, but a closed lid" in doctor.check_sleep(
-        None, lid=True, own="sleep:idle"
-    ).text.replace(" while it runs", "")
-    assert doctor.check_sleep(None).verdict == "warn"
-
-
-@pytest.mark.authority
-@pytest.mark.skipif(not Path("/bin/sh").exists(), reason="needs a shell")
-@pytest.mark.parametrize(
-    ("script", "locks"),
-    [
-        (f"cat <<'E'\n{TABLE}E", 3),
-        ("echo No inhibitors.", 0),
-        ("printf 'caf\\351 0 root 1 x sleep why block\\n'", 1),
-        ("echo Failed to connect to bus: No such file or directory >&2; exit 1", None),
-        ("exec sleep 5", None),
-    ],
-    ids=["table", "none", "no-utf8", "no-bus", "hangs"],
-)
-def test_systemd_inhibit_is_really_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, locks: int | None
-) -> None:
-    tool = tmp_path / "systemd-inhibit"
-    tool.write_text(f'#!/bin/sh\n[ "$*" = --list ] && [ "$LC_ALL" = C ] || exit 9\n{script}\n')
-    tool.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
-    found = awake.inhibitors(timeout_s=0.5 if "sleep 5" in script else 10.0)
-    assert (None if found is None else len(found)) == locks
-
-
-@pytest.mark.contract
-def test_without_systemd_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert awake.inhibitors() is None
-    (tmp_path / "systemd-inhibit").write_text("not to be run")
-    assert awake.inhibitors() is None
+    assert doctor.check_sleep("").verdict == doctor.check_sleep("idle").verdict == "warn"
 
 
 @pytest.mark.contract
 def test_this_computer_answers_or_is_not_asked() -> None:
-    assert awake.inhibitors() is None or isinstance(awake.inhibitors(), list)
     assert [doctor.check_clock(state).verdict for state in (True, False, None)] == [
         "ok",
         "warn",
         "warn",
     ]
-    assert doctor.kernel_clock() in (True, False, None)
+    assert doctor.synchronised() in (True, False, None)
 
 
 @pytest.mark.contract

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 
-from fieldlum.capture.utc_clock import synchronised
 from fieldlum.core.errors import DeviceError, NotEnoughDataError
 from fieldlum.core.records import Slot
 from fieldlum.devices import Camera, not_offered
-from fieldlum.devices.clock import Clock
+from fieldlum.devices.clock import Clock, synchronised
 from fieldlum.session import Session
 from fieldlum.session.ledger import Ledger, SlotState
 
@@ -72,7 +71,7 @@ def wait_for_clock(
     session: Session,
     clock: Clock,
     say: Callable[[str], None],
-    trusted: Callable[[], bool] = synchronised,
+    trusted: Callable[[], bool | None] = synchronised,
 ) -> None:
     """Wait while the computer's clock is over two minutes earlier than the session's last change.
 

@@ -23,7 +23,7 @@ from fieldlum.capture.preflight import (
 )
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.recorder import Listen, Recorder, unheard
-from fieldlum.capture.utc_clock import SteadyClock, synchronised
+from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import (
@@ -34,7 +34,7 @@ from fieldlum.devices import (
     open_meter,
     open_pyranometer,
 )
-from fieldlum.devices.clock import Clock
+from fieldlum.devices.clock import Clock, synchronised
 from fieldlum.session import (
     Session,
     disk_is_full,
@@ -61,7 +61,7 @@ def run(
     check_opens: Callable[[Path], str] = no_look,
     check_shortest: Callable[[Path], str] = no_look,
     meter_uri: str = "",
-    trusted: Callable[[], bool] = synchronised,
+    trusted: Callable[[], bool | None] = synchronised,
     listen: Listen = unheard,
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,

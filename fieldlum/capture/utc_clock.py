@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from fieldlum.devices.clock import Clock
+from fieldlum.devices.clock import Clock, synchronised
 from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
 # drift, which is followed. Not measured: the drift between two checks is far smaller.
 STEP_S = 2.0
-
-
-def synchronised() -> bool:
-    """Return whether a time server controls the clock, by systemd; False without systemd."""
-    try:
-        answer = subprocess.run(
-            ["timedatectl", "show", "-p", "NTPSynchronized", "--value"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return False
-    return answer.stdout.strip() == "yes"
 
 
 def boot_id() -> str:
@@ -48,7 +33,7 @@ class SteadyClock:
     """
 
     def __init__(
-        self, clock: Clock, trusted: Callable[[], bool] = synchronised, boot: str = ""
+        self, clock: Clock, trusted: Callable[[], bool | None] = synchronised, boot: str = ""
     ) -> None:
         self._clock, self._trusted, self._boot_id = clock, trusted, boot
         self._anchor, self._boot = clock.now(), clock.boottime()
@@ -98,7 +83,7 @@ class SteadyClock:
         self._slept = slept
         step = (self._clock.now() - self.now()).total_seconds()
         if abs(step - self._refused_s) > STEP_S:
-            followed = abs(step) > STEP_S and self._trusted()
+            followed = abs(step) > STEP_S and bool(self._trusted())
             events.append(
                 ("clock-step", {"seconds": round(step - self._refused_s, 1), "followed": followed})
             )

@@ -42,6 +42,12 @@ def kept_awake() -> Iterator[str]:
                 process.stdout.close()
 
 
+def granted_locks() -> str:
+    """Take the locks against sleep, release them, and return their names; see `kept_awake`."""
+    with kept_awake() as what:
+        return what
+
+
 def _start() -> tuple[subprocess.Popen[bytes] | None, str]:
     if sys.platform == "darwin":
         with suppress(OSError):

@@ -2,12 +2,34 @@
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
+import sys
 import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Literal, Protocol
+
+# State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
+_TIME_ERROR = 5
+
+
+def synchronised() -> bool | None:
+    """Return whether a time server controls the clock, by Linux's kernel; None if unknown.
+
+    It is the state that `timedatectl` shows as NTPSynchronized.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    # struct timex, all zero: with modes 0 the call only reads
+    timex = ctypes.create_string_buffer(512)
+    try:
+        state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
+    except (OSError, AttributeError):
+        return None
+    return None if state < 0 else state != _TIME_ERROR
 
 
 class Clock(Protocol):

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture import doctor
-from fieldlum.capture.doctor.awake import has_lid, inhibitors
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.plan.coverage import sun_band_percent
@@ -286,9 +285,9 @@ class Snapshots:
         checks: dict[str, Callable[[], list[doctor.Finding]]] = {
             "plan": lambda: doctor.check_plan(session, now),
             "profile": lambda: doctor.check_profile(session, now.date()),
-            "clock": lambda: [doctor.check_clock(doctor.kernel_clock())],
+            "clock": lambda: [doctor.check_clock(doctor.synchronised())],
             "disk": lambda: [doctor.check_disk(session, now, free)],
-            "sleep": lambda: [doctor.check_sleep(inhibitors(), has_lid())],
+            "sleep": lambda: [doctor.check_sleep(doctor.granted_locks(), lid=doctor.has_lid())],
             "calendar": lambda: doctor.check_calendar(session, now),
         }
         findings: list[doctor.Finding] = []

@@ -8,19 +8,20 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Any
 
-from fieldlum.capture.doctor.awake import has_lid, inhibitors, lock_to_be_had
 from fieldlum.capture.doctor.computer import (
     check_clock,
     check_disk,
     check_sleep,
     check_writing,
-    kernel_clock,
+    has_lid,
 )
 from fieldlum.capture.doctor.findings import Finding, owed_slots
 from fieldlum.capture.doctor.instruments import check_camera, check_meter, check_pyranometer
 from fieldlum.capture.doctor.planned import check_calendar, check_journal, check_plan, check_profile
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import JsonTable, Progress, quiet
+from fieldlum.devices.awake import granted_locks
+from fieldlum.devices.clock import synchronised
 from fieldlum.session import Session
 
 
@@ -45,10 +46,10 @@ def run(
         ("camera", lambda: check_camera(session, camera_uri, now_utc)),
         ("pyranometer", lambda: check_pyranometer(session, pyranometer_uri)),
         ("meter", lambda: check_meter(meter_uri)),
-        ("clock", lambda: [check_clock(kernel_clock())]),
+        ("clock", lambda: [check_clock(synchronised())]),
         ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
         ("writing", lambda: check_writing(session.root)),
-        ("sleep", lambda: [check_sleep(inhibitors(), has_lid(), lock_to_be_had())]),
+        ("sleep", lambda: [check_sleep(granted_locks(), lid=has_lid())]),
         ("calendar", lambda: check_calendar(session, now_utc)),
     ]
     findings: list[Finding] = []

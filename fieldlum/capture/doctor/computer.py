@@ -2,43 +2,19 @@
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
 import os
 import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldlum.capture.doctor.awake import Lock
 from fieldlum.capture.doctor.findings import Finding, Verdict, owed_slots
 from fieldlum.session import Session
 
 DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
-
-
 # seconds for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
 SLOW_FSYNC_S = 0.5
-
-
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
-
-
-# State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
-_TIME_ERROR = 5
-
-
-def kernel_clock() -> bool | None:
-    """Return whether the kernel reports a synchronised clock (Linux, adjtimex); None if unknown."""
-    if not sys.platform.startswith("linux"):
-        return None
-    # struct timex, all zero: with modes 0 the call only reads
-    timex = ctypes.create_string_buffer(512)
-    try:
-        state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
-    except (OSError, AttributeError):
-        return None
-    return None if state < 0 else state != _TIME_ERROR
 
 
 def check_clock(synchronised: bool | None) -> Finding:
@@ -136,27 +112,28 @@ def check_writing(folder: Path) -> list[Finding]:
     return findings
 
 
-def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
-    """Return a finding on whether something keeps this computer awake, a warning if nothing does.
+def has_lid() -> bool:
+    """Return whether this computer has a lid, by Linux's ACPI; False on other systems."""
+    return any(Path("/proc/acpi/button/lid").glob("*"))
 
-    locks: of all programs, None if unknown; lid: whether there is a lid; own: names of the locks
-    that `capture` can get, joined by colons. By logind's default a closed lid overrides a lock on
-    sleep; only a lock on handle-lid-switch prevents this.
+
+def check_sleep(locks: str, *, lid: bool = False) -> Finding:
+    """Return a finding on whether a capture can keep this computer awake, a warning if it cannot.
+
+    locks: names of the locks that `capture` is granted, joined by colons; lid: whether there is a
+    lid. By logind's default a closed lid overrides a lock on sleep; only a lock on
+    handle-lid-switch prevents this.
     """
     command = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
         "darwin": "caffeinate -dims fieldlum capture ...",
     }.get(sys.platform)
     how = f"start the capture with: {command}" if command else "switch sleep off in the settings"
-    if locks is None and not own:
-        return Finding("sleep", "warn", f"it is unknown whether this computer will sleep: {how}")
-    held = [lock for lock in locks or () if lock.mode == "block"]
-    if own:
-        held.append(Lock("capture itself while it runs", frozenset(own.split(":")), "block"))
-    by = next((lock.who for lock in held if "sleep" in lock.what), "")
-    if not by:
-        return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
-    if lid and not any("handle-lid-switch" in lock.what for lock in held):
-        text = f"prevented by {by}, but a closed lid would still send this computer to sleep: {how}"
+    if "sleep" not in locks.split(":"):
+        text = f"capture is granted no lock that keeps this computer awake: {how}"
         return Finding("sleep", "warn", text)
-    return Finding("sleep", "ok", f"prevented by {by}")
+    text = "prevented by capture itself while it runs"
+    if lid and "handle-lid-switch" not in locks:
+        text += f", but a closed lid would still send this computer to sleep: {how}"
+        return Finding("sleep", "warn", text)
+    return Finding("sleep", "ok", text)
