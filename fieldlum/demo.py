@@ -223,8 +223,10 @@ def _figures(
 ) -> tuple[tuple[str, str, str], ...]:
     median, within, maps = merged_against_truth(session)
     dni, dhi = irradiance_against_truth(session)
+    from fieldlum.learn import models
     from fieldlum.year import predict
 
+    captures = len(models.read_config(session.models / MODEL).training.slots)
     chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
     ends = predict.best_and_worst(annual.summary.protection)
     assert ends is not None  # the demo's lenses see every direction
@@ -246,7 +248,7 @@ def _figures(
         (
             "model chosen",
             scores["chosen"],
-            f"fitted in {chosen['fit_s']:.1f} s, on {chosen['n_train']} captures",
+            f"fitted in {scores['final_fit_s']:.1f} s to all {captures} captures",
         ),
         (
             "its error",

@@ -100,6 +100,18 @@ def test_what_is_out_of_reach_is_not_aligned() -> None:
     assert (~camera_turns(pictures(angles), SEEN, HEADING).aligned).nonzero()[0].tolist() == [4]
 
 
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_low_sun_deep_in_the_room_is_no_turned_camera() -> None:
+    """A patch through a barred window has the strongest edges, but not in most of the picture."""
+    captures = pictures(np.zeros((9, 3)))
+    blocks = np.random.default_rng(1).integers(0, 2, (6, 40))
+    captures[4] **= 0.3  # the rest of the room has less contrast
+    captures[4, 35:53] *= np.exp(4.0 * blocks.repeat(3, axis=0).repeat(3, axis=1))
+    found = camera_turns(captures, SEEN, HEADING)
+    assert found.aligned.all() and not found.turned.any()
+
+
 @pytest.mark.property
 def test_turned_back_is_the_inverse_of_a_turn() -> None:
     clean, angles = pictures(np.zeros((1, 3)))[0], np.array([2.0, -1.0, 1.5])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.io import netcdf_file
 
 from fieldlum.calibrate.readings_csv import read_table as read_readings
 from fieldlum.capture.logger_rows import adopt_rows
@@ -28,7 +30,10 @@ from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.core.strict_csv import is_wm2, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.session import create_session, day_files, read_day
+from fieldlum.session.files.alignment_csv import AlignmentRow, find_alignment, write_alignment
+from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.quality_csv import read_quality
 from fieldlum.sky import sun
 from fieldlum.weather import read_weather
 from fieldlum.weather.files import lines_of
@@ -224,6 +229,21 @@ def sam(path: Path, minute: str | None = None, source: str = "NSRDB") -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("latitude", "words"), [(20.0, "about [+](15|20|25)"), (34.0, "about [+]3")]
+)
+def test_light_of_another_latitude_is_refused_by_its_days(
+    tmp_path: Path, latitude: float, words: str
+) -> None:
+    """No column is blamed: the beam of a file from 34 degrees is too strong for the sun at 52."""
+    light = light_of(replace(NORTH, latitude_deg=latitude), hours_of(NORTH))
+    path = write_epw(tmp_path / "a.epw", NORTH, light)
+    with pytest.raises(InputError, match=f"days are as long as at {words}.*file's place"):
+        read_weather(path, NORTH)
+
+
+@pytest.mark.slow
 @pytest.mark.authority
 def test_sam_files_are_read_as_sam_and_pvlib_mean_them(tmp_path: Path) -> None:
     """SAM's file format: without a column Minute a row is the middle of its hour.
@@ -402,6 +422,101 @@ def test_card_and_logger_have_offsets_of_their_own(tmp_path: Path) -> None:
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
+    ("head", "dates", "first"),
+    [
+        ("Date,Time", ("13/12/2015,4:00:00", "01/12/2015,14:55:00"), "2015-12-13T04:00:00"),
+        ("Date,Time", ("12/01/2015,14:55", "12/13/2015,04:00"), "2015-12-01T14:55:00"),
+        ("timestamp", ("31/1/2016 00:00", "1/2/2016 00:00"), "2016-01-31T00:00:00"),
+        ("Date,Time", ("2015-12-01,14:55", "2015-12-02,14:55"), "2015-12-01T14:55:00"),
+    ],
+)
+def test_a_date_has_one_meaning_in_the_complete_file(
+    tmp_path: Path, head: str, dates: tuple[str, str], first: str
+) -> None:
+    """A number above 12 shows which one is the day; the heading states name and unit."""
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{date},{160 + k},1\n" for k, date in enumerate(dates))
+    path.write_text(f"{head},Solar radiation (W/m2),UV Index\n{rows}")
+    read = read_logger_file(path, timedelta(0))
+    sample = next(sample for sample in read.samples if sample.ghi_wm2 == 160.0)
+    assert sample.t_utc == datetime.fromisoformat(first).replace(tzinfo=UTC)
+    assert read.notes == ("columns: Solar radiation (W/m2) as ghi_wm2",)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("dates", "cause"),
+    [
+        (("01/12/2015", "02/12/2015"), "cannot be distinguished"),
+        (("13/12/2015", "12/13/2015"), "some with the day first and some with the month first"),
+    ],
+)
+def test_an_ambiguous_date_is_refused(tmp_path: Path, dates: tuple[str, str], cause: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Date,Time,GHI (W/m2)\n" + "".join(f"{date},14:55,16\n" for date in dates))
+    with pytest.raises(InputError, match=f"dates such as {dates[0]}.*{cause}.*2015-12-01"):
+        read_logger_file(path, timedelta(0))
+
+
+@pytest.mark.contract
+def test_usual_names_count_with_their_unit_and_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "\n2027-03-20T16:00:00Z,510,88\n"
+    path.write_text(f"t_utc,GHI (W/m2),Diffuse [W/m^2]{rows}")
+    sample = read_logger_file(path).samples[0]
+    assert (sample.ghi_wm2, sample.dhi_wm2) == (510.0, 88.0)
+    for names, found in (
+        ("GHI,Diffuse", "columns t_utc, GHI"),  # no unit
+        ("GHI (kW/m2),DHI (kW/m2)", "columns t_utc, GHI"),
+        ("GHI (W/m2),Global (W/m2)", "several columns for ghi_wm2: GHI (W/m2), Global (W/m2)"),
+    ):
+        path.write_text(f"t_utc,{names}{rows}")
+        with pytest.raises(InputError, match=re.escape(found)):
+            read_logger_file(path)
+    path.write_text(f"t_utc,ghi_wm2,Global (W/m2){rows}")
+    assert "not used: Global (W/m2)" in read_logger_file(path).notes[0]
+
+
+@pytest.mark.authority
+def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) -> None:
+    """scipy.io.netcdf_file writes the variables of ARM's sgpsirs files; -9999 is missing."""
+    path = tmp_path / "sgpsirsE13.b1.cdf"
+    names = ("down_short_hemisp", "down_short_diffuse_hemisp", "short_direct_normal")
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", 3)
+        time = file.createVariable("time", "d", ("time",))
+        time.units, time[:] = "seconds since 2019-07-05 00:00:00 0:00", [0.0, 60.0, 120.0]
+        for k, name in enumerate((*names, "up_short_hemisp", "qc_time")):
+            values = file.createVariable(name, "f", ("time",))
+            values.units = "1" if name == "qc_time" else "W/m^2"
+            values.missing_value = np.float32(-9999.0)
+            values[:] = [100.5 + k, -9999.0, 300.5 + k]
+    read = read_logger_file(path)
+    assert [s.t_utc for s in read.samples] == [
+        datetime(2019, 7, 5, 0, minute, tzinfo=UTC) for minute in range(3)
+    ]
+    first, second, _ = read.samples
+    assert (first.ghi_wm2, first.dhi_wm2, first.dni_wm2) == (100.5, 101.5, 102.5)
+    assert (second.ghi_wm2, second.dhi_wm2, second.dni_wm2) == (None, None, None)
+    assert "not used: up_short_hemisp" in read.notes[0] and "quality flags" in read.notes[-1]
+    with pytest.raises(InputError, match="no column GHI"):
+        read_logger_file(path, None, {"ghi_wm2": "GHI"})
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("damage", [",", '"', "x"])
+def test_a_damaged_table_of_turns_is_computed_again(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "pairs.alignment.csv"
+    rows = [AlignmentRow("a.exr", "1f", 0.5), AlignmentRow("b.exr", "2f")]
+    write_alignment(path, rows)
+    assert list(find_alignment(path)) == rows
+    text = path.read_text().replace(",0.5000,", f",0.5000{damage},")
+    path.write_text(text)
+    assert find_alignment(path) == ()
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
     ("names", "used", "unused"),
     [
         ('"SlrW_Avg","Dif_Avg"', {"ghi_wm2", "dhi_wm2"}, ""),
@@ -540,6 +655,11 @@ def _readings(path: Path) -> list[Any]:
     return read_readings(path, ("x_px", "y_px", "azimuth_deg"), {"note_px": None})
 
 
+def _clean(path: Path) -> list[list[Any]]:
+    read = CleanIrradiance.read(path)
+    return [values.tolist() for values in (read.t_unix_s, read.ghi_wm2, read.dni_wm2, read.flags)]
+
+
 def _samples(path: Path) -> LoggerFile:
     return read_logger_file(path, timedelta(0))
 
@@ -579,6 +699,9 @@ def _files() -> dict[str, tuple[str, int, Any]]:
     table5 = ['"TOA5","a","b","c","d","e","f","T"', '"TIMESTAMP","RECORD","GHI","Dif"']
     table5 += ['"TS","RN","W/m^2","W/m^2"', '"","","Avg","Avg"']
     table5 += [f'"{t:%Y-%m-%d %H:%M:%S}",{k},{k}.5,{k}.4' for k, t in enumerate(days)]
+    clean = ["t_utc,ghi_wm2,dhi_wm2,dni_wm2,source,flags"]
+    clean += [f"{t:%Y-%m-%dT%H:%M:%S.000Z},{k}.5,{k}.4,{k}.3,measured," for k, t in enumerate(days)]
+    quality = ["slot,verdict,frames", *(f"{k},good,{k}.5" for k in range(12))]
     readings = ["x_px,y_px,azimuth_deg,note_px", *(f"{k}.5,{k}.4,{k}.3,{k}.2" for k in range(12))]
     return {
         "epw": ("\n".join(epw) + "\n", 8, _hours),
@@ -589,6 +712,8 @@ def _files() -> dict[str, tuple[str, int, Any]]:
         "logger": ("\n".join(logger) + "\n", 1, _samples),
         "toa5": ("\n".join(table5) + "\n", 4, _samples),
         "readings": ("\n".join(readings) + "\n", 1, _readings),
+        "clean": ("\n".join(clean) + "\n", 1, _clean),
+        "quality": ("\n".join(quality) + "\n", 1, read_quality),
     }
 
 

@@ -98,7 +98,7 @@ SHARED: dict[str, click.Parameter] = {
         default="local",
         show_default=True,
         metavar="local|N|processes:N|tcp://HOST:PORT|FILE.json",
-        help="Where the work runs: here, in N processes, or on a Dask cluster (fieldlum[cluster]).",
+        help="Where the work runs: here, in N processes, or on a Dask cluster (needs dask).",
     ),
     "part": click.Option(
         ["--part"],

@@ -27,7 +27,7 @@ def command(
 
     Options:
       --pairs-to URL: Also write the training data to a bucket, such as s3://BUCKET/FOLDER
-          (fieldlum[cloud]).
+          (needs s3fs).
     """
     from fieldlum import pair
     from fieldlum.core.records import counted

@@ -43,7 +43,7 @@ def command(
       --out: Folder of the year to write. [default: SESSION/annual/NAME]
       --maps: Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).
       --maps-to URL: Write every map to a bucket, such as s3://BUCKET/FOLDER
-          (fieldlum[cloud]).
+          (needs s3fs).
       --views: Number of view directions, evenly spread around.
       --occupancy: When the room is used: csv days,start,end, or 8760 rows of occupied.
           [default: 08:00 to 18:00]

@@ -1,4 +1,4 @@
-"""Read irradiance from files of data loggers: Campbell TOA5, plain csv, fieldlum's day files.
+"""Read irradiance from files of data loggers: TOA5, csv, netCDF, fieldlum's day files.
 
 TOA5: four header lines (environment, names, units, processing) come before the rows. A row has a
 quoted time WITHOUT a time zone, a record number and numbers; "NAN" is a missing number. The user
@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import IrradianceSample
 from fieldlum.core.strict_csv import (
     COMMAS,
@@ -28,6 +29,7 @@ from fieldlum.core.strict_csv import (
     read_text,
     read_time,
     split_header,
+    split_heading,
     split_row,
     stated_unit,
 )
@@ -36,9 +38,11 @@ from fieldlum.devices.learned_format import ENOUGH, constant
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
 from fieldlum.session import DAY_COLUMNS, read_day
 
+_NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 _UTC_TIMES = ("t_utc", "time_utc", "timestamp_utc", "datetime_utc", "utc", "time(utc)")
-_TIMES = (*_UTC_TIMES, "time", "timestamp", "datetime")
+_TIMES = (*_UTC_TIMES, "timestamp", "datetime", "time", "date time", "date/time")
+_SLASHED = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})[ T]+(\d{1,2})(:.+)")
 _COMMA = re.compile(r" is '[+-]?\d+,\d+'")
 # A pyranometer's full voltage is 5 to 20 mV; the sky of a day gives more W/m2. Chosen.
 _VOLTAGE_BELOW = 30.0
@@ -46,13 +50,16 @@ _COMPARED_ROWS = 50  # rows before a damaged one whose decimal points are counte
 _TIME = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,6})?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 _MILLIVOLT = 1e3  # microvolts; loggers store the voltage of a pyranometer in mV
-# Usual column names in loggers' programs; digits, underscores and case are ignored in the
-# comparison.
+# Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
+# underscores and case are ignored in the comparison.
 _USUAL = {
-    "ghi_wm2": ("ghi", "global", "slrw", "slrwavg", "solarwm", "total", "ghiavg", "globalavg"),
-    "dhi_wm2": ("dhi", "diffuse", "dhiavg", "diffuseavg", "dif", "difavg", "diff", "diffavg"),
-    "dni_wm2": ("dni", "direct", "dniavg", "directavg", "directnormal"),
-    "temperature_c": ("ptempc", "airtc", "airtcavg", "bodytemp", "ptempcavg"),
+    "ghi_wm2": (
+        *("ghi", "global", "slrw", "solarwm", "total", "solarradiation", "globalhorizontal"),
+        "downshorthemisp",
+    ),
+    "dhi_wm2": ("dhi", "diffuse", "dif", "diff", "diffusehorizontal", "downshortdiffusehemisp"),
+    "dni_wm2": ("dni", "direct", "directnormal", "shortdirectnormal"),
+    "temperature_c": ("ptempc", "airtc", "bodytemp"),
 }
 
 
@@ -79,20 +86,26 @@ def read_logger_file(
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
 ) -> LoggerFile:
-    """Read the irradiance in a data logger's file: TOA5, csv, or a day file of fieldlum.
+    """Read the irradiance in a data logger's file: TOA5, csv, classic netCDF, or a day file.
 
     utc_offset : the logger's clock minus UTC, needed if the times have no zone; it never moves
     times that are stated in UTC. columns : names of the columns of some quantities (ghi_wm2 ...),
-    or their numbers in a csv without names; the others are found by their usual names: in csv the
-    quantity itself, in TOA5 also names like SlrW. sensitivities : of pyranometers whose column is a
-    voltage, uV per W/m2.
+    or their numbers in a csv without names; the others are found by their usual names: the quantity
+    itself, or names like SlrW and GHI where the file states their unit. sensitivities : of
+    pyranometers whose column is a voltage, uV per W/m2.
 
     A damaged row is left out and named. Raises InputError for a file that cannot be read or is of
     another kind, with decimal commas or more damaged than readable rows, for a column that does not
-    exist, is ambiguous or has another unit, and for times without a zone and without utc_offset.
+    exist, is ambiguous or has another unit, for times without a zone and without utc_offset, and
+    for dates whose day and month cannot be distinguished.
     """
-    text = read_text(path, "a logger's file in csv or TOA5")
-    if is_toa5(text):
+    start = b""
+    with suppress(OSError), path.open("rb") as file:
+        start = file.read(len(_NETCDF))
+    text = "" if start == _NETCDF else read_text(path, "a logger's file in csv or TOA5")
+    if start == _NETCDF:
+        logger_file = _read_netcdf(path, columns, sensitivities)
+    elif is_toa5(text):
         if utc_offset is None:
             raise _no_zone(path)
         logger_file = parse_toa5(
@@ -150,9 +163,13 @@ def _read_csv(
     """Read rows below a header that has a time (t_utc, time or timestamp) and an irradiance."""
     names, lines = _named(path, numbered(lines_of(text)))
     lower = [name.lower() for name in names]
-    when = next((lower.index(name) for name in _TIMES if name in lower), None)
+    when = [lower.index(name) for name in _TIMES if name in lower][:1]
+    if when and lower[when[0]] == "time" and "date" in lower:
+        when.insert(0, lower.index("date"))
     at = _columns(names, columns, path, {q: (q,) for q in QUANTITIES}, str.lower)
-    if when is None or not any(quantity.endswith("_wm2") for quantity in at):
+    usual = {q: () if q in at else _USUAL[q] for q in QUANTITIES}
+    at = _columns(names, columns, path, usual, _stated_name) | at
+    if not when or not any(quantity.endswith("_wm2") for quantity in at):
         raise InputError(
             path,
             f"columns {', '.join(names)[:120]}",
@@ -161,10 +178,16 @@ def _read_csv(
         )
     units = [stated_unit(name) for name in names]
     chosen = scaled(path, names, units, at, sensitivities, blank=True)
-    at_utc = lower[when] in _UTC_TIMES
+    clock = names[when[-1]]
+    at_utc = clock.lower() in _UTC_TIMES
+    order = _date_order(path, lines, when)
 
     def time_of(row: list[str]) -> datetime:
-        t = read_time(row[when], utc=at_utc)
+        text = " ".join(row[k] for k in when)
+        if part := _SLASHED.fullmatch(text):
+            date = "-".join(part[k].zfill(2) for k in order)
+            text = f"{date}T{part[4].zfill(2)}{part[5]}"
+        t = read_time(text, utc=at_utc)
         if t.tzinfo is None:
             if utc_offset is None:
                 raise _no_zone(path)
@@ -174,8 +197,74 @@ def _read_csv(
     samples, _, left_out = _read_rows(lines, names, chosen, time_of)
     notes = chosen.notes
     if at_utc and utc_offset is not None:
-        notes += (f"times of {names[when]} are UTC: no offset moves them",)
+        notes += (f"times of {clock} are UTC: no offset moves them",)
     return LoggerFile(tuple(samples), tuple(left_out), "CSV", notes)
+
+
+def _stated_name(heading: str) -> str:
+    """Return the letters of a heading without its unit W/m2; "" for a heading without it."""
+    name, unit = split_heading(heading)
+    return _letters(name) if is_wm2(unit) and heading.lower() not in QUANTITIES else ""
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z]", "", name.lower()).removesuffix("avg")
+
+
+def _date_order(path: Path, lines: list[Line], when: list[int]) -> tuple[int, int, int]:
+    """Return the places of year, month and day in dates such as 13/12/2015, from 1.
+
+    when : columns of the time. Raises InputError if no date shows whether day or month is first,
+    and if dates differ in it.
+    """
+    dates = []
+    for _, line in lines:
+        with suppress(ValueError, IndexError):
+            row = split_row(line)
+            if part := _SLASHED.fullmatch(" ".join(row[k] for k in when)):
+                dates.append((int(part[1]), int(part[2]), part[0].split()[0]))
+    day_first, month_first = any(a > 12 for a, _, _ in dates), any(b > 12 for _, b, _ in dates)
+    if dates and day_first == month_first:
+        why = (
+            "some with the day first and some with the month first"
+            if day_first
+            else "whose day and month cannot be distinguished, because no number is above 12"
+        )
+        raise InputError(
+            path,
+            f"dates such as {dates[0][2]}, {why}",
+            "dates such as 2015-12-01",
+            "write the year first, or import the file together with a later day",
+        )
+    return (3, 2, 1) if day_first else (3, 1, 2)
+
+
+def _read_netcdf(
+    path: Path, columns: Mapping[str, str] | None, sensitivities: Mapping[str, float] | None
+) -> LoggerFile:
+    """Read the variables along the time of a classic netCDF file, such as those of ARM, in UTC."""
+    import xarray as xr
+
+    expected = "a netCDF file with a variable of times and irradiance along it"
+    with input_errors(path, expected, "export it as csv", ValueError, KeyError, TypeError):
+        with xr.open_dataset(path, engine="scipy") as opened:
+            frame = opened.load()
+        times = frame["time"].to_numpy().astype("M8[us]").tolist()
+    names = [str(name) for name, values in frame.items() if values.dims == ("time",)]
+    units = [str(frame[name].attrs.get("units", "")) for name in names]
+    at = _usual_columns(names, columns, path)
+    chosen = scaled(path, names, units, at, sensitivities)
+    samples: list[IrradianceSample] = []
+    left_out: list[str] = []
+    values = zip(*(frame[name].to_numpy().tolist() for name in names), strict=True)
+    for time, numbers in zip(times, values, strict=True):
+        row = [str(number) for number in numbers]
+        try:
+            samples.append(sample_of(time.replace(tzinfo=UTC), chosen.values(row), chosen.raw(row)))
+        except ValueError as error:
+            left_out.append(f"{time:%Y-%m-%d %H:%M:%S}: {error}")
+    unused = "quality flags of the file are not used, because fieldlum checks the values itself"
+    return LoggerFile(tuple(samples), tuple(left_out), "netCDF", (*chosen.notes, unused))
 
 
 def _named(path: Path, lines: list[Line]) -> tuple[list[str], list[Line]]:
@@ -269,14 +358,7 @@ def parse_toa5(
             "export the table again",
         )
     check_names(Path(source), names)
-    at = _columns(names, columns, source, _USUAL, lambda name: re.sub(r"[^a-z]", "", name.lower()))
-    if not any(q.endswith("_wm2") for q in at):
-        raise InputError(
-            source,
-            f"no known column of irradiance among {', '.join(names)[:120]}",
-            "a column of irradiance",
-            "choose it: --column ghi_wm2=NAME",
-        )
+    at = _usual_columns(names, columns, source)
     chosen = scaled(source, names, units, at, sensitivities)
 
     def time_of(row: list[str]) -> datetime:
@@ -366,6 +448,21 @@ def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> lis
         <= near
         < min(abs(due[k] - due[k - 1]), abs(due[k] - due[k + 1]))
     ]
+
+
+def _usual_columns(
+    names: list[str], asked: Mapping[str, str] | None, source: str | Path
+) -> dict[str, int]:
+    """Return the column index of each quantity by `_USUAL`. Raises InputError without any."""
+    at = _columns(names, asked, source, _USUAL, _letters)
+    if not any(q.endswith("_wm2") for q in at):
+        raise InputError(
+            source,
+            f"no known column of irradiance among {', '.join(names)[:120]}",
+            "a column of irradiance",
+            "choose it: --column ghi_wm2=NAME",
+        )
+    return at
 
 
 def _columns(

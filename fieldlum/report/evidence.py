@@ -112,8 +112,8 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
         "DGP error, all hours",
         "log10 MSE, all hours",
         "DGP MSE, own disc",
-        "trained on",
-        "tested on",
+        "captures in a fold's training",
+        "held-out captures",
     )
     keys = (
         "name",

@@ -75,7 +75,7 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     columns = _values(rows, repairs)
     check_hourly(path, [row.when for row in rows])
     weather = _fill_gaps(table, site, rows, columns, repairs)
-    _check_sense(path, table, rows, columns, weather)
+    repairs += _check_sense(path, table, rows, columns, weather)
     repairs += label_notes(weather, table.place or site)
     return replace(weather, repairs=tuple(repairs))
 
@@ -236,11 +236,11 @@ def _some(times: list[datetime]) -> str:
 
 def _check_sense(
     path: Path, table: WeatherTable, rows: list[WeatherRow], columns: Floats, weather: Weather
-) -> None:
-    """Check plausibility with the global irradiance that the file itself states.
+) -> list[str]:
+    """Check plausibility with the global irradiance that the file itself states; return warnings.
 
     Elsewhere the global irradiance was computed from the other two and proves nothing.
     """
     ghi_by_time = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
     ghi = np.array([ghi_by_time.get(t, math.nan) for t in weather.t_utc])
-    check_sense(path, weather, table.place or weather.site, ghi)
+    return check_sense(path, weather, table.place or weather.site, ghi)

@@ -9,6 +9,7 @@ cause.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -71,21 +72,22 @@ _HALF = timedelta(minutes=30)  # of an hour, by definition
 _CORRECT_COLUMNS = "write the right columns, in W/m2"
 
 
-def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) -> None:
+def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) -> list[str]:
     """Raise InputError if the values or labels of a file cannot be true at `station`.
 
-    ghi_wm2 : [n] global irradiance of the file, NaN where it has none, W/m2.
+    Return a warning if some sunrises and sunsets are not those of `station`. ghi_wm2 : [n] global
+    irradiance of the file, NaN where it has none, W/m2.
     """
     altitude = sun.position(weather.t_utc, station).altitude_deg
     _check_night(path, weather, station, altitude)
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
-        return
+        return []
     sine = np.maximum(np.sin(np.radians(altitude)), 0.0)
     total = weather.dhi_wm2 + weather.dni_wm2 * sine
     _check_level(path, weather, station, total)
     # Before the columns: with labels an hour off, low suns look like overcast hours with much DNI.
-    _check_labels(path, weather, station)
+    doubt = _check_labels(path, weather, station)
     top = sun.extraterrestrial_wm2(weather.t_utc)
     overcast = up & (total < OVERCAST_CLEARNESS * top * sine) & (total > 10.0)
     try:
@@ -93,7 +95,9 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
         _check_overcast(path, weather, total, overcast)
         _check_direct(path, weather)
         _check_closure(path, ghi_wm2, total, up & (ghi_wm2 > 50.0))
-    except InputError:
+    except InputError as error:
+        if doubt:
+            raise _another_place(path, f"{doubt}; {error.found}") from None
         # Half an hour beside its sun, clear light at low altitudes looks like wrong columns.
         shift = label_shift_min(weather, station)
         if shift is None or abs(shift) <= MOST_SHIFT_MIN:
@@ -105,6 +109,7 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
             "times at the middle of their hours",
             _label_remedy(30 * round(shift / 30)),
         ) from None
+    return [f"WARNING: {doubt}; check that the file is of this place"] if doubt else []
 
 
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
@@ -247,16 +252,17 @@ def _check_closure(path: Path, ghi_wm2: Floats, total: Floats, tested: Mask) -> 
         )
 
 
-def _check_labels(path: Path, weather: Weather, station: Site) -> None:
+def _check_labels(path: Path, weather: Weather, station: Site) -> str:
     """Raise InputError if many hours are lit before sunrise, or dark after it.
 
-    Then the labels are not at the middle of their hours, or the weather is of another place.
+    Then the labels are not at the middle of their hours, or the weather is of another place. Fewer
+    hours that no shift explains are described in the result, which is "" without any.
     """
     against = _against(weather, station, 0)
     edges = 2 * len({sun.standard_date(t, weather.site.timezone) for t in weather.t_utc})
     most = max(int(MOST_AGAINST * edges), MOST_OF_FEW)
     if against <= most:
-        return
+        return ""
     other = {shift: _against(weather, station, shift) for shift in SHIFTS_MIN}
     fewest = min(other.values())
     # Sunrise and sunset often permit several shifts. Mornings and afternoons decide between them,
@@ -265,24 +271,41 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
     stated = label_shift_min(weather, station)
     likeliest = float(np.median(equal)) if stated is None else stated
     best = min(equal, key=lambda shift: (abs(shift - likeliest), abs(shift)))
-    if other[best] < 0.5 * against:
-        remedy = _label_remedy(best)
-        if other[best] > most:
-            remedy = f"check that the file is of {station.name}: no shift makes the times right"
+    found = f"{against} hours have light while the sun is down or none while it is up"
+    if other[best] < 0.5 * against and other[best] <= most:
         raise InputError(
             path,
-            f"{against} hours have light while the sun is down or none while it is up; only "
-            f"{other[best]} hours with all row times moved by {best:+d} min",
+            f"{found}; only {other[best]} hours with all row times moved by {best:+d} min",
             f"at most {most} such hours in {edges // 2} days",
-            remedy,
+            _label_remedy(best),
         )
-    if against > MOST_AGAINST_ALL * edges:
-        raise InputError(
-            path,
-            f"{against} hours have light while the sun is down or none while it is up",
-            f"the sunrises and sunsets of {station.name} on {edges // 2} days",
-            "check that the file is of this place",
-        )
+    found += (
+        f" at {station.name}, and no shift of the row times explains them: its days are as long as "
+        f"at about {_latitude_of_days(weather, station):+.0f} degrees of latitude"
+    )
+    if other[best] < 0.5 * against or against > MOST_AGAINST_ALL * edges:
+        raise _another_place(path, found)
+    return found
+
+
+def _another_place(path: Path, found: str) -> InputError:
+    return InputError(
+        path,
+        found,
+        "the sunrises and sunsets of the file's place",
+        "check that the file is of this place: the direct light would be computed with the wrong "
+        "sun",
+    )
+
+
+def _latitude_of_days(weather: Weather, station: Site) -> float:
+    """Return the latitude, in steps of 5 degrees, whose sunrises and sunsets fit the light best."""
+    against = {
+        latitude: _against(weather, replace(station, latitude_deg=float(latitude)), 0)
+        for latitude in range(-65, 70, 5)
+    }
+    fewest = min(against.values())
+    return float(np.median([latitude for latitude in against if against[latitude] == fewest]))
 
 
 def _against(weather: Weather, station: Site, shift_min: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.strict_csv import plain_rows
 from fieldlum.session.codec import change_of, sealed
 from fieldlum.session.writing import replacing
 
@@ -61,7 +63,8 @@ class CleanIrradiance:
         expected = "the columns that fieldlum pair writes"
         remedy = "delete the file and run fieldlum pair, which writes it again"
         with input_errors(path, expected, remedy, ValueError, KeyError, TypeError):
-            table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
+            text = plain_rows(path, expected, remedy, len(CLEAN_COLUMNS))
+            table = pd.read_csv(StringIO(text), dtype={"source": str, "flags": str})
             when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
             t = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
             ghi, dhi, dni = (table[f"{name}_wm2"].to_numpy(float) for name in ("ghi", "dhi", "dni"))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from fieldlum.core.strict_csv import read_table
 from fieldlum.session.codec import write_rows
 
 
@@ -51,9 +51,11 @@ def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
 
 
 def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return the columns and the rows of a quality.csv as text; both empty for a missing file."""
+    """Return the columns and the rows of a quality.csv as text; both empty for a missing file.
+
+    Raises InputError, with the line, for a damaged file.
+    """
     if not path.is_file():
         return (), ()
-    with path.open(newline="", encoding="utf-8") as file:
-        head, *rows = [tuple(row) for row in csv.reader(file)] or [()]
-    return head, tuple(rows)
+    table = read_table(path, "a quality.csv that merge wrote", "run fieldlum merge again")
+    return table.names, tuple(cells for _, cells in table.rows)
