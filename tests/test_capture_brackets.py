@@ -22,7 +22,7 @@ from fieldlum.session import (
     read_journal,
     sha256,
 )
-from fieldlum.session.ledger import fold, owed
+from fieldlum.session.ledger import fold, slots_to_do
 
 
 @dataclass
@@ -157,7 +157,7 @@ def test_no_camera_at_the_start_is_said_at_once(rig: Field) -> None:
 
     with pytest.raises(DeviceError, match="no camera found"):
         rig.run(open_cam=refuse)
-    assert len(owed(rig.session.slots(), fold(read_journal(rig.session)))) == 3
+    assert len(slots_to_do(rig.session.slots(), fold(read_journal(rig.session)))) == 3
 
 
 @pytest.mark.contract

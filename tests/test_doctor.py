@@ -84,7 +84,7 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
     journal = Journal(session)
     journal.append("done", NOW, slot=session.slots()[0].id)
     journal.close()
-    assert len(doctor.owed_slots(session, NOW)) == 9
+    assert len(doctor.slots_ahead(session, NOW)) == 9
     assert doctor.check_plan(session, NOW + timedelta(days=40))[0].verdict == "warn"
 
 

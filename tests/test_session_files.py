@@ -52,11 +52,11 @@ def test_status_names_the_class_of_each_model(session: Session) -> None:
 @pytest.mark.contract
 def test_the_grace_of_a_capture_is_known_to_doctor_and_replanning(session: Session) -> None:
     late = NOON + timedelta(minutes=8)
-    assert doctor.owed_slots(session, late) == []
+    assert doctor.slots_ahead(session, late) == []
     assert makeup.run(session, late).missed == 1
     session.plan.write_bytes((session.root / "plan.0.csv").read_bytes())
     store_grace(session, 900.0)
-    assert [slot.id for slot in doctor.owed_slots(session, late)] == [SLOT.id]
+    assert [slot.id for slot in doctor.slots_ahead(session, late)] == [SLOT.id]
     assert prepare(session, fast=False)[1].grace_s == 900.0
     assert session.table()["plan"], "the other tables stay"
 

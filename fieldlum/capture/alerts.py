@@ -1,4 +1,4 @@
-"""Decide which events of a running capture are reported by message.
+"""Decide which events of a running capture are reported by message, or by a command of the user.
 
 The capture passes on its journal events and, about once a second, its state. Each fault causes one
 message. A fault of the same kind causes another message only after it was over, or after six hours.
@@ -6,6 +6,9 @@ message. A fault of the same kind causes another message only after it was over,
 
 from __future__ import annotations
 
+import os
+import subprocess
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
@@ -13,7 +16,9 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.notify import Message
+from fieldlum.capture.recorder import Recorder
 from fieldlum.core.records import parse_utc
+from fieldlum.session.ledger import SlotState
 from fieldlum.session.tables import EventFields
 
 # Not measured. Chosen so that a message means that somebody should act, and that faults which the
@@ -25,6 +30,7 @@ ENOUGH_DISK_DAYS = 4.0
 # a single missed slot can be due to a slow bracket before it; chosen, not measured
 MISSES_IN_A_ROW = 2
 QUIET = timedelta(hours=6)
+_HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
 
 
 @dataclass(slots=True)
@@ -185,3 +191,58 @@ class Alerts:
             return f"{slot} ({self._local(parse_utc(slot))})"
         except ValueError:
             return slot
+
+
+@dataclass(slots=True)
+class MissedHook:
+    """Counts slots in a row without a bracket; runs `command`, if not empty, after the second.
+
+    command: run by the shell in `folder`; recorder: receives events about it.
+    """
+
+    command: str
+    folder: Path
+    recorder: Recorder
+    _misses: int = 0
+
+    def count(self, slot: str, state: SlotState) -> None:
+        """Count slots in a row that were not done; at the second, run the command in a thread.
+
+        Environment variables FIELDLUM_SLOT, _OUTCOME, _REASON and _SESSION describe the slot.
+        """
+        self._misses = 0 if state.outcome == "done" else self._misses + 1
+        if self._misses != MISSES_IN_A_ROW or not self.command:
+            return
+        self.recorder.tell("hook", command=self.command)
+        about = {
+            "FIELDLUM_SLOT": slot,
+            "FIELDLUM_OUTCOME": state.outcome,
+            "FIELDLUM_REASON": state.why,
+            "FIELDLUM_SESSION": str(self.folder.resolve()),
+        }
+        arguments = (self.command, self.folder, about, self.recorder.tell)
+        threading.Thread(target=_run_hook, args=arguments, daemon=True).start()
+
+
+def _run_hook(
+    command: str, folder: Path, about: dict[str, str], tell: Callable[..., object]
+) -> None:
+    """Run the user's command for missed slots, and journal a failure of it.
+
+    Environment variables state the slot, its outcome, the reason and the session's folder.
+    """
+    try:
+        code = subprocess.run(
+            command,
+            shell=True,
+            cwd=folder,
+            env={**os.environ, **about},
+            timeout=_HOOK_TIMEOUT_S,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        ).returncode
+        why = f"exit code {code}" if code else ""
+    except (OSError, subprocess.SubprocessError) as error:
+        why = type(error).__name__
+    if why:
+        tell("hook-failed", why=why)

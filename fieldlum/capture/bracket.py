@@ -12,7 +12,7 @@ from pathlib import Path
 from fieldlum.capture.frame_requests import FrameRequest, shots, write_capture
 from fieldlum.capture.reconnect import (
     FIRST_PAUSE_S,
-    LONGEST_PAUSE_S,
+    MAX_PAUSE_S,
     Keeper,
     error_text,
     plain_info,
@@ -108,7 +108,7 @@ class BracketCapture:
                     self.recorder.make_room()
                     _sweep(folder)  # an incomplete frame takes up space
                     on = self._wait_for_room(deadline, disk_pause_s)
-                    disk_pause_s = min(max(FIRST_PAUSE_S, 2.0 * disk_pause_s), LONGEST_PAUSE_S)
+                    disk_pause_s = min(max(FIRST_PAUSE_S, 2.0 * disk_pause_s), MAX_PAUSE_S)
                 else:
                     if not isinstance(error, _Away):
                         self.camera.lost(error)

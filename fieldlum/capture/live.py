@@ -40,5 +40,5 @@ class Live:
 Watch = Callable[[Live], None]
 
 
-def unwatched(live: Live) -> None:
+def no_display(live: Live) -> None:
     """Do nothing; used for a capture without a display."""

@@ -153,7 +153,7 @@ def log(
         )
         logger = Logger(keeper, recorder, steady, every_s)
         try:
-            info = keeper.insist().info
+            info = keeper.open_or_raise().info
             devices = session.table().get("devices", {})
             with suppress(OSError):  # the next row reports a full disk
                 update_session(session, {"devices": {**devices, "pyranometer": plain_info(info)}})

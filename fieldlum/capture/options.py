@@ -9,7 +9,7 @@ from fieldlum.capture.recorder import RESERVE_BYTES
 from fieldlum.capture.utc_clock import boot_id
 from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.session import DEFAULT_GRACE_S, Session
-from fieldlum.session.ledger import owed, read_ledger
+from fieldlum.session.ledger import read_ledger, slots_to_do
 
 FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance at 5 s; chosen
 
@@ -51,7 +51,7 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     if not fast:
         return RealClock(), Options(grace_s=grace_s, boot=boot_id())
     ledger = read_ledger(session)
-    slots = owed(session.slots(), ledger)
+    slots = slots_to_do(session.slots(), ledger)
     lead = timedelta(seconds=60)
     start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))
     options = Options(grace_s=grace_s, log_around_s=FAST_LEAD_S, threaded=False, flush=False)

@@ -15,7 +15,7 @@ from fieldlum.devices.serial_port import Closable
 from fieldlum.session.tables import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+FIRST_PAUSE_S, MAX_PAUSE_S = 1.0, 30.0
 
 
 def error_text(error: BaseException) -> str:
@@ -60,13 +60,13 @@ class Keeper(Generic[D]):
         """Return the open device; None while it is away. Try to open it if a try is due."""
         if self._device is None and self._clock.boottime() >= self._next_try:
             try:
-                self.insist()
+                self.open_or_raise()
             # termios.error, SerialException or a driver's defect must not end the capture
             except Exception as error:
                 self.lost(error)
         return self._device
 
-    def insist(self) -> D:
+    def open_or_raise(self) -> D:
         """Return the device, opened now if necessary; pass on any error of opening it.
 
         Raises DeviceError if opening takes longer than the watchdog allows.
@@ -104,7 +104,7 @@ class Keeper(Generic[D]):
             self._lost_at, self._pause_s = now, FIRST_PAUSE_S
             self._tell("device-lost", device=self.name, why=error_text(error))
         self._next_try = now + self._pause_s
-        self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+        self._pause_s = min(2.0 * self._pause_s, MAX_PAUSE_S)
 
     def close(self) -> None:
         """Close the device, if it is open."""

@@ -28,7 +28,7 @@ RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5
 Listen = Callable[[str, datetime, EventFields], None]
 
 
-def unheard(event: str, t_utc: datetime, fields: EventFields) -> None:
+def no_listener(event: str, t_utc: datetime, fields: EventFields) -> None:
     """Ignore an event; used if nobody listens."""
 
 
@@ -51,7 +51,7 @@ class Recorder:
         reserve_bytes: int = RESERVE_BYTES,
         *,
         flush: bool = True,
-        listen: Listen = unheard,
+        listen: Listen = no_listener,
         reserve: str = ".reserve",
     ) -> None:
         self._session, self._now, self._listen = session, now, listen

@@ -10,11 +10,11 @@ from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
+from fieldlum.capture.alerts import MissedHook
 from fieldlum.capture.bracket import BracketCapture, Check, no_check, no_look
 from fieldlum.capture.frame_requests import shots
-from fieldlum.capture.live import Live, Watch, unwatched
+from fieldlum.capture.live import Live, Watch, no_display
 from fieldlum.capture.logger import Logger
-from fieldlum.capture.missed_hook import MissedHook
 from fieldlum.capture.options import DEFAULTS, Options
 from fieldlum.capture.preflight import (
     refuse_a_clock_behind,
@@ -22,7 +22,7 @@ from fieldlum.capture.preflight import (
     refuse_what_is_not_offered,
 )
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.recorder import Listen, Recorder, unheard
+from fieldlum.capture.recorder import Listen, Recorder, no_listener
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Slot, parse_utc
@@ -44,7 +44,7 @@ from fieldlum.session import (
     update_session,
 )
 from fieldlum.session.files.capture_json import Frame
-from fieldlum.session.ledger import Ledger, SlotState, owed, read_ledger
+from fieldlum.session.ledger import Ledger, SlotState, read_ledger, slots_to_do
 from fieldlum.session.tables import DevicesTable, DeviceTable
 from fieldlum.version import __version__
 
@@ -56,13 +56,13 @@ def run(
     *,
     clock: Clock,
     options: Options = DEFAULTS,
-    watch: Watch = unwatched,
+    watch: Watch = no_display,
     check: Check = no_check,
     check_opens: Callable[[Path], str] = no_look,
     check_shortest: Callable[[Path], str] = no_look,
     meter_uri: str = "",
     trusted: Callable[[], bool | None] = synchronised,
-    listen: Listen = unheard,
+    listen: Listen = no_listener,
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,
@@ -109,7 +109,7 @@ class _Runner:
         options: Options,
         watch: Watch,
         looks: tuple[Check, Callable[[Path], str], Callable[[Path], str]],
-        listen: Listen = unheard,
+        listen: Listen = no_listener,
     ) -> None:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
         self.looks = looks
@@ -155,17 +155,17 @@ class _Runner:
         rest = self.clock, self.recorder.tell, options.watchdog_s
         self.camera = Keeper("camera", open_cam, *rest)
         about: DevicesTable = {"uris": uris}
-        camera = self.camera.insist()
+        camera = self.camera.open_or_raise()
         refuse_what_is_not_offered(camera, self.slots, self.states)
         about["camera"] = plain_info(camera.info)
         if open_pyr is not None:
             keeper = Keeper("pyranometer", open_pyr, *rest)
-            if info := self._insist(keeper, uris):
+            if info := self._open_or_raise(keeper, uris):
                 about["pyranometer"] = info
             self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
         if open_met is not None:
             self.meter = Keeper("meter", open_met, *rest)
-            if info := self._insist(self.meter, uris):
+            if info := self._open_or_raise(self.meter, uris):
                 about["meter"] = info
         self.recorder.tell(
             "open",
@@ -186,11 +186,11 @@ class _Runner:
         if self.logger is not None and options.threaded:
             self.logger.start()
 
-    def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> DeviceTable:
+    def _open_or_raise(self, keeper: Keeper[Any], uris: dict[str, str]) -> DeviceTable:
         """Return the instrument's information; empty if it is away but answered before."""
         devices = self.session.table().get("devices", {})
         try:
-            return plain_info(keeper.insist().info)
+            return plain_info(keeper.open_or_raise().info)
         except Exception as error:
             answered_before = keeper.name in devices
             if not answered_before or devices.get("uris", {}).get(keeper.name) != uris[keeper.name]:
@@ -212,7 +212,7 @@ class _Runner:
             self.frame_bytes,
         )
         grace = timedelta(seconds=self.options.grace_s)
-        while (slot := self._next_owed()) is not None:
+        while (slot := self._next_to_do()) is not None:
             state = self.states.get(slot.id, SlotState())
             self._state, self._next = "waiting", slot.id
             if not self._wait_until(slot.t_utc):
@@ -235,7 +235,7 @@ class _Runner:
                 self._after_bracket(slot, state)
             self.states[slot.id] = state
             self.hook.count(slot.id, state)
-            following = self._next_owed()
+            following = self._next_to_do()
             self._state, self._next = "waiting", following.id if following else ""
             self._show()
         self._state, self._next = "finished", ""
@@ -249,7 +249,7 @@ class _Runner:
         now = self.clock.now()
         return state.outcome != "started" and paused_until(self.session, now) is not None
 
-    def _next_owed(self) -> Slot | None:
+    def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""
         if self._plan_changed():
             self._plan_stamp = self._stamp()
@@ -259,7 +259,7 @@ class _Runner:
                 # remains.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
-        return next(iter(owed(self.slots, Ledger(dict(self.states)))), None)
+        return next(iter(slots_to_do(self.slots, Ledger(dict(self.states)))), None)
 
     def _plan_changed(self) -> bool:
         return self._stamp() != self._plan_stamp

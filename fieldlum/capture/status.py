@@ -10,7 +10,7 @@ from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import damaged_lines
-from fieldlum.session.ledger import Ledger, owed, read_ledger
+from fieldlum.session.ledger import Ledger, read_ledger, slots_to_do
 
 
 def status(session: Session) -> JsonTable:
@@ -71,7 +71,7 @@ def _plan(session: Session, slots: list[Slot]) -> JsonTable:
 def _capture(session: Session, slots: list[Slot], ledger: Ledger) -> JsonTable:
     states = [ledger.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
-    to_do = owed(slots, ledger)
+    to_do = slots_to_do(slots, ledger)
     return {
         "done": outcomes.count("done"),
         "missed": outcomes.count("missed"),

@@ -19,12 +19,12 @@ from typing import Literal
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2, read_profile
+from fieldlum.devices.registers import MAX_WM2, MIN_WM2, read_profile
 from fieldlum.devices.serial_port import SerialLine
 from fieldlum.optics.profiles import shipped
 
 _NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
-_LONGEST = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.
+_MAX_LINE_BYTES = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.
 # Limits of quantities other than irradiance; a number outside was misread. Chosen wider than any
 # instrument housing in use; not measured.
 _LIMITS = {"temperature_c": (-60.0, 150.0)}
@@ -136,7 +136,7 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     }
     for entry in profile.entry:
         value = values[entry.quantity]
-        low, high = _LIMITS.get(entry.quantity, (LOWEST_WM2, HIGHEST_WM2))
+        low, high = _LIMITS.get(entry.quantity, (MIN_WM2, MAX_WM2))
         low = entry.lowest if entry.lowest is not None else low
         high = entry.highest if entry.highest is not None else high
         if not low <= value <= high:
@@ -158,10 +158,10 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
 
 
 def _complete_text(line: bytes) -> str:
-    if not line.endswith(b"\n") or len(line) > _LONGEST:
+    if not line.endswith(b"\n") or len(line) > _MAX_LINE_BYTES:
         raise DeviceError(
-            f"line {line[:60]!r} of {len(line)} bytes; expected at most {_LONGEST} bytes and a "
-            "line feed at the end; check cable and baud rate"
+            f"line {line[:60]!r} of {len(line)} bytes; expected at most {_MAX_LINE_BYTES} "
+            "bytes and a line feed at the end; check cable and baud rate"
         )
     body = line.rstrip(b"\r\n")
     if not body.isascii() or any(c < 32 and c != 9 for c in body):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from fieldlum.devices import retried, store_frame
 from fieldlum.devices.driver_process import failure
@@ -31,22 +31,6 @@ _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
 }
 _BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
 _TRIES = 4  # number of tries, half a second apart, while the camera is busy; chosen, not measured
-
-
-class GphotoDescription(TypedDict):
-    """What a camera reports about itself; clock_offset_s : its clock minus the computer's [s].
-
-    settings : (widget, choices) by shutter, aperture, iso, for those that a computer can set.
-    """
-
-    make: str
-    model: str
-    serial: str
-    firmware: str
-    lens: str
-    battery: str
-    clock_offset_s: float | None
-    settings: dict[str, tuple[str, list[str]]]
 
 
 def serve(pipe: Connection) -> None:
@@ -108,7 +92,11 @@ def _value(gp: Any, camera: Any, name: str) -> Any:
         return None
 
 
-def _describe(gp: Any, camera: Any) -> GphotoDescription:
+def _describe(gp: Any, camera: Any) -> dict[str, Any]:
+    """Return what the camera reports: the fields of `CameraInfo`, and its settings.
+
+    settings : (widget, choices) by shutter, aperture, iso, for those that a computer can set.
+    """
     settings: dict[str, tuple[str, list[str]]] = {}
     for role, names in WIDGETS.items():
         for name in names:

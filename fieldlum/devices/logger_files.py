@@ -35,7 +35,7 @@ from fieldlum.core.strict_csv import (
 )
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.learned_format import ENOUGH, constant
-from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
+from fieldlum.devices.registers import MAX_WM2, MIN_WM2
 from fieldlum.session import DAY_COLUMNS, read_day
 
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
@@ -598,6 +598,6 @@ def number_of(text: str, quantity: str, factor: float = 1.0) -> float | None:
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"{quantity} is {text[:30]!r}, expected a number with a decimal point")
     value = float(text) * factor
-    if quantity.endswith("_wm2") and not LOWEST_WM2 <= value <= HIGHEST_WM2:
-        raise ValueError(f"{quantity} is {value:.6g}, expected {LOWEST_WM2:g} to {HIGHEST_WM2:g}")
+    if quantity.endswith("_wm2") and not MIN_WM2 <= value <= MAX_WM2:
+        raise ValueError(f"{quantity} is {value:.6g}, expected {MIN_WM2:g} to {MAX_WM2:g}")
     return value

@@ -18,8 +18,8 @@ Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
 WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}
 # An irradiance outside these limits means a misread register [W/m2]. Chosen beyond any sun, cloud
 # edge and night offset; not measured.
-LOWEST_WM2 = -200.0
-HIGHEST_WM2 = 4000.0
+MIN_WM2 = -200.0
+MAX_WM2 = 4000.0
 Registers = Mapping[int, int]
 T = TypeVar("T")
 
@@ -228,12 +228,12 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
         values[entry.name] = number * entry.scale
     irradiance = values.get("irradiance_wm2")
     if irradiance is not None and not (
-        math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2
+        math.isfinite(irradiance) and MIN_WM2 <= irradiance <= MAX_WM2
     ):
         raise DeviceError(
             f"{profile.maker} {profile.kind}: an irradiance of {irradiance:g} W/m2; expected "
-            f"{LOWEST_WM2:g} "
-            f"to {HIGHEST_WM2:g} W/m2; check the kind in the URI"
+            f"{MIN_WM2:g} "
+            f"to {MAX_WM2:g} W/m2; check the kind in the URI"
         )
     return Decoded(
         {k: v for k, v in values.items() if math.isfinite(v)}, texts, " ".join(complaints)

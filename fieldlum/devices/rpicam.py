@@ -41,7 +41,7 @@ DISCARDED_FRAMES = 7.0
 # expose so long (an OV5647 set to 6 s gives 1.06 s and a digital gain of 4). Chosen.
 GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
-_SMALLEST_FILE = 100_000  # bytes: a raw frame of the smallest module has over a million; chosen
+_MIN_FILE_BYTES = 100_000  # bytes: a raw frame of the smallest module has over a million; chosen
 _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 
@@ -136,7 +136,7 @@ class RpicamCamera:
             self._run(self._arguments(exposure, picture, about), timeout_s)
             metadata = self._metadata(about)
             self._check(metadata, exposure)
-            if not written.is_file() or written.stat().st_size < _SMALLEST_FILE:
+            if not written.is_file() or written.stat().st_size < _MIN_FILE_BYTES:
                 size = written.stat().st_size if written.is_file() else 0
                 raise DeviceError(
                     f"rpicam: the raw frame has only {size} bytes; take it "

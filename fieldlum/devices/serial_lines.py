@@ -28,11 +28,11 @@ from fieldlum.session import Session
 
 _POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; chosen
 # this many bytes without an end mark mean a wrong baud rate; chosen, not measured
-_LONGEST_REST = 4096
+_MAX_REST_BYTES = 4096
 # Number of lines whose median is taken, and largest time between them, because the light changes
 # over longer times. Effect in docs/validation.md.
 _VOTES = 3
-_SLOWEST_VOTE_S = 2.0
+_MAX_VOTE_STEP_S = 2.0
 _REJECTED_STORED = 100  # number of the last rejected lines that `refused` can return
 _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 
@@ -117,7 +117,7 @@ class LineInstrument:
         now = self._clock.boottime()
         apart_s = (now - self._last_read_s) / len(valid)
         self._last_read_s = now
-        can_vote = len(valid) >= _VOTES and apart_s <= _SLOWEST_VOTE_S
+        can_vote = len(valid) >= _VOTES and apart_s <= _MAX_VOTE_STEP_S
         newest = valid[-_VOTES:] if can_vote else valid[-1:]
         texts = " | ".join(dict.fromkeys(text for text, _ in newest))
         return sample_of(self._clock.now(), voted([values for _, values in newest]), texts)
@@ -136,7 +136,7 @@ class LineInstrument:
             data = data.partition(b"\n")[2]
             self._rest = b""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _LONGEST_REST:  # without an end mark the baud rate is wrong
+        if len(self._rest) > _MAX_REST_BYTES:  # without an end mark the baud rate is wrong
             self._rest = None
         return [line + b"\n" for line in lines]
 

@@ -20,7 +20,7 @@ from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
 AWAKE = b"\xaf"
-LARGEST_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)
+MAX_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)
 # padded to six characters with blanks or zeros
 _SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
@@ -30,11 +30,11 @@ _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dd
 # blur.
 NOISE_WM2 = 3.0
 AGREE_WM2 = 25.0
-STEEPEST_WM2 = 200.0
+MAX_SLOPE_WM2 = 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
-ASKED_AT_MOST = 3  # a third answer decides if two differ (docs/validation.md)
+MAX_ANSWERS = 3  # a third answer decides if two differ (docs/validation.md)
 _WAKE_TRIES = 3  # a sleeping SPN1 may lose the first character; chosen, not measured
 # A total this far below the diffuse is doubtful, because the instrument's own noise is below 3
 # W/m2. Larger differences were seen in the field at dawn. Chosen.
@@ -73,9 +73,9 @@ def parse_reading(reply: bytes) -> Spn1Reading:
             "return; check the cable"
         )
     total, diffuse = float(match[1]), float(match[2])
-    if max(total, diffuse) > LARGEST_WM2:
+    if max(total, diffuse) > MAX_WM2:
         raise DeviceError(
-            f"SPN1 answered {reply[:40]!r}; expected at most {LARGEST_WM2:g} W/m2; check the cable"
+            f"SPN1 answered {reply[:40]!r}; expected at most {MAX_WM2:g} W/m2; check the cable"
         )
     return Spn1Reading(total, diffuse, match[3] == b"1")
 
@@ -92,7 +92,7 @@ def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
     is so in light that rises or falls steadily.
     """
     triples = zip(_both(a), _both(b), _both(c), strict=True)
-    return apart_wm2(a, c) <= STEEPEST_WM2 and all(
+    return apart_wm2(a, c) <= MAX_SLOPE_WM2 and all(
         abs(y - (x + z) / 2.0) <= AGREE_WM2 for x, y, z in triples
     )
 
@@ -113,7 +113,7 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
     answers: list[bytes] = []
     valid: list[Spn1Reading] = []
     why = ""
-    while len(answers) < ASKED_AT_MOST and (valid or len(answers) < ASKED_AT_MOST - 1):
+    while len(answers) < MAX_ANSWERS and (valid or len(answers) < MAX_ANSWERS - 1):
         answers.append(ask())
         try:
             valid.append(parse_reading(answers[-1]))
@@ -124,7 +124,7 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
     pairs = sorted(combinations(valid, 2), key=lambda pair: apart_wm2(*pair))
     if pairs and apart_wm2(*pairs[0]) <= AGREE_WM2:
         return pairs[0][0], tuple(answers)
-    if len(valid) == ASKED_AT_MOST and in_line(*valid):
+    if len(valid) == MAX_ANSWERS and in_line(*valid):
         return valid[1], tuple(answers)
     shown = ", ".join(repr(answer[:40]) for answer in answers)
     raise DeviceError(

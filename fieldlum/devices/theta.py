@@ -30,7 +30,7 @@ ADDRESS = "http://192.168.1.1"  # of the camera's own access point
 READOUT_S = 40.0
 POLL_S = 0.3
 BRACKET_SHOTS = range(2, 14)  # all models take up to 13, Z1 and V up to 19 (THETA Web API v2.1)
-_LARGEST_FILE = 200_000_000  # bytes; longer answers are cut and then rejected
+_MAX_FILE_BYTES = 200_000_000  # bytes; longer answers are cut and then rejected
 Reply = dict[str, Any]
 """A JSON object that the camera answered; each value is checked where it is used."""
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
@@ -247,7 +247,7 @@ class ThetaCamera:
         """
         try:
             with urllib.request.urlopen(request, timeout=timeout_s) as response:
-                body = response.read(_LARGEST_FILE)
+                body = response.read(_MAX_FILE_BYTES)
                 length = response.headers.get("Content-Length")
         except urllib.error.HTTPError as error:
             with error:

@@ -99,10 +99,19 @@ def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     return SlotState() if kind == "withdrawn" else state
 
 
-def owed(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
+def slots_to_do(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
     """Return the slots that still need a bracket, in order of time.
 
     These are neither done, missed nor aborted in the journal.
     """
     unsettled = (slot for slot in slots if ledger.state(slot.id).outcome not in SETTLED)
     return sorted(unsettled, key=lambda slot: slot.t_utc)
+
+
+def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
+    """Return the slots that still need a bracket and whose grace is not over, in order of time.
+
+    grace: how late a bracket may start.
+    """
+    to_do = slots_to_do(session.slots(), read_ledger(session))
+    return [slot for slot in to_do if slot.t_utc + session.grace >= now_utc]

@@ -16,7 +16,7 @@ from fieldlum.sky import sun
 
 # Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
 # Chosen.
-_MOST_OFF_SUN_H = 4.0
+_MAX_OFF_SUN_H = 4.0
 
 
 # A place is refused if it is farther from its time zone's city than this, and the other sign of
@@ -67,13 +67,13 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
         ) from None
     if (
         abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
-        and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H
+        and abs(off_h := sun.zone_off_sun_h(site)) > _MAX_OFF_SUN_H
     ):
         raise InputError(
             where,
             f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
             f"whose clock is {abs(off_h):.1f} h from solar time",
-            f"at most {_MOST_OFF_SUN_H:g} h",
+            f"at most {_MAX_OFF_SUN_H:g} h",
             "correct one of the two; east is positive, west negative",
         )
     return setup

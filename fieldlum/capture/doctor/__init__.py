@@ -15,7 +15,7 @@ from fieldlum.capture.doctor.computer import (
     check_writing,
     has_lid,
 )
-from fieldlum.capture.doctor.findings import Finding, owed_slots
+from fieldlum.capture.doctor.findings import Finding
 from fieldlum.capture.doctor.instruments import check_camera, check_meter, check_pyranometer
 from fieldlum.capture.doctor.planned import check_calendar, check_journal, check_plan, check_profile
 from fieldlum.core.errors import FieldlumError, InputError
@@ -23,6 +23,7 @@ from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.devices.awake import granted_locks
 from fieldlum.devices.clock import synchronised
 from fieldlum.session import Session
+from fieldlum.session.ledger import slots_ahead
 
 
 def run(

@@ -8,8 +8,9 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldlum.capture.doctor.findings import Finding, Verdict, owed_slots
+from fieldlum.capture.doctor.findings import Finding, Verdict
 from fieldlum.session import Session
+from fieldlum.session.ledger import slots_ahead
 
 DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
 # seconds for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
@@ -44,7 +45,7 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     free_bytes: free space. A slot needs what the plan states, or more if one of the last five
     brackets was larger.
     """
-    ahead = owed_slots(session, now_utc)
+    ahead = slots_ahead(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
     need = (

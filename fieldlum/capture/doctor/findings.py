@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import date, datetime
+from datetime import date
 from typing import Literal
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Slot
-from fieldlum.session import Session
-from fieldlum.session.ledger import owed, read_ledger
 
 Verdict = Literal["ok", "warn", "fail"]
 
@@ -28,15 +25,6 @@ class Finding:
     verdict: Verdict
     text: str
     exit_code: int = 4
-
-
-def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
-    """Return the planned slots without an outcome whose grace is not over at `now_utc`.
-
-    They are in order of time; grace: how late a bracket may start.
-    """
-    grace, open_slots = session.grace, owed(session.slots(), read_ledger(session))
-    return [slot for slot in open_slots if slot.t_utc + grace >= now_utc]
 
 
 def iso_date(text: str, source: str = "camera profile") -> date | None:

@@ -10,7 +10,6 @@ from fieldlum.capture.doctor.findings import (
     Finding,
     Verdict,
     iso_date,
-    owed_slots,
 )
 from fieldlum.core.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.devices import (
@@ -26,6 +25,7 @@ from fieldlum.devices.clock import RealClock
 from fieldlum.optics.profiles import CameraProfile, load_camera_profile
 from fieldlum.optics.raw import same_model
 from fieldlum.session import Session
+from fieldlum.session.ledger import slots_ahead
 from fieldlum.sky import sun
 
 # Limits of the error of the camera's clock: warning and failure. Import matches frames by time with
@@ -49,10 +49,10 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
         return [Finding("camera", "warn", text)]
     camera = open_camera(uri, clock=RealClock(), session=session)
     try:
-        ahead, setup = owed_slots(session, now_utc), session.site_file()
+        ahead, setup = slots_ahead(session, now_utc), session.site_file()
         exposures = list(dict.fromkeys(e for slot in ahead for e in slot.exposures))
         return [
-            *judge_camera(camera.info, uri, frames_owed(ahead, setup)),
+            *judge_camera(camera.info, uri, frames_planned(ahead, setup)),
             *judge_exposures(not_offered(camera, exposures), len(exposures)),
             *judge_model(camera.info, load_camera_profile(setup.camera.profile)),
         ]
@@ -96,7 +96,7 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
     return [Finding("profile", "warn", text)]
 
 
-def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
+def frames_planned(slots: Sequence[Slot], setup: SiteFile) -> int:
     """Return the number of frames of all these slots, at all headings of a turned head."""
     return sum(len(slot.exposures) for slot in slots) * max(len(setup.camera.headings), 1)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import date, datetime, timedelta
 from zoneinfo import ZoneInfo
 
-from fieldlum.capture.doctor.findings import CALIBRATION_YEARS, Finding, iso_date, owed_slots
+from fieldlum.capture.doctor.findings import CALIBRATION_YEARS, Finding, iso_date
 from fieldlum.core.records import Slot
 from fieldlum.optics.profiles import (
     CameraProfile,
@@ -17,7 +17,7 @@ from fieldlum.optics.profiles import (
 )
 from fieldlum.session import Session, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
-from fieldlum.session.ledger import read_ledger
+from fieldlum.session.ledger import read_ledger, slots_ahead
 from fieldlum.session.makeups import without_capture
 from fieldlum.sky import sun
 
@@ -28,7 +28,7 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
     It is a warning if no slot can still be captured.
     """
     about = session.table().get("plan", {})
-    slots, ahead = session.slots(), owed_slots(session, now_utc)
+    slots, ahead = session.slots(), slots_ahead(session, now_utc)
     findings = []
     if about.get("sha256", "") != sha256(session.plan):
         text = (
@@ -131,7 +131,7 @@ def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
     The latter is a warning: it asks who moves a planned filter, or names the way without one. The
     list is empty without coming slots.
     """
-    ahead, site = owed_slots(session, now_utc), session.site_file().site
+    ahead, site = slots_ahead(session, now_utc), session.site_file().site
     if not ahead:
         return []
     first, last = (sun.standard_date(slot.t_utc, site.timezone) for slot in (ahead[0], ahead[-1]))

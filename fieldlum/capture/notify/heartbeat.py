@@ -22,14 +22,7 @@ def read_address(option: str) -> str:
     Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
     is neither http nor https; no error contains the address.
     """
-    if not option.startswith("@"):
-        raise InputError(
-            "--heartbeat",
-            "a value without @ (every user can see an address on the command line)",
-            "@FILE",
-            "write the address into a file, and write --heartbeat @FILE",
-        )
-    address = read_targets(option)[0][0]
+    address = read_targets(option, name="--heartbeat")[0][0]
     if urlsplit(address).scheme not in ("http", "https"):
         raise InputError(
             option[1:],

@@ -18,10 +18,10 @@ from fieldlum.session.inside import inside
 from fieldlum.session.permits import seal
 
 # a month without network at ten messages a day; older messages are dropped; chosen
-MOST_WAITING = 500
+MAX_WAITING = 500
 FIRST_PAUSE_S = 30.0  # seconds; not measured, long enough for a service that limits requests
 # seconds; a message is sent at most a quarter of an hour after the network is back; chosen
-LONGEST_PAUSE_S = 900.0
+MAX_PAUSE_S = 900.0
 PATIENCE_AT_END_S = 10.0  # seconds; not measured, because the user waits for the command to end
 
 
@@ -75,7 +75,7 @@ class Outbox:
             with suppress(OSError):
                 file.replace(aside)
             report("notify-refused", f"{refused} in {aside}")
-        self._waiting: deque[Message] = deque(messages, maxlen=MOST_WAITING)
+        self._waiting: deque[Message] = deque(messages, maxlen=MAX_WAITING)
         self._changed = threading.Condition()
         self._closing = False
         self._failing = False
@@ -110,7 +110,7 @@ class Outbox:
                 if self._closing:
                     return
                 self._changed.wait_for(lambda: self._closing, timeout=pause_s)
-            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+            pause_s = min(2.0 * pause_s, MAX_PAUSE_S)
 
     def _next(self) -> Message | None:
         """Wait for a message; return None if the outbox is closed and empty."""

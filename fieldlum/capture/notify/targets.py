@@ -19,10 +19,12 @@ VARIABLE = "FIELDLUM_NOTIFY"
 _READABLE_BY_OTHERS = 0o077  # permission bits of group and others (POSIX)
 
 
-def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]:
+def read_targets(
+    option: str, variable: str = "", *, name: str = "--notify"
+) -> tuple[tuple[str, ...], str]:
     """Return the addresses in ``@FILE``, and a note about the file, "" if there is none.
 
-    option: value of ``--notify``; if it is empty, `variable`, the content of the environment
+    option: value of the option `name`; if it is empty, `variable`, the content of the environment
     variable, is used, which is ``@FILE`` or addresses separated by blanks; without both there is no
     address. A file has one address per line; empty lines and lines that begin with # are skipped.
     Raises InputError for an option that is not ``@FILE``, and for a file that cannot be read or is
@@ -35,10 +37,10 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
         return (), ""
     if not text.startswith("@"):
         raise InputError(
-            "--notify",
+            name,
             "an address on the command line, where every user can see it",
             "@FILE",
-            "write the address into a file, and write --notify @FILE",
+            f"write the address into a file, and write {name} @FILE",
         )
     path = Path(text[1:])
     lines = _lines(path)

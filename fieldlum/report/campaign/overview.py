@@ -65,9 +65,9 @@ def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
 
 def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     from fieldlum.capture.status import status
-    from fieldlum.session.ledger import owed, read_ledger
+    from fieldlum.session.ledger import slots_ahead
 
-    stages, now_utc = status(session), datetime.now(UTC)
+    stages = status(session)
     pairs = PairsFile.find(session.pairs)
     years = [folder for folder in session.annual_folders() if folder.name == room.model]
     year = read_annual(years[0]).summary if years else PredictFile()
@@ -76,10 +76,7 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
         room.session,
         captured=stages["capture"]["done"],
         planned=stages["plan"]["slots"],
-        to_do=sum(
-            slot.t_utc + session.grace >= now_utc
-            for slot in owed(session.slots(), read_ledger(session))
-        ),
+        to_do=len(slots_ahead(session, datetime.now(UTC))),
         usable=len(pairs.usable),
         failed=_failed(session, pairs),
         occupied_hours=year.occupancy.hours,

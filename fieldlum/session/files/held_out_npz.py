@@ -16,7 +16,7 @@ from fieldlum.session.files.arrays_npz import NPZ_ERRORS
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
-MOST_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
+MAX_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +61,7 @@ class HeldOutMaps:
         """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
         order = np.argsort(self.log10_mse, kind="stable")
         kept = order[
-            np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_MAPS)).round()).astype(
-                int
-            )
+            np.unique(np.linspace(0, len(order) - 1, min(len(order), MAX_MAPS)).round()).astype(int)
         ]
         some = self.take(np.sort(kept))
         arrays: dict[str, Any] = {name: getattr(some, name) for name in _ARRAYS}

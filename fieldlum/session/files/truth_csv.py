@@ -9,12 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import parse_utc, utc_text
-from fieldlum.core.strict_csv import read_table
-from fieldlum.session.writing import write_table
+from fieldlum.core.errors import InputError
+from fieldlum.session.codec import read_rows, write_rows
 
 TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
+_REMEDY = "write the file again with: fieldlum simulate"
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    t_utc: datetime
+    ghi_wm2: float
+    dhi_wm2: float
+    dni_wm2: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,25 +40,20 @@ class TruthIrradiance:
         It is raised also for times that do not increase and for a value that is not finite.
         """
         expected = f"the columns {', '.join(TRUTH_COLUMNS)}"
-        remedy = "write the file again with: fieldlum simulate"
-        rows = [
-            cells for _, cells in read_table(path, expected, remedy, needed=TRUTH_COLUMNS).dicts()
-        ]
-        with input_errors(path, expected, remedy, ValueError):
-            times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
-            light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
-        if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
-            finding = f"{len(times)} rows"
-            if len(times) > 1:
-                finding = "times that do not increase, or a value that is not finite"
-            raise InputError(path, finding, "two or more rows of numbers, in order of time", remedy)
-        return cls(times, *light)
+        rows = read_rows(_Row, path, expected, _REMEDY, TRUTH_COLUMNS)
+        times = np.array([row.t_utc.timestamp() for row in rows])
+        if len(times) < 2 or np.any(np.diff(times) <= 0):
+            finding = f"{len(times)} rows" if len(times) < 2 else "times that do not increase"
+            raise InputError(path, finding, "two or more rows, in order of time", _REMEDY)
+        light = ([getattr(row, name) for row in rows] for name in TRUTH_COLUMNS[1:])
+        return cls(times, *(np.array(column) for column in light))
 
     def write(self, path: Path) -> None:
         """Write all rows with three decimals; NaN becomes 0."""
-        columns = self.t_unix_s, self.ghi_wm2, self.dhi_wm2, self.dni_wm2
-        rows = []
-        for second, *figures in zip(*columns, strict=True):
-            moment = utc_text(datetime.fromtimestamp(float(second), UTC))
-            rows.append((moment, *(f"{np.nan_to_num(value):.3f}" for value in figures)))
-        write_table(path, TRUTH_COLUMNS, rows, end="\r\n")
+        columns = self.t_unix_s, *map(np.nan_to_num, (self.ghi_wm2, self.dhi_wm2, self.dni_wm2))
+        rows = (
+            _Row(datetime.fromtimestamp(float(second), UTC), *light)
+            for second, *light in zip(*columns, strict=True)
+        )
+        digits = dict.fromkeys(TRUTH_COLUMNS[1:], ".3f")
+        write_rows(path, TRUTH_COLUMNS, rows, digits, end="\r\n")
