@@ -54,7 +54,7 @@ def main() -> None:
         (asked.folder / name / "session.toml").write_text("broken [", encoding="utf-8")
     stage(path, "merge", "--scheduler", asked.scheduler)
     stage(path, "status")
-    stage(path, "train", "--scheduler", asked.scheduler)
+    stage(path, "train")
     stage(path, "predict", "--scheduler", asked.scheduler)
     stage(path, "report", "--table", str(asked.folder / "hours.csv"))
 

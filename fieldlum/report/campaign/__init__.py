@@ -1,7 +1,3 @@
-"""Run stages for many sessions, and write one overview of all rooms.
+"""Write one overview of all rooms of a campaign; a room that cannot be read is named in it."""
 
-Rooms are independent: a failure in one room is reported, and the other rooms continue.
-"""
-
-from fieldlum.report.campaign.campaign_file import read_campaign
-from fieldlum.report.campaign.stages import run_stage
+from fieldlum.report.campaign.campaign_file import CampaignFile, CampaignRoom, read_campaign

@@ -62,14 +62,9 @@ def read_campaign(path: Path) -> CampaignFile:
     budget_min and views are above 0.
     """
     table = read_toml(path)
-    unknown = table.keys() - {"name", "common", "room"}
-    if unknown:
-        raise InputError(
-            path,
-            f"unknown key '{min(unknown)}'",
-            "name, [common] and [[room]]",
-            "correct or remove the key",
-        )
+    if unknown := table.keys() - {"name", "common", "room"}:
+        expected, remedy = "name, [common] and [[room]]", "correct or remove the key"
+        raise InputError(path, f"unknown key '{min(unknown)}'", expected, remedy)
     common = _filled(table.get("common", {}), f"{path} [common]", DEFAULTS)
     tables = table.get("room")
     if not isinstance(tables, list) or not tables:
@@ -80,16 +75,11 @@ def read_campaign(path: Path) -> CampaignFile:
     names = [room.session for room in rooms]
     for number, name in enumerate(names, start=1):
         if not name:
-            raise InputError(
-                path, f"[[room]] {number} has no session", _EXPECTED, "add session = FOLDER to it"
-            )
+            found, remedy = f"[[room]] {number} has no session", "add session = FOLDER to it"
+            raise InputError(path, found, _EXPECTED, remedy)
         if names.count(name) > 1:
-            raise InputError(
-                path,
-                f"session {name} occurs twice",
-                "each session once",
-                "remove one of its [[room]] tables",
-            )
+            found, remedy = f"session {name} occurs twice", "remove one of its [[room]] tables"
+            raise InputError(path, found, "each session once", remedy)
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 
 
@@ -98,8 +88,6 @@ def _filled(table: TomlTable, where: str, common: CampaignRoom) -> CampaignRoom:
     stated = build(CampaignRoom, table, where)
     room = replace(common, **{key: getattr(stated, key) for key in table if table[key] != ""})
     for key in ("budget_min", "views"):
-        if getattr(room, key) <= 0:
-            raise InputError(
-                where, f"{key} = {getattr(room, key):g}", "a number above 0", "correct it"
-            )
+        if (value := getattr(room, key)) <= 0:
+            raise InputError(where, f"{key} = {value:g}", "a number above 0", "correct it")
     return room
