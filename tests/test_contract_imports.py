@@ -20,6 +20,7 @@ RANKS = (
         "optics.linear_light",
         "optics.profiles",
         "optics.raw",
+        "optics.turn_fit",
         "room.scene",
         "session",
         "weather",

@@ -3,7 +3,7 @@
 Phase correlation is not suitable: edges of clipped and dark areas are common to both frames and
 hold it at zero, and the short frames of a room show little but windows. Therefore the turn is found
 by least squares on the pixels that both frames see (Lucas and Kanade 1981), from coarse to fine. An
-offset and a slope absorb errors of exposure and response; Huber weights reduce the effect of
+offset and a slope absorb errors of exposure and response; robust weights reduce the effect of
 motion. A fisheye picture does not shift uniformly when its camera turns, and two lenses back to
 back shift against each other. Therefore the unknowns are the three angles of the turn, and the
 lens's mapping converts them.
@@ -17,16 +17,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.core.statistics import MAD_TO_SIGMA
+from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
+from fieldlum.optics.turn_fit import fit_turn
 
 LONGEST = 800  # longest side of the reduced frames [px], to limit the time; chosen
 _LEVELS = 4  # number of sizes, each half of the one before; chosen
 _STEPS = 2  # Gauss-Newton steps at each size; chosen
-_MOST = 30_000  # most pixels of a fit, to limit the time; chosen
-_BLOCKS = 6  # blocks per side that are omitted in turn for the standard error; chosen
-_LEAST = 300  # least number of pixels at edges for a fit; not measured
+_MAX_PIXELS = 30_000  # pixels of a fit, to limit the time; chosen
+_BLOCKS = 6  # independent blocks per side, for the standard error; chosen
+_MIN_BLOCKS = 3  # with edges; fewer give no standard error; chosen
+_MIN_PIXELS = 300  # at edges for a fit; not measured
 _FLAT = 0.02  # ln light; smaller differences between neighbours are not edges; not measured
 # Smaller gradients of ln light are ignored, because smooth shading does not constrain the turn. Not
 # measured.
@@ -205,9 +206,9 @@ def _step(
     down, right = np.gradient(mean, axis=0), np.gradient(mean, axis=1)
     flat = max(_FLAT, _SMOOTH_PER_RAD / max(float(np.abs(flow).max()), 1e-6))
     rows, columns = np.nonzero(both & (down**2 + right**2 > flat**2))
-    if len(rows) < _LEAST:
+    if len(rows) < _MIN_PIXELS:
         return None
-    thin = len(rows) // _MOST + 1
+    thin = len(rows) // _MAX_PIXELS + 1
     at = rows, columns = rows[::thin], columns[::thin]
     level = mean[at].astype(np.float64)
     slopes = [right[at] * flow[2 * k][at] + down[at] * flow[2 * k + 1][at] for k in range(3)]
@@ -215,34 +216,7 @@ def _step(
         [*slopes, np.ones_like(level), level - level.mean()], axis=1, dtype=np.float64
     )
     block = rows * _BLOCKS // h * _BLOCKS + columns * _BLOCKS // w
-    return _solve(design, (still - other)[at].astype(np.float64), block)
-
-
-def _solve(design: Floats, target: Floats, block: Indices) -> tuple[Floats, Floats] | None:
-    """Solve Huber-weighted least squares; estimate the covariance by omitting one block at a time.
-
-    Return the first three unknowns (the turn) and their covariance.
-    """
-    design = design / (scale := np.sqrt((design**2).mean(axis=0)) + 1e-30)
-    weight, x = np.ones(len(target)), np.zeros(design.shape[1])
-    for _ in range(4):
-        normal = design.T @ (design * weight[:, None])
-        if np.linalg.cond(normal) > 1e6:
-            return None
-        x = np.linalg.solve(normal, design.T @ (weight * target))
-        residual = np.abs(target - design @ x)
-        weight = np.minimum(
-            1.0, 1.5 * MAD_TO_SIGMA * np.median(residual) / np.maximum(residual, 1e-9)
-        )
-    weighed = design * weight[:, None]
-    names = np.unique(block)
-    parts = [block == name for name in names]
-    normals = np.stack([design[part].T @ weighed[part] for part in parts])
-    sides = np.stack([weighed[part].T @ target[part] for part in parts])
-    rest, side = normals.sum(axis=0) - normals, sides.sum(axis=0) - sides
-    if len(names) < 3 or np.linalg.cond(rest).max() > 1e8:
+    if np.unique(block).size < _MIN_BLOCKS:
         return None
-    without = np.linalg.solve(rest, side[..., None])[:, :3, 0]
-    spread = without - without.mean(axis=0)
-    covariance = (len(names) - 1) / len(names) * spread.T @ spread
-    return x[:3] / scale[:3], covariance / np.outer(scale[:3], scale[:3])
+    fit = fit_turn(design, (still - other)[at].astype(np.float64), block)
+    return None if fit is None else (fit[0][:3], fit[1][:3, :3])

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.records import Progress, quiet
-from fieldlum.core.statistics import MAD_TO_SIGMA
 from fieldlum.learn.models.turns_by_light import DirectLight, turns_by_light
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -29,6 +28,7 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
     wrapped,
 )
+from fieldlum.optics.turn_fit import Contrasts, fit_turn
 
 LEAST_CAPTURES = 5  # fewer captures have no clear majority; not measured
 LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
@@ -39,7 +39,6 @@ _FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: in darker places edges 
 # days' medians are right to 0.012 px with these values, to 0.04 px if 1 px is the last. Measured;
 # no command repeats it.
 _SMOOTH_PX = (3.0, 1.5, 1.0, 1.0, 0.7, 0.7)
-_ROBUST_ROUNDS = 4  # rounds of turning back and computing the median again; not measured
 _TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
 # above it columns are very narrow; below -70 the tripod is in the picture; chosen
 _HIGHEST_DEG = 70.0
@@ -69,6 +68,7 @@ MOVE_COST = 4.8
 # 30 px have at most 0.26, in the office of Liu et al. 2 % of them 0.36. Measured; no command
 # repeats it.
 LEAST_LIKENESS = 0.35
+UNKNOWN_TURN_DEG = 180.0  # uncertainty of a turn that the edges do not determine
 MOST_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
 
 
@@ -199,21 +199,6 @@ def _edges_turned_back(
     return _edges_of(turned, smooth_px)
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """A solved comparison of edges.
-
-    turn: [3] deg; rest: residuals [2 m]; weights: [2 m]; columns: derivatives by the turn [2 m, 3];
-    inverse: of the normal matrix [3, 3].
-    """
-
-    turn: Array
-    rest: Array
-    weights: Array
-    columns: Array
-    inverse: Array
-
-
 class _RoomEdges:
     """The room's edges at the pixels where they are strongest, and how a turn changes them."""
 
@@ -248,16 +233,10 @@ class _RoomEdges:
         These are the turn [3] deg, its standard errors [3] deg, and the likeness of the edges.
         """
         values = self.at_pixels(edges)
-        fit = self._solved(values, self.weights)
-        for _ in range(_ROBUST_ROUNDS - 1):
-            size = fit.rest * np.sqrt(self.weights)
-            sigma = MAD_TO_SIGMA * float(np.median(np.abs(size))) + 1e-9
-            fit = self._solved(values, self.weights / (1.0 + (size / (2.0 * sigma)) ** 2))
-        scores = [
-            np.bincount(self.tiles, fit.weights * fit.rest * c, self.count) for c in fit.columns.T
-        ]
-        half = fit.inverse @ np.stack(scores)  # sandwich estimate: tiles are independent
-        return fit.turn, np.sqrt(np.diag(half @ half.T)), self._likeness(values)
+        contrasts = Contrasts(self.values, self.tiles)  # of the edges in each tile
+        fit = fit_turn(self.changes, values, self.tiles, weights=self.weights, contrasts=contrasts)
+        turn, covariance = fit or (np.zeros(3), np.full((3, 3), UNKNOWN_TURN_DEG**2))
+        return turn, np.sqrt(np.diag(covariance)), self._likeness(values)
 
     def _likeness(self, values: Array) -> float:
         """Return the correlation of a capture's edges with the room's in the median tile."""
@@ -266,19 +245,6 @@ class _RoomEdges:
             for product in (values * self.values, values**2, self.values**2)
         )
         return float(np.median(both / np.sqrt(np.maximum(own * room, 1e-24))))
-
-    def _solved(self, values: Array, weights: Array) -> _Solved:
-        columns = np.stack([self._without_contrast(c, weights) for c in self.changes.T], axis=1)
-        target = self._without_contrast(values, weights)
-        inverse = np.linalg.inv(columns.T @ (weights[:, None] * columns) + 1e-9 * np.eye(3))
-        turn = inverse @ (columns.T @ (weights * target))
-        return _Solved(turn, target - columns @ turn, weights, columns, inverse)
-
-    def _without_contrast(self, values: Array, weights: Array) -> Array:
-        """Return the residual of `values` after fitting one contrast of edges in each tile."""
-        along = np.bincount(self.tiles, weights * self.values * values, self.count)
-        norm = np.bincount(self.tiles, weights * self.values**2, self.count)
-        return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
 
 
 def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
