@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from tiny_field import FAST, T0, Field, TinyPyranometer, make_session
+from tiny_field import Field
 
-from fieldlum.capture.runner import run
 from fieldlum.capture.status import status
-from fieldlum.devices.clock import FastClock
 from fieldlum.session import (
     day_files,
     read_day,
@@ -64,26 +61,11 @@ def test_commands_exit_as_documented(rig: Field, tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
-def test_live_display_and_status_file(rig: Field, tmp_path: Path) -> None:
+def test_live_display(rig: Field, tmp_path: Path) -> None:
     from rich.console import Console
 
-    from fieldlum.cli.live import countdown, panel, shown
+    from fieldlum.cli.live import countdown, panel
 
-    with shown(rig.session.site_file().site, tmp_path / "now.json") as watch:
-        run(
-            rig.session,
-            "tiny:",
-            clock=rig.clock,
-            options=FAST,
-            watch=watch,
-            trusted=lambda: False,
-            open_cam=rig.open_camera,
-            open_pyr=lambda: TinyPyranometer(rig.clock),
-        )
-    table = json.loads((tmp_path / "now.json").read_text())
-    assert (table["state"], table["done"], table["left"]) == ("finished", 3, 0)
-    rig.session = make_session(tmp_path / "again")
-    rig.clock = FastClock(T0 - timedelta(minutes=5))
     rig.run()
     console = Console(record=True, width=66, file=__import__("io").StringIO())
     console.print(panel(rig.shown[0], rig.session.site_file().site))

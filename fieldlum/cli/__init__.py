@@ -11,11 +11,11 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 import click
 
-from fieldlum.cli.options import LazyGroup
 from fieldlum.cli.terminal import say
 from fieldlum.core.errors import ChangedFileWarning, FieldlumError, InputError, install_text
 from fieldlum.version import __version__
@@ -68,8 +68,21 @@ DISK_TROUBLE = {
 }
 
 
-class _CommandGroup(LazyGroup):
-    """The group of all commands, which prints the tool's own errors as one line."""
+class _CommandGroup(click.Group):
+    """The group of all commands, which prints the tool's own errors as one line.
+
+    The module of a command is loaded only when the command is used.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, or None for an unknown name."""
+        if cmd_name not in COMMANDS:
+            return None
+        return import_module(f"fieldlum.cli.{cmd_name}_").command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -157,8 +170,6 @@ def _hold_standard_files() -> None:
 
 @click.group(
     cls=_CommandGroup,
-    names=COMMANDS,
-    module="{}_",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
 @click.version_option(__version__, package_name="fieldlum")

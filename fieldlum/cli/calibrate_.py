@@ -60,7 +60,6 @@ def _run(
 
     profile = load_camera_profile(camera)
     own |= {"camera": camera} if name == "shutter" else {}
-    own |= {"camera": camera} if name == "shutter" else {}
     new = getattr(calibrate_fits, f"fit_{name}")(profile, **own)
     for note in new.notes:
         terminal.say(f"note: {note}")
@@ -72,7 +71,8 @@ def _run(
     if as_json:
         terminal.emit_json({**new.figures, **new.only_json, "why": new.lines, "profile": str(out)})
         return
-    shown = [f"{figure}: {value}" for figure, value in new.figures.items()]
+    figures = {n: list(v) if isinstance(v, tuple) else v for n, v in new.figures.items()}
+    shown = [f"{name}: {value}" for name, value in figures.items()]
     click.echo("\n".join([*new.rows, *new.lines, *shown, f"wrote {out}"]))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,13 +69,16 @@ def say_time(frames: Paths, profile: CameraProfile, *, boards: bool = False) -> 
     terminal.say_if(estimate_text(needed_s))
 
 
+def _figures(source: Any, *names: str) -> JsonTable:
+    """Return attributes of a result by their names, to print."""
+    return {name: getattr(source, name) for name in names}
+
+
 def lens_index(profile: CameraProfile, lens_number: int) -> int:
     """Return the index, from 0, of the lens that --lens counts from 1."""
     if lens_number > len(profile.lens):
-        raise click.UsageError(
-            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)} lens(es), "
-            "counted from 1"
-        )
+        has = f"{profile.camera.name} has {len(profile.lens)} lens(es), counted from 1"
+        raise click.UsageError(f"--lens {lens_number}: {has}")
     return lens_number - 1
 
 
@@ -128,8 +132,7 @@ def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
         f"lens: image circle of {new.full_angle_deg:g} degrees, radius {new.radius_px:.2f} px "
         f"(before: {start.full_angle_deg:g} degrees, {start.radius_px:.2f} px)"
     )
-    figures = {"full_angle_deg": new.full_angle_deg, "radius_px": new.radius_px}
-    return new, FittedPart({}, [line], [], figures)
+    return new, FittedPart({}, [line], [], _figures(new, "full_angle_deg", "radius_px"))
 
 
 def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
@@ -137,12 +140,9 @@ def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     found = lens_circle.circle(grey, frame)
     new = lens_circle.circle_lens(start, found, frame)
     line = f"lens: circle of radius {found.radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
-    figures: JsonTable = {
-        "centre_px": list(found.centre_px),
-        "radius_px": found.radius_px,
-        "u_px": found.u_px,
-    }
-    return new, FittedPart({}, [line], [frame], figures, lambda: pictures.of_circle(grey, found))
+    figures = _figures(found, "centre_px", "radius_px", "u_px")
+    drawn = partial(pictures.of_circle, grey, found)
+    return new, FittedPart({}, [line], [frame], figures, drawn)
 
 
 def _by_targets(
@@ -159,15 +159,12 @@ def _by_targets(
             f"no target beyond {fit.widest_deg:.0f} deg from the axis: the mapping from "
             f"there to {start.full_angle_deg / 2:g} deg is extrapolated"
         )
-    names = ("mapping", "centre_px", "radius_px", "coefficients")
-    pose = ("azimuth_deg", "tilt_deg", "roll_deg")
-    figures = {name: getattr(fit.lens, name) for name in (*names, *pose)}
-    figures = {n: list(v) if isinstance(v, tuple) else v for n, v in figures.items()}
-    figures |= {name: getattr(fit, name) for name in ("rms_px", "rms_deg", "widest_deg")}
-    line = "; CAUTION: ".join([fit.choice.line, *fit.doubts])
-    return fit.lens, FittedPart(
-        {}, [line], sources, figures, lambda: pictures.of_lens(targets, fit), [*notes, *fit.doubts]
-    )
+    figures = _figures(fit.lens, "mapping", "centre_px", "radius_px", "coefficients")
+    figures |= _figures(fit.lens, "azimuth_deg", "tilt_deg", "roll_deg")
+    figures |= _figures(fit, "rms_px", "rms_deg", "widest_deg")
+    lines, notes = ["; CAUTION: ".join([fit.choice.line, *fit.doubts])], [*notes, *fit.doubts]
+    drawn = partial(pictures.of_lens, targets, fit)
+    return fit.lens, FittedPart({}, lines, sources, figures, drawn, notes)
 
 
 def _boards(
@@ -198,10 +195,8 @@ def fit_response(profile: CameraProfile, sources: Paths) -> FittedPart:
     brackets = response.brackets_in(sources)
     places = response.sample(brackets, profile, np.random.default_rng(1))
     fit = response.fit(places)
-    figures: JsonTable = {
-        "kind": fit.response.kind,
-        "u_rel": fit.response.u_rel,
-        "residual_rgb": list(fit.residual),
+    figures = _figures(fit.response, "kind", "u_rel") | {
+        "residual_rgb": fit.residual,
         "shutter_law": places.law.law,
         "shutter_law_by": places.law.decided_by,
         "shutter_law_misfit_percent": places.law.misfit_percent,
@@ -212,9 +207,8 @@ def fit_response(profile: CameraProfile, sources: Paths) -> FittedPart:
     if places.law.decided_by == "frames" or profile.shutter_law != "auto":
         changed["shutter_law"] = places.law.law
     lines = [text for text in (fit.choice.line, places.steps.text) if text]
-    return FittedPart(
-        changed, lines, places.frames, figures, lambda: pictures.of_response(places, fit)
-    )
+    drawn = partial(pictures.of_response, places, fit)
+    return FittedPart(changed, lines, places.frames, figures, drawn)
 
 
 def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> FittedPart:
@@ -227,19 +221,10 @@ def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> Fi
         samples = vignette.from_uniform(sources, profile, index)
     fit, old = vignette.fit(samples), profile.lens[samples.lens]
     new = vignette.with_curve(old, samples.f_number, fit)
-    figures: JsonTable = {
-        "f_number": samples.f_number,
-        "coefficients": list(fit.coefficients),
-        "u_rel": fit.u_rel,
-    }
+    figures = _figures(samples, "f_number") | _figures(fit, "coefficients", "u_rel")
     changed = {"lens": with_lens(profile, samples.lens, new)}
-    return FittedPart(
-        changed,
-        [fit.choice.line],
-        samples.frames,
-        figures,
-        lambda: pictures.of_vignette(samples, fit, old.full_angle_deg / 2),
-    )
+    drawn = partial(pictures.of_vignette, samples, fit, old.full_angle_deg / 2)
+    return FittedPart(changed, [fit.choice.line], samples.frames, figures, drawn)
 
 
 def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> FittedPart:
@@ -255,21 +240,10 @@ def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> Fi
         notes.append(
             f"the readings would multiply k by {fit.scale:.3f}: run fieldlum calibrate scale next"
         )
-    figures: JsonTable = {
-        "y_from_rgb": list(fit.y_from_rgb),
-        "u_rel": fit.u_rel,
-        "readings": len(colours.y),
-    }
+    figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
-    frames = [sources, *colours.frames]
-    return FittedPart(
-        {"colour": new},
-        [fit.choice.line],
-        frames,
-        figures,
-        lambda: pictures.of_colour(colours, fit),
-        notes,
-    )
+    frames, drawn = [sources, *colours.frames], partial(pictures.of_colour, colours, fit)
+    return FittedPart({"colour": new}, [fit.choice.line], frames, figures, drawn, notes)
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:
@@ -287,64 +261,35 @@ def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> FittedPa
     readings, frames, notes = scale.from_table(sources, profile)
     fit = scale.fit(readings, meter_u, sources)
     doubt = scale.check_level(fit, profile, sources)
-    points: list[JsonTable] = [
-        {
-            "reading": r.label,
-            "meter": r.meter,
-            "picture": r.image * fit.factor,
-            "off_percent": round(100 * float(off), 2),
-        }
-        for r, off in zip(readings, fit.residual, strict=True)
-    ]
-    rows = [
-        "  {reading:32} meter {meter:9.4g}  picture {picture:9.4g}  {off_percent:+6.2f} %".format(
-            **point
-        )
-        for point in points
-    ]
-    gates = [
-        illuminance_verdict(r.image * fit.factor, r.meter)
-        for r in readings
-        if r.kind == "illuminance"
-    ]
+    points: list[JsonTable] = []
+    rows, gates = [], []
+    for r, off in zip(readings, fit.residual, strict=True):
+        shown, percent = r.image * fit.factor, round(100 * float(off), 2)
+        points.append({"reading": r.label, "meter": r.meter, "picture": shown})
+        points[-1]["off_percent"] = percent
+        rows.append(f"  {r.label:32} meter {r.meter:9.4g}  picture {shown:9.4g}  {percent:+6.2f} %")
+        gates += [illuminance_verdict(shown, r.meter)] if r.kind == "illuminance" else []
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
-    figures: JsonTable = {
-        "k": k,
-        "u_rel": u,
-        "factor": fit.factor,
-        "far": list(fit.far),
-        "illuminance": gates,
-    }
+    figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {doubt}" if doubt else ""
-    return FittedPart(
-        {"scale": replace(profile.scale, k=k, u_rel=u)},
-        [line],
-        [sources, *frames],
-        figures,
-        lambda: pictures.of_scale(readings, fit),
-        [*notes, *scale.slips(readings, fit), *([doubt] if doubt else [])],
-        rows,
-        {"points": points},
-    )
+    changed = {"scale": replace(profile.scale, k=k, u_rel=u)}
+    frames, drawn = [sources, *frames], partial(pictures.of_scale, readings, fit)
+    notes = [*notes, *scale.slips(readings, fit), *([doubt] if doubt else [])]
+    return FittedPart(changed, [line], frames, figures, drawn, notes, rows, {"points": points})
 
 
 def fit_stray(profile: CameraProfile, sources: Path) -> FittedPart:
     """Fit the lens's stray light to readings of dark places."""
     readings = stray.from_table(sources, profile)
     fit = stray.fit(readings, sources)
-    figures: JsonTable = {
-        "angle_deg": list(fit.kernel.angle_deg),
-        "per_sr": list(fit.kernel.per_sr),
-        "u_rel": fit.kernel.u_rel,
-        "total_share": round(fit.total_share, 5),
-    }
+    figures = _figures(fit.kernel, "angle_deg", "per_sr", "u_rel")
+    figures["total_share"] = round(fit.total_share, 5)
     changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor
     frames = [sources, *dict.fromkeys(r.picture for r in readings)]
-    return FittedPart(
-        changed, [fit.choice.line], frames, figures, lambda: pictures.of_stray(readings, fit)
-    )
+    drawn = partial(pictures.of_stray, readings, fit)
+    return FittedPart(changed, [fit.choice.line], frames, figures, drawn)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -369,17 +314,12 @@ def fit_shutter(profile: CameraProfile, sources: Paths, camera: str) -> FittedPa
             f"{100 * (t.true_s / assumed_s - 1):+6.2f} % from the profile, "
             f"u {100 * t.u_rel:.2f} %, {n} brackets"
         )
-    return FittedPart(
+    changed, drawn = (
         {"shutter": shutter.with_times(profile, fit)},
-        [fit.line],
-        files,
-        {"times": len(times)},
-        lambda: pictures.of_shutter(fit),
-        notes,
-        rows,
-        {"times": times},
-        profile,
+        partial(pictures.of_shutter, fit),
     )
+    figures, table = {"times": len(times)}, {"times": times}
+    return FittedPart(changed, [fit.line], files, figures, drawn, notes, rows, table, profile)
 
 
 def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> FittedPart:
@@ -387,20 +327,14 @@ def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> FittedPart
     say_time(sources, profile)
     defects = pixels.find(sources, profile, dark=dark)
     bad_px = tuple(sorted({*profile.sensor.bad_px, *defects.bad_px}))
-    figures: JsonTable = {
-        "found": len(defects.bad_px),
-        "new": len(bad_px) - len(profile.sensor.bad_px),
-        "views": defects.views,
-        "by_chance": defects.by_chance,
-    }
-    return FittedPart(
-        {"sensor": replace(profile.sensor, bad_px=bad_px)},
-        [defects.line],
-        defects.frames,
-        figures,
-        lambda: pictures.of_pixels(defects, profile.camera.width_px, profile.camera.height_px),
-        only_json={"bad_px": [list(place) for place in defects.bad_px]},
-    )
+    new = len(bad_px) - len(profile.sensor.bad_px)
+    figures: JsonTable = {"found": len(defects.bad_px), "new": new}
+    figures |= _figures(defects, "views", "by_chance")
+    changed = {"sensor": replace(profile.sensor, bad_px=bad_px)}
+    size = profile.camera.width_px, profile.camera.height_px
+    drawn, places = partial(pictures.of_pixels, defects, *size), _figures(defects, "bad_px")
+    part = FittedPart(changed, [defects.line], defects.frames, figures, drawn)
+    return replace(part, only_json=places)
 
 
 def fit_linearity(profile: CameraProfile, sources: Paths) -> FittedPart:
@@ -411,22 +345,9 @@ def fit_linearity(profile: CameraProfile, sources: Paths) -> FittedPart:
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
     levels = linearity.read_levels(files, plain)
     fit = linearity.fit(levels)
-    sensor = replace(
-        profile.sensor,
-        linearity=fit.coefficients,
-        linearity_u_rel=fit.u_rel,
-        exposure_offset_s=fit.offset_s,
-    )
-    figures: JsonTable = {
-        "linearity": list(fit.coefficients),
-        "u_rel": fit.u_rel,
-        "exposure_offset_s": fit.offset_s,
-        "u_exposure_offset_s": fit.u_offset_s,
-    }
-    return FittedPart(
-        {"sensor": sensor},
-        [fit.choice.line],
-        levels.frames,
-        figures,
-        lambda: pictures.of_linearity(levels, fit),
-    )
+    own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
+    sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
+    figures: JsonTable = {"linearity": fit.coefficients, "u_rel": fit.u_rel}
+    figures |= {"exposure_offset_s": fit.offset_s, "u_exposure_offset_s": fit.u_offset_s}
+    drawn = partial(pictures.of_linearity, levels, fit)
+    return FittedPart({"sensor": sensor}, [fit.choice.line], levels.frames, figures, drawn)

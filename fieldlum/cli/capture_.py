@@ -27,7 +27,6 @@ def command(
     clock: Literal["real", "fast"] = "real",
     grace_s: Annotated[float | None, click.FloatRange(min=0)] = None,
     log_every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
-    status_json: Path | None = None,
     on_misses: str = "",
     notify: str = "",
     notify_picture: bool = False,
@@ -47,8 +46,6 @@ def command(
       --grace S: How late a bracket may start, after which its slot is missed; stored in the
           session. [default: 300]
       --log-every S: Seconds between irradiance rows.
-      --status-json: Update this file with the state of the capture, so that it can be
-          watched from elsewhere.
       --on-misses COMMAND: Run this command when two slots in a row gave no bracket. Its
           environment has FIELDLUM_SLOT, FIELDLUM_OUTCOME, FIELDLUM_REASON and
           FIELDLUM_SESSION.
@@ -101,7 +98,7 @@ def command(
     with (
         terminal.unattended(),
         awake,
-        shown(session.site_file().site, status_json) as display,
+        shown(session.site_file().site) as display,
         informed(session, post, address, terminal.say, with_picture=notify_picture) as remote,
     ):
 

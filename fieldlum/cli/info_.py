@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -80,15 +80,15 @@ def describe(path: Path, part: str = "") -> Facts:
     if not path.is_file():
         raise InputError(path, "no such file or folder", remedy="check the path")
     suffix = path.suffix.lower()
-    readers: dict[str, Callable[[Path], Facts]] = {
-        ".exr": lambda file: _exr(file, part),
-        ".hdr": _radiance,
-        ".toml": _toml,
-        ".csv": _csv,
-        ".jpg": _jpeg,
-        ".jpeg": _jpeg,
-    }
+    if suffix == ".exr":
+        return _exr(path, part)
+    readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}
     return readers.get(suffix, _raw)(path)
+
+
+def _size(picture: Any) -> str:
+    """Return width x height of an array [h, w, ...]."""
+    return f"{picture.shape[1]} x {picture.shape[0]}"
 
 
 def _exr(path: Path, part: str) -> Facts:
@@ -105,14 +105,13 @@ def _exr(path: Path, part: str) -> Facts:
         picture = read_panorama_with_sun(path, part=part)
     values = picture.luminance_cdm2[np.isfinite(picture.luminance_cdm2)]
     if not values.size:
-        raise InputError(
-            path, "no finite luminance", "a picture with luminances", "merge or convert it again"
-        )
+        expected, remedy = "a picture with luminances", "merge or convert it again"
+        raise InputError(path, "no finite luminance", expected, remedy)
     flagged = 0.0 if picture.flags is None else 100.0 * float((picture.flags > 0).mean())
     heading = {"heading_deg": picture.heading_deg} if is_panorama else {"view": view or "missing"}
     return {
         "kind": "panorama" if is_panorama else "EXR picture",
-        "size": f"{picture.luminance_cdm2.shape[1]} x {picture.luminance_cdm2.shape[0]}",
+        "size": _size(picture.luminance_cdm2),
         **heading,
         "t_utc": utc_text(picture.t_utc) if picture.t_utc else "",
         "median_cdm2": round(float(np.median(values)), 3),
@@ -129,11 +128,10 @@ def _radiance(path: Path) -> Facts:
     from fieldlum.optics.images import read_radiance_hdr
 
     image = read_radiance_hdr(path)
-    height, width = image.rgb.shape[:2]
     kind = "panorama" if image.heading_deg is not None else "Radiance picture"
     return {
         "kind": kind,
-        "size": f"{width} x {height}",
+        "size": _size(image.rgb),
         "view": image.view or ("equirect" if kind == "panorama" else "missing"),
         "median_cdm2": round(float(np.median(image.luminance_cdm2)), 3),
         "largest_cdm2": round(float(image.luminance_cdm2.max()), 1),
@@ -149,13 +147,8 @@ def _toml(path: Path) -> Facts:
     if "site" in table:
         setup = site_from_table(table, str(path))
         room = f"{setup.room.kind}, {len(setup.room.window)} windows" if setup.room else "none"
-        site = setup.site
-        return {
-            "kind": "site",
-            "name": site.name,
-            "place": f"{site.latitude_deg:g}, {site.longitude_deg:g}",
-            "room": room,
-        }
+        place = f"{setup.site.latitude_deg:g}, {setup.site.longitude_deg:g}"
+        return {"kind": "site", "name": setup.site.name, "place": place, "room": room}
     if "camera" in table:
         profile = build(Profile, table, str(path))
         return {
@@ -171,11 +164,8 @@ def _toml(path: Path) -> Facts:
     if "entry" in table:
         return _instrument(path, "form" in table)
     if "setup" in table and "plan" in table:
-        return {
-            "kind": "session",
-            "name": table["setup"].get("site", {}).get("name", ""),
-            **table["plan"],
-        }
+        name = table["setup"].get("site", {}).get("name", "")
+        return {"kind": "session", "name": name, **table["plan"]}
     raise InputError(
         path,
         f"a TOML file with the tables {', '.join(table) or '(none)'}",
@@ -191,13 +181,8 @@ def _instrument(path: Path, lines_form: bool) -> Facts:
 
     if lines_form:
         lines = load_ascii_profile(str(path))
-        gives = ", ".join(e.quantity for e in lines.entry)
-        return {
-            "kind": "instrument profile (lines)",
-            "name": lines.name,
-            "form": lines.form,
-            "gives": gives,
-        }
+        facts = {"kind": "instrument profile (lines)", "name": lines.name, "form": lines.form}
+        return {**facts, "gives": ", ".join(e.quantity for e in lines.entry)}
     registers = load_register_profile(str(path))
     return {
         "kind": "instrument profile (Modbus)",
@@ -219,12 +204,8 @@ def _csv(path: Path) -> Facts:
     slots = read_plan(path)
     days = sorted({slot.t_utc.date() for slot in slots})
     span = f"{days[0]} to {days[-1]}" if days else "empty"
-    return {
-        "kind": "plan",
-        "slots": len(slots),
-        "days_utc": span,
-        "frames_per_slot": len(slots[0].exposures) if slots else 0,
-    }
+    frames = len(slots[0].exposures) if slots else 0
+    return {"kind": "plan", "slots": len(slots), "days_utc": span, "frames_per_slot": frames}
 
 
 def _jpeg(path: Path) -> Facts:
@@ -232,12 +213,8 @@ def _jpeg(path: Path) -> Facts:
     from fieldlum.session import exposure_text
 
     frame = read_jpeg(path)
-    height, width = frame.codes.shape[:2]
-    return {
-        "kind": "JPEG frame",
-        "size": f"{width} x {height}",
-        "exposure": exposure_text(frame.exposure),
-    }
+    exposure = exposure_text(frame.exposure)
+    return {"kind": "JPEG frame", "size": _size(frame.codes), "exposure": exposure}
 
 
 def _raw(path: Path) -> Facts:
@@ -245,11 +222,10 @@ def _raw(path: Path) -> Facts:
     from fieldlum.session import exposure_text
 
     mosaic = read_mosaic(path)
-    height, width = mosaic.counts.shape
     return {
         "kind": "raw frame",
         "camera": f"{mosaic.make} {mosaic.model}".strip(),
-        "size": f"{width} x {height}",
+        "size": _size(mosaic.counts),
         "cfa": mosaic.cfa,
         "exposure": exposure_text(mosaic.exposure),
         "black_dn": tuple(mosaic.black_dn),

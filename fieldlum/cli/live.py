@@ -1,27 +1,18 @@
-"""Show a running capture: a panel on a terminal, lines in a pipe, a JSON file for others."""
+"""Show a running capture: a panel on a terminal, lines in a pipe."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
-from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.live import Live, Watch
 from fieldlum.cli import terminal
-from fieldlum.core.records import JsonTable, Site, parse_utc, utc_text
-from fieldlum.session import replacing
+from fieldlum.core.records import Site, parse_utc, utc_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-# seconds between updates of the JSON file; not measured, short enough for a page that somebody
-# watches
-_JSON_EVERY_S = 10.0
 
 
 def countdown(seconds: float | None) -> str:
@@ -85,67 +76,23 @@ def _state(state: str) -> str:
     return f"[{'green' if state == 'ok' else 'red'}]{state}[/]"
 
 
-def as_json(live: Live) -> JsonTable:
-    """Return the state of a capture as a dict for JSON, with times as UTC text."""
-    return {k: utc_text(v) if isinstance(v, datetime) else v for k, v in asdict(live).items()}
-
-
-class _StatusFile:
-    """Writes a small JSON file after each change, and every ten seconds."""
-
-    def __init__(self, path: Path | None) -> None:
-        self._path, self._key, self._at = path, (), None
-
-    def __call__(self, live: Live) -> None:
-        key = (
-            live.state,
-            live.next_slot,
-            live.done,
-            live.missed,
-            live.aborted,
-            live.last_frame,
-            live.last_event,
-        )
-        fresh = (
-            self._at is not None and abs((live.t_utc - self._at).total_seconds()) < _JSON_EVERY_S
-        )
-        if self._path is None or (key == self._key and fresh):
-            return
-        self._key, self._at = key, live.t_utc
-        # Errors: the disk is full, or a network share is away.
-        with suppress(OSError), replacing(self._path, "w", encoding="utf-8") as file:
-            json.dump(as_json(live), file)
-
-
 @contextmanager
-def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
-    """Yield a function that shows the state of a capture, and writes it to status_json if stated.
+def shown(site: Site) -> Iterator[Watch]:
+    """Yield a function that shows the state of a capture.
 
     On a terminal it shows a panel. Otherwise it prints the counts of slots on stderr, at most 40
     times in a plan.
     """
-    status_file = _StatusFile(status_json)
     if not terminal.seen():
-        plain = _PlainLines()
-
-        def watch(live: Live) -> None:
-            status_file(live)
-            plain(live)
-
-        yield watch
+        yield _PlainLines()
         return
     from rich.console import Console
     from rich.live import Live as Screen
 
     screen = Screen(console=Console(stderr=True), refresh_per_second=4)
-
-    def draw(live: Live) -> None:
-        status_file(live)
-        screen.update(panel(live, site))
-
     screen.start()
     try:
-        yield draw
+        yield lambda live: screen.update(panel(live, site))
     finally:
         with suppress(OSError, ValueError):  # the terminal was closed
             screen.stop()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
@@ -13,28 +12,6 @@ from fieldlum.cli.declared import FILE_PATH, PATH, declare
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
     from fieldlum.session import Session
-
-
-class LazyGroup(click.Group):
-    """A group that loads the module of a command only when the command is used.
-
-    names: in the order of the help. module: name of a command's module in this package, with {} for
-    the command's name; the module has a click command `command`.
-    """
-
-    def __init__(self, *args: Any, names: Sequence[str], module: str, **settings: Any) -> None:
-        super().__init__(*args, **settings)
-        self._names, self._module = tuple(names), module
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands."""
-        return list(self._names)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command, or None for an unknown name."""
-        if cmd_name not in self._names:
-            return None
-        return import_module(f"fieldlum.cli.{self._module.format(cmd_name)}").command
 
 
 CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]

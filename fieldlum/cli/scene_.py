@@ -27,7 +27,6 @@ def fit(
     site: Path | None = None,
     out: Path | None = None,
     clock_sd: Annotated[float, click.FloatRange(min=0, min_open=True)] = 5.0,
-    seed: int = 0,
     as_json: bool = False,
 ) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
@@ -45,7 +44,6 @@ def fit(
       --out: Folder to write. [default: scene/ in the session's folder]
       --clock-sd: Standard uncertainty of the captures' times in minutes; 0.1 for a clock
           set by NTP.
-      --seed: Seed of the randomly chosen pixels.
     """
     from fieldlum.learn.models.data import load_pairs
     from fieldlum.room.fit.stage import run
@@ -54,7 +52,7 @@ def fit(
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
     with progress("fitting the scene") as show:
-        result = run(data, folder, clock_sd_min=clock_sd, seed=seed, progress=show)
+        result = run(data, folder, clock_sd_min=clock_sd, progress=show)
     if as_json:
         emit_json(answer_of(result.scene))
     else:

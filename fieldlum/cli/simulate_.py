@@ -13,7 +13,6 @@ from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.estimates import estimate_text, simulate_s
 from fieldlum.cli.options import (
-    DAY,
     DEFAULT_SIZE,
     CaptureSet,
     command_of,
@@ -32,9 +31,7 @@ def command(
     site: Annotated[Path, "SITE.toml|SESSION", EXISTING_PATH],
     out: Path | None = None,
     set_: CaptureSet = "9-day",
-    start: Annotated[datetime | None, DAY] = None,
     year: Annotated[int, click.IntRange(1950, 2100)] = 2027,
-    count: Annotated[int | None, click.IntRange(min=1)] = None,
     year_sample: Annotated[int | None, click.IntRange(min=1)] = None,
     weather_file: Path | None = None,
     size: str = DEFAULT_SIZE,
@@ -61,9 +58,7 @@ def command(
     Options:
       --out: The session folder to write.
       --set: Hours to render.
-      --start: First day, local date.
       --year: Year of the events.
-      --count: Number of hours, for even and best.
       --year-sample: Use this many random daylight hours instead of a set.
       --weather: EPW, TMY3 or CSV of the place.
       --size WxH: Size of the panoramas.
@@ -94,9 +89,7 @@ def command(
     chosen = quality or ("quick" if height <= 115 else "paper")
     if session is None and out is not None:
         with terminal.progress("planning") as progress:
-            session = _planned(
-                out, setup, weather, (set_, start, year, count, year_sample, seed), progress
-            )
+            session = _planned(out, setup, weather, (set_, year, year_sample, seed), progress)
     assert session is not None
     scheduler = scheduler_of(scheduler_text)
     needed_s = simulate_s(chosen, 2 * height * height, len(session.slots()))
@@ -142,20 +135,13 @@ def _planned(
     from fieldlum import plan
     from fieldlum.room import simulate
 
-    set_, start, year, count, year_sample, seed = asked
+    set_, year, year_sample, seed = asked
     if year_sample is not None:
         slots = simulate.sample_slots(setup, weather, year_sample, seed)
         return simulate.make_session(
             out, setup, slots, {"set": "year-sample", "count": year_sample, "seed": seed}
         )
-    request = plan.Request(
-        set_,
-        plan.today_at(setup.site, datetime.now(UTC)),
-        start.date() if start else None,
-        year,
-        None,
-        count,
-        seed,
-    )
+    today = plan.today_at(setup.site, datetime.now(UTC))
+    request = plan.Request(set_, today, None, year, seed=seed)
     session, _ = plan.run(setup, request, out, weather, progress)
     return session
