@@ -1,22 +1,26 @@
 """Simulate an office: a box lit by sky, ground and sun through its windows.
 
-The simulation is in closed form and fast, but not physically accurate: window form factors,
-split-flux interreflection, one sun patch. `fieldlum simulate` renders an accurate truth with
-Radiance.
+The simulation is fast, but not physically accurate: window form factors, split-flux
+interreflection, direct sun. `fieldlum simulate` renders an accurate truth with Radiance.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
 from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld, World
 from fieldlum.optics import projection
+from fieldlum.room.scene import look
+from fieldlum.room.scene.patches import disc_visibility
+from fieldlum.room.scene.points import SunPoints
+from fieldlum.room.scene.view import SceneView
 from fieldlum.session import Session
 from fieldlum.sky import sun
 
@@ -30,105 +34,39 @@ _LM_PER_W_SUN = 93.0
 _LM_PER_W_SKY = 120.0
 
 
-def _wall_frames(room: Room) -> dict[str, tuple[Floats, Floats, Floats]]:
-    """Return lower left corner, right vector and inward normal of each wall, in room axes.
+def _window_factors(view: SceneView) -> tuple[Floats, Floats]:
+    """Return form factor times transmittance of the windows to sky and to ground, [m] each.
 
-    Left and right are as seen from inside.
+    They are those of the surface samples of a view.
     """
-    w, d = room.width_m, room.depth_m
-    x, y = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    return {
-        "south": (np.array([w, 0, 0]), -x, y),  # seen from inside, east is on the left
-        "north": (np.array([0, d, 0]), x, -y),
-        "east": (np.array([w, d, 0]), -y, -x),
-        "west": (np.array([0, 0, 0]), y, x),
-    }
+    sky, ground = np.zeros(len(view.box)), np.zeros(len(view.box))
+    row, columns, rows = np.arange(len(view.box)), 6, 4
+    for o in view.scene.openings:
+        (left, right), (bottom, top) = o.u_m, o.z_m
+        cell = (right - left) * (top - bottom) / (columns * rows)
+        for i, j in np.ndindex(columns, rows):
+            at = np.empty(3)
+            at[o.axis], at[o.along] = o.inner_m, left + (i + 0.5) / columns * (right - left)
+            at[2] = bottom + (j + 0.5) / rows * (top - bottom)
+            way = at - view.position
+            far2 = np.maximum((way**2).sum(axis=1), cell / 4)
+            unit = way / np.sqrt(far2)[:, None]
+            cosines = np.maximum(unit[row, view.axis] * view.sign, 0.0)
+            cosines *= np.maximum(unit[:, o.axis] * o.outward, 0.0)
+            factor = cosines * cell / (np.pi * far2) * o.transmittance
+            sky += np.where(unit[:, 2] > 0, factor, 0)
+            ground += np.where(unit[:, 2] <= 0, factor, 0)
+    return np.minimum(sky, 1.0), np.minimum(ground, 1.0)
 
 
-class _Geometry:
-    """The part of the office that does not change: view of each pixel, form factors of windows."""
+@dataclass(frozen=True, slots=True)
+class _Fixed:
+    """What does not change with time: the view, its sunlit points and form factors of windows."""
 
-    def __init__(self, room: Room, heading_deg: float) -> None:
-        self.room = room
-        rays = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, heading_deg).reshape(-1, 3)
-        self.to_room = _turn(room.wall_azimuth_deg)
-        self.rays = rays @ self.to_room.T
-        self.eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
-        size = np.array([room.width_m, room.depth_m, room.height_m])
-        with np.errstate(divide="ignore"):
-            reach = np.where(self.rays > 0, (size - self.eye) / self.rays, -self.eye / self.rays)
-        reach[self.rays == 0] = np.inf
-        axis = reach.argmin(axis=1)
-        self.points = self.eye + self.rays * reach.min(axis=1)[:, None]
-        self.normals = np.zeros_like(self.points)
-        row = np.arange(len(axis))
-        self.normals[row, axis] = -np.sign(self.rays[row, axis])
-        self.glass = self.through_glass(self.eye, self.rays)
-        level = (room.reflectance_walls, room.reflectance_ceiling, room.reflectance_floor)
-        upright = self.normals[:, 2]
-        self.reflectance = np.select(
-            [upright < -0.5, upright > 0.5], [level[1], level[2]], level[0]
-        )
-        self.sky_factor, self.ground_factor = self._window_factors()
-
-    def through_glass(self, start: Floats, rays: Floats) -> Floats:
-        """Return the transmittance [n] of rays [n, 3] to the outside; `start` is [3] or [n, 3].
-
-        It is 0 where a wall blocks the ray.
-        """
-        transmittance = np.zeros(len(rays))
-        for window in self.room.window:
-            corner, right, inward = _wall_frames(self.room)[window.wall]
-            towards = rays @ -inward
-            with np.errstate(divide="ignore", invalid="ignore"):
-                hit = start + rays * (((corner - start) @ -inward) / towards)[:, None]
-            across, up = (hit - corner) @ right - window.left_m, hit[:, 2] - window.sill_m
-            inside = (
-                (towards > 1e-9)
-                & (across > 0)
-                & (across < window.width_m)
-                & (up > 0)
-                & (up < window.height_m)
-            )
-            pane = np.mod(across, window.width_m / max(window.panes, 1))
-            clear = (pane > window.frame_m / 2) & (
-                pane < window.width_m / max(window.panes, 1) - window.frame_m / 2
-            )
-            transmittance[inside & clear] = window.transmittance
-        return transmittance
-
-    def _window_factors(self) -> tuple[Floats, Floats]:
-        """Return form factor times transmittance of the windows to sky and to ground, [n] each."""
-        sky, ground = np.zeros(len(self.points)), np.zeros(len(self.points))
-        for window in self.room.window:
-            corner, right, inward = _wall_frames(self.room)[window.wall]
-            columns, rows = 6, 4
-            cell = window.width_m * window.height_m / (columns * rows)
-            for i in range(columns):
-                for j in range(rows):
-                    at = corner + right * (window.left_m + (i + 0.5) / columns * window.width_m)
-                    at = at + np.array([0, 0, window.sill_m + (j + 0.5) / rows * window.height_m])
-                    way = at - self.points
-                    far2 = np.maximum((way**2).sum(axis=1), cell / 4)
-                    unit = way / np.sqrt(far2)[:, None]
-                    factor = np.maximum((unit * self.normals).sum(axis=1), 0) * np.maximum(
-                        unit @ -inward, 0
-                    )
-                    factor = factor * cell / (np.pi * far2) * window.transmittance
-                    sky += np.where(unit[:, 2] > 0, factor, 0)
-                    ground += np.where(unit[:, 2] <= 0, factor, 0)
-        return np.minimum(sky, 1.0), np.minimum(ground, 1.0)
-
-
-def _turn(wall_azimuth_deg: float) -> Floats:
-    """Return the rotation from world axes (x east, y north) to room axes, [3, 3].
-
-    The room's -y points to the azimuth of the wall.
-    """
-    angle = np.radians(wall_azimuth_deg - 180.0)
-    return np.array(
-        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]
-    )
+    view: SceneView
+    points: SunPoints
+    sky_factor: Floats
+    ground_factor: Floats
 
 
 class Office:
@@ -143,7 +81,7 @@ class Office:
         room = self.setup.room
         self._room = room if room is not None and room.kind == "box" and room.window else OFFICE
         self._seed = seed
-        self._geometry: _Geometry | None = None
+        self._fixed: _Fixed | None = None
         self._scene_of = lru_cache(maxsize=2)(self._scene)
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
@@ -185,53 +123,55 @@ class Office:
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
     def _scene(self, t_utc: datetime) -> Panorama:
-        if self._geometry is None:
-            self._geometry = _Geometry(self._room, self.setup.camera.heading_deg)
-        g, room, light = self._geometry, self._room, self.irradiance(t_utc)
+        if self._fixed is None:
+            view = look(self._room, _HEIGHT, self.setup.camera.heading_deg, 1)
+            self._fixed = _Fixed(view, view.sun_points(), *_window_factors(view))
+        fixed, view, light = self._fixed, self._fixed.view, self.irradiance(t_utc)
         position = sun.position([t_utc], self.setup.site)
         altitude = float(position.apparent_altitude_deg[0])
         azimuth = float(position.azimuth_deg[0])
-        to_sun = projection.direction(altitude, azimuth) @ g.to_room.T
+        toward = view.scene.to_room(projection.direction(altitude, azimuth))
         beam_lx = light.dni_wm2 * _LM_PER_W_SUN * (altitude > 0)
-        zenith = 9.0 / (7.0 * np.pi) * light.dhi_wm2 * _LM_PER_W_SKY + 1e-3  # CIE overcast sky
-        ground = room.reflectance_ground / np.pi * light.ghi_wm2 * 110.0 + 1e-3
-        beam = (
-            beam_lx
-            * g.through_glass(g.points, np.tile(to_sun, (len(g.points), 1)))
-            * (1.0 - g.glass)
+        diffuse_lx = light.dhi_wm2 * _LM_PER_W_SKY
+        zenith = 9.0 / (7.0 * np.pi) * diffuse_lx + 1e-3  # CIE overcast sky
+        ground = self._room.reflectance_ground / np.pi * light.ghi_wm2 * 110.0 + 1e-3
+        sunlit = fixed.points.direct(toward) * beam_lx  # [H * W] cd/m2
+        window_lx = np.pi * (fixed.sky_factor * 0.6 * zenith + fixed.ground_factor * ground)
+        inside = ~np.isin(view.box, view.scene.of_kind("ground"))
+        indirect_lx = self._interreflected_lx(view, inside, window_lx, sunlit)
+        level_lx = np.where(inside, window_lx + indirect_lx, diffuse_lx)
+        shown = view.weight * view.scene.reflectance[view.box] * level_lx / np.pi
+        luminance = np.bincount(view.pixel, shown, len(sunlit)) + sunlit
+        rows = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, 0.0)[..., 2].ravel()
+        luminance += view.sky.ravel() * zenith * (1.0 + 2.0 * np.abs(rows)) / 3.0
+        luminance += view.plain.ravel() * ground
+        visible, through = (part[0] for part in disc_visibility(view.scene, toward[None]))
+        disc_lx = beam_lx * float(visible * through)
+        disc = SunSource(altitude, azimuth, disc_lx, float(visible), "rendering")
+        return Panorama(
+            luminance.reshape(_HEIGHT, -1).astype(np.float32),
+            self.setup.camera.heading_deg,
+            t_utc=t_utc,
+            sun=disc if disc_lx > 0 else None,
         )
-        beam *= np.maximum(g.normals @ to_sun, 0.0)
-        window_lx = np.pi * (g.sky_factor * 0.6 * zenith + g.ground_factor * ground)
-        inside = (
-            g.reflectance
-            / np.pi
-            * (window_lx + beam + self._interreflected_lx(g, window_lx + beam))
-        )
-        outside = np.where(
-            g.rays[:, 2] > 0, zenith * (1.0 + 2.0 * np.abs(g.rays[:, 2])) / 3.0, ground
-        )
-        luminance = (
-            np.where(g.glass > 0, g.glass * outside, inside).reshape(_HEIGHT, -1).astype(np.float32)
-        )
-        through = float(g.through_glass(g.eye, to_sun[None])[0])
-        disc = (
-            SunSource(altitude, azimuth, beam_lx * through, float(through > 0), "rendering")
-            if beam_lx * through > 0
-            else None
-        )
-        return Panorama(luminance, self.setup.camera.heading_deg, t_utc=t_utc, sun=disc)
 
-    def _interreflected_lx(self, g: _Geometry, first_lx: Floats) -> float:
+    def _interreflected_lx(
+        self, view: SceneView, inside: Mask, window_lx: Floats, sunlit: Floats
+    ) -> float:
         """Return the interreflected illuminance [lx] from the first flux and mean reflectance."""
         room = self._room
         floor = room.width_m * room.depth_m
         walls = 2 * (room.width_m + room.depth_m) * room.height_m
         area = 2 * floor + walls
-        sight = np.linalg.norm(g.points - g.eye, axis=1)
+        seen = np.flatnonzero(inside[: view.first_mirrored])
+        ways = view.position[seen] - np.array(view.scene.camera_m)
+        sight = np.linalg.norm(ways, axis=1)
+        cosines = np.abs(ways[np.arange(len(seen)), view.axis[seen]]) / sight
         # The area of a pixel is solid angle x distance^2 / cosine of its ray with the surface.
         omega = np.repeat(projection.row_solid_angles(_HEIGHT, 2 * _HEIGHT), 2 * _HEIGHT)
-        patch = omega * sight**2 / np.maximum(-(g.rays * g.normals).sum(axis=1), 1e-3)
-        reflected = float((first_lx * g.reflectance * patch).sum())
+        patch = omega[view.pixel[seen]] * sight**2 / np.maximum(cosines, 1e-3)
+        first = view.scene.reflectance[view.box[seen]] * window_lx[seen]
+        reflected = float(((first + np.pi * sunlit[view.pixel[seen]]) * patch).sum())
         mean = (
             floor * (room.reflectance_ceiling + room.reflectance_floor)
             + walls * room.reflectance_walls
