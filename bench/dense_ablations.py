@@ -26,7 +26,7 @@ from fieldlum.bench.charts import _figure
 from fieldlum.bench.rows import without_training_hours
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.models.dense_schedule import TrainingPlan
+from fieldlum.learn.models.dense_training import TrainingPlan
 from fieldlum.learn.models.scores import Truth, evaluate, summary, truth
 
 PAPER = {

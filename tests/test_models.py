@@ -14,15 +14,15 @@ from learning_room import dataset
 
 from fieldlum.core.errors import InputError
 from fieldlum.learn import models
-from fieldlum.learn.models import dense_network, dense_schedule, dense_training, distributed
-from fieldlum.learn.models.dense_network import Net, Shape, decode, encode, parameter_count
-from fieldlum.learn.models.dense_pixels import pixels_of
-from fieldlum.learn.models.dense_schedule import Run, TrainingPlan
+from fieldlum.learn.models import dense_training
+from fieldlum.learn.models.dense import Net, Shape, decode, encode, inputs_of, parameter_count
+from fieldlum.learn.models.dense_training import Run, Trainer, TrainingPlan, pixels_of
 from fieldlum.learn.models.scores import compare, evaluate, summary, truth
 
 DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
 TEST = dataset(("2027-03-22",), seed=1, height=8)
 SMALL = {"width": 24, "patch_width": 12, "depth": 2}
+BASE = inputs_of(np.zeros(DATA.shape), 180.0, torch.device("cpu"))
 FEW = TrainingPlan("short", steps=100, batch_pixels=256)
 
 
@@ -53,7 +53,7 @@ def test_normalisation_at_known_points() -> None:
 
 @pytest.mark.authority
 def test_inputs_are_scaled_as_the_paper_says() -> None:
-    at = dense_network.hours(DATA.light, Shape())
+    at = BASE.at(DATA.light, Shape())
     light = DATA.light
     np.testing.assert_allclose(at.sun[:, 0], light.sun_altitude_deg / 90, rtol=1e-5)
     west = light.sun_azimuth_deg > 180
@@ -72,13 +72,9 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
     torch.manual_seed(3)
     shape = Shape(**SMALL)
     net = Net(shape)
-    base = dense_network.canvas(
-        np.log10(np.maximum(DATA.luminance_cdm2, 1)).mean(axis=0, dtype=float), 180.0
-    )
-    pixels = pixels_of(DATA, base, shape, "absolute", torch.device("cpu"))
+    pixels = pixels_of(DATA, BASE, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:500]
-    still = torch.optim.SGD(net.parameters(), lr=0.0)
-    loss = dense_training._step(net, still, pixels, numbers, 64, half=False)
+    loss = Trainer(net, pixels, half=False, micro=64).step(numbers, rate=0.0)
     pieces = [p.grad.clone() for p in net.parameters() if p.grad is not None]
     net.zero_grad()
     scene, patch, target, weight = pixels.batch(numbers)
@@ -99,18 +95,18 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
     shape = Shape(**SMALL)
     torch.manual_seed(1)
     net = Net(shape)
-    base = dense_network.canvas(np.zeros((8, 16)), 180.0)
-    pixels = pixels_of(DATA, base, shape, "absolute", torch.device("cpu"))
+    pixels = pixels_of(DATA, BASE, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:333]
+    trainer = Trainer(net, pixels, half=False, micro=50)
 
     def parts_and_gradient(members: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
         net.zero_grad()
-        monkeypatch.setattr(distributed, "world", lambda: len(members))
-        monkeypatch.setattr(distributed, "total", lambda tensor: tensor)
+        monkeypatch.setattr(dense_training, "world", lambda: len(members))
+        monkeypatch.setattr(dense_training, "total", lambda tensor: tensor)
         total = torch.zeros(3, dtype=torch.float64)
         for mine in members:
-            monkeypatch.setattr(distributed, "rank", lambda mine=mine: mine)
-            total += dense_training._loss_parts(net, pixels, numbers, 50, half=False, learn=True)
+            monkeypatch.setattr(dense_training, "rank", lambda mine=mine: mine)
+            total += trainer.loss_parts(pixels, numbers, 50, learn=True)
         return total, torch.cat(
             [p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None]
         )
@@ -253,10 +249,10 @@ def test_a_network_without_patches_and_its_other_forms() -> None:
 def test_the_papers_schedule_halves_rate_and_batch() -> None:
     run = Run()
     for _ in range(2):
-        dense_schedule.update_paper_rate(run, improved=False)
+        dense_training.update_paper_rate(run, improved=False)
     assert run.rate == 5e-4 and run.stage == 0
     for _ in range(28):
-        dense_schedule.update_paper_rate(run, improved=True)
+        dense_training.update_paper_rate(run, improved=True)
     assert run.stage == 1 and run.rate == 5e-4
 
 
@@ -264,11 +260,11 @@ def test_the_papers_schedule_halves_rate_and_batch() -> None:
 def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
     """In the middle of a short schedule the rate is half of what it starts from."""
     run = Run(step=500)
-    assert dense_schedule.short_rate(TrainingPlan("short", steps=1000), run, None) == pytest.approx(
+    assert dense_training.short_rate(TrainingPlan("short", steps=1000), run, None) == pytest.approx(
         5e-4
     )
     run.rate /= 2.0
-    assert dense_schedule.short_rate(TrainingPlan("short", steps=1000), run, None) == pytest.approx(
+    assert dense_training.short_rate(TrainingPlan("short", steps=1000), run, None) == pytest.approx(
         2.5e-4
     )
 
@@ -277,9 +273,8 @@ def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
 def test_pixels_without_count_teach_the_network_nothing() -> None:
     counts = np.ones(DATA.luminance_cdm2.shape, np.float16)
     counts[1, 2, 3] = 0.0
-    base = dense_network.canvas(np.zeros(DATA.shape), 180.0)
     data = replace(DATA, counts=counts)
-    pixels = pixels_of(data, base, Shape(**SMALL), "absolute", torch.device("cpu"))
+    pixels = pixels_of(data, BASE, Shape(**SMALL), "absolute", torch.device("cpu"))
     _, _, _, weight = pixels.batch(torch.arange(len(pixels)))
     flat = weight.reshape(len(DATA), -1)
     place = np.flatnonzero(np.flatnonzero(DATA.seen) == 2 * DATA.shape[1] + 3)
@@ -291,12 +286,11 @@ def test_pixels_without_count_teach_the_network_nothing() -> None:
 def test_a_loss_that_is_no_number_changes_nothing() -> None:
     """Training never ends in NaN: the update is skipped and the best weights are taken up again."""
     net = Net(Shape(**SMALL))
-    base = dense_network.canvas(np.zeros((8, 16)), 180.0)
-    pixels = pixels_of(DATA, base, Shape(**SMALL), "absolute", torch.device("cpu"))
+    pixels = pixels_of(DATA, BASE, Shape(**SMALL), "absolute", torch.device("cpu"))
     pixels.target[0, 0] = float("nan")
     before = [p.clone() for p in net.parameters()]
-    adam = torch.optim.Adam(net.parameters(), lr=1e-3)
-    assert np.isnan(dense_training._step(net, adam, pixels, torch.arange(10), 64, half=False))
+    trainer = Trainer(net, pixels, half=False, micro=64)
+    assert np.isnan(trainer.step(torch.arange(10), rate=1e-3))
     assert all(torch.equal(a, b) for a, b in zip(before, net.parameters(), strict=True))
 
 

@@ -16,8 +16,8 @@ from fieldlum.core.records import quiet
 from fieldlum.learn import models, train
 from fieldlum.learn.models import dense_training
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.dense_network import Shape
-from fieldlum.learn.models.dense_schedule import validation_split
+from fieldlum.learn.models.dense import Shape
+from fieldlum.learn.models.dense_training import validation_split
 from fieldlum.learn.models.scores import Scores
 from fieldlum.learn.models.year_sample import light_of_year
 from fieldlum.learn.train import fit_and_score, run, year_of

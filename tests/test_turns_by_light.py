@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldlum.learn.models.camera_turns import _poses
-from fieldlum.learn.models.turns_by_light import DirectLight, turns_by_light
+from fieldlum.learn.models.camera_turns import DirectLight, _poses, turns_by_light
 
 HOURS = 12
 # Times a share of 0.7: as in 230 x 115 renderings of a clear equinox day at 70 degrees north.

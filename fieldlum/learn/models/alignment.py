@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.records import Progress, counted
 from fieldlum.learn.models.camera_turns import (
-    LEAST_CAPTURES,
-    LEAST_ROWS,
+    MIN_CAPTURES,
+    MIN_ROWS,
     CameraTurns,
+    DirectLight,
     camera_turns,
     interpolation_u,
     turned_back,
     turned_rays,
 )
 from fieldlum.learn.models.teaching import weight_of
-from fieldlum.learn.models.turns_by_light import DirectLight
 from fieldlum.optics.projection import direction
 from fieldlum.session.files.alignment_csv import (
     AlignmentRow,
@@ -69,7 +69,7 @@ def find_turns(
         )
     compared = has_value.mean(axis=0) > _LEAST_SEEN
     turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, light=light, progress=progress)
-    if len(maps) >= LEAST_CAPTURES and maps.shape[1] >= LEAST_ROWS:
+    if len(maps) >= MIN_CAPTURES and maps.shape[1] >= MIN_ROWS:
         table = [
             AlignmentRow(name, digest, *angles, *u, aligned=bool(aligned))
             for name, digest, angles, u, aligned in zip(

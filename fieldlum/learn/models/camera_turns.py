@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.records import Progress, quiet
-from fieldlum.learn.models.turns_by_light import DirectLight, turns_by_light
+from fieldlum.core.statistics import huber_weights, robust_sigma
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     equirect_pixel,
@@ -30,22 +32,21 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
 
-LEAST_CAPTURES = 5  # fewer captures have no clear majority; not measured
-LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
+MIN_CAPTURES = 5  # fewer captures have no clear majority; not measured
+MIN_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
 _WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows; chosen
-_FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: in darker places edges are noise; chosen
+_FLOOR_CDM2 = 0.1  # in darker places edges are noise; chosen
 # Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
-# as an edge in a rendering. In the office of Liu et al. with three days rolled by one pixel, the
-# days' medians are right to 0.012 px with these values, to 0.04 px if 1 px is the last. Measured;
-# no command repeats it.
-_SMOOTH_PX = (3.0, 1.5, 1.0, 1.0, 0.7, 0.7)
+# as an edge in a rendering, and is used twice because the median is then sharper. Measured; no
+# command repeats it.
+_SMOOTH_PX = (3.0, 1.0, 0.7, 0.7)
 _TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
 # above it columns are very narrow; below -70 the tripod is in the picture; chosen
 _HIGHEST_DEG = 70.0
 _EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
-_MOST_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
+_MAX_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
 # Most captures, evenly spaced, whose median shows the room's edges, to limit the memory. Chosen.
-_MOST_SHOWN = 200
+_MAX_SHOWN = 200
 # Light from another direction moves edges a little. In clean captures of the office and of eight
 # simulated rooms at 116 x 58 pixels, medians over a day differ from zero by at most 0.03 px in
 # heading, 0.13 px in tilt and 0.07 px in roll; 95 % of the single captures by at most 0.06, 0.25
@@ -53,12 +54,11 @@ _MOST_SHOWN = 200
 # repeats it.
 _LIGHT_PX = np.array((0.02, 0.05, 0.04))  # standard uncertainty by this; chosen
 # Turns about each axis count in this unit: two to three times the largest of these daily medians. A
-# pose of n captures is corrected if it differs by 1 + SINGLE_TURN / sqrt(n) units. Chosen.
+# pose of n captures is corrected if it differs by 1 + 1 / sqrt(n) units. Chosen.
 TURN_PX = np.array((0.08, 0.25, 0.25))
-SINGLE_TURN = 1.0
 # Fewer consecutive captures share their light, so their errors are not independent: such a pose
 # must differ as much as a single capture. Chosen.
-LEAST_POSE = 5
+MIN_POSE = 5
 # In units squared. A single capture must differ by 3.1 units to count as a separate pose, twelve
 # captures by 0.9 units. Chosen.
 MOVE_COST = 4.8
@@ -67,9 +67,19 @@ MOVE_COST = 4.8
 # of them with low suns deep in the room, clean captures have 0.36 to 1; captures shifted by 12 to
 # 30 px have at most 0.26, in the office of Liu et al. 2 % of them 0.36. Measured; no command
 # repeats it.
-LEAST_LIKENESS = 0.35
+MIN_CORRELATION = 0.35
 UNKNOWN_TURN_DEG = 180.0  # uncertainty of a turn that the edges do not determine
-MOST_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
+MAX_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
+# Direct light on one side of a window's reveal moves edges, so that a still camera seems to turn in
+# the same way on each clear day. The sun's azimuth must predict the change within other days better
+# than no effect: by this factor in the sum of absolute deviations. In a room at 70 degrees north
+# without a turned camera the factors are 0.48 to 0.68. Chosen above them.
+_MAX_LEFT = 0.8
+_MIN_LIGHT_DAYS = 3  # two days to learn from, one to confirm; chosen
+_MAX_FOLDS = 10  # parts of the days, each predicted from the others; chosen, limits the time
+_LIGHT_ROUNDS = 10  # of the robust fit; chosen
+_STIFFNESS = 0.02  # of the effect, px^-2: keeps an azimuth without captures near 0; chosen
+_NOISE_PX = 0.02  # least residual that counts as usual, the scatter of overcast hours; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,16 +105,21 @@ class CameraTurns:
         return self.aligned & self.angles_deg.any(axis=1)
 
 
+@dataclass(frozen=True, slots=True)
+class DirectLight:
+    """The direct light of n captures, [n] each.
+
+    share: of direct in global horizontal irradiance, 0 to 1; azimuth_deg: of the sun, clockwise
+    from north; day: local standard date.
+    """
+
+    share: Floats
+    azimuth_deg: Floats
+    day: NDArray[Any]
+
+
 # ----------------------------------------------------------------------------------------------
 # geometry
-
-
-def _axes(heading_deg: float) -> Array:
-    """Return the three axes of a turn: heading clockwise, tilt up, roll clockwise, [3, 3]."""
-    a = np.radians(heading_deg)
-    right = np.array([np.cos(a), -np.sin(a), 0.0])
-    forward = np.array([np.sin(a), np.cos(a), 0.0])
-    return np.stack((np.array([0.0, 0.0, -1.0]), right, forward))
 
 
 def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
@@ -114,7 +129,11 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     of the panorama's centre column; angles_deg: the camera's turn in heading (clockwise positive),
     tilt (up) and roll (clockwise) [3].
     """
-    vector = -np.radians(angles_deg) @ _axes(heading_deg)
+    a = np.radians(heading_deg)
+    right = (np.cos(a), -np.sin(a), 0.0)
+    forward = (np.sin(a), np.cos(a), 0.0)
+    axes = np.array(((0.0, 0.0, -1.0), right, forward))
+    vector = -np.radians(angles_deg) @ axes
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
 
 
@@ -162,6 +181,65 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
     return mixed * _at(contrast, places)
 
 
+# ----------------------------------------------------------------------------------------------
+# comparison with the room's edges
+
+
+def _edges_of(logs: Array, heading_deg: float, angles_deg: Array, smooth_px: float) -> Floats32:
+    """Return the derivatives, by row and by column, of a smoothed map that is turned back first."""
+    logs = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
+    modes = ("nearest", "wrap")
+    smooth = gaussian_filter(logs, smooth_px, mode=modes, truncate=3.0)
+    across = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2.0
+    return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
+
+
+class _RoomEdges:
+    """The room's edges at the m pixels where they are strongest, and how a turn changes them."""
+
+    def __init__(self, edges: Array, seen_mask: Mask, heading_deg: float) -> None:
+        height, width = seen_mask.shape
+        strength = np.hypot(edges[0], edges[1])
+        inside = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
+        pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - _EDGES)))
+        self.pixels = pixels[:: -(-len(pixels) // _MAX_PIXELS)]  # [m]
+        self.values = self.at_pixels(edges)  # [2 m]
+        row, column = np.divmod(self.pixels, width)
+        tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
+        # each derivative of a tile has its own contrast
+        both = np.concatenate((tile, tile + tile.max() + 1))
+        self.tiles = np.unique(both, return_inverse=True)[1]  # [2 m]
+        slopes = np.stack([np.stack(np.gradient(edge)) for edge in edges])  # [2, 2, H, W]
+        moves = _motion_px((height, width), heading_deg)
+        changes = [-(slopes * move).sum(axis=1) for move in moves]
+        self.changes = np.stack([self.at_pixels(change) for change in changes], axis=1)  # [2 m, 3]
+        # Less weight for edges of high contrast, which move with the light: a bright window spreads
+        # over its frame.
+        usual = np.median(np.abs(self.values))
+        self.weights = 1.0 / (self.values**2 + 4.0 * usual**2)
+
+    def at_pixels(self, edges: Array) -> Array:
+        """Return the values [2 m] of maps [2, H, W] at the chosen pixels."""
+        return edges.reshape(2, -1)[:, self.pixels].ravel().astype(float)
+
+    def turn(self, edges: Array) -> tuple[Array, Array, float]:
+        """Return the turn that moves the room's edges to those of a capture.
+
+        These are the turn [3] deg, its standard errors [3] deg, and the correlation of the edges in
+        the median tile.
+        """
+        values = self.at_pixels(edges)
+        contrasts = Contrasts(self.values, self.tiles)  # of the edges in each tile
+        fit = fit_turn(self.changes, values, self.tiles, weights=self.weights, contrasts=contrasts)
+        turn, covariance = fit or (np.zeros(3), np.full((3, 3), UNKNOWN_TURN_DEG**2))
+        both, own, room = (
+            np.bincount(self.tiles, product)
+            for product in (values * self.values, values**2, self.values**2)
+        )
+        correlation = float(np.median(both / np.sqrt(np.maximum(own * room, 1e-24))))
+        return turn, np.sqrt(np.diag(covariance)), correlation
+
+
 def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
     """Return how far a turn of one degree moves each pixel (row, column), [3, 2, H, W]."""
     height, width = shape
@@ -178,75 +256,6 @@ def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
     return np.array(moves)
 
 
-# ----------------------------------------------------------------------------------------------
-# comparison with the room's edges
-
-
-def _edges_of(logs: Array, smooth_px: float) -> Floats32:
-    """Return the derivatives of a smoothed map by row and by column, [2, H, W]."""
-    margin = int(np.ceil(3.0 * smooth_px))
-    wide = np.concatenate((logs[:, -margin:], logs, logs[:, :margin]), axis=1)
-    smooth = gaussian_filter(wide, smooth_px, mode="nearest", truncate=3.0)[:, margin:-margin]
-    across = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2.0
-    return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
-
-
-def _edges_turned_back(
-    logs: Array, heading_deg: float, angles_deg: Array, smooth_px: float
-) -> Floats32:
-    """Return `_edges_of` a map [H, W] that is first turned back by the angles [3]."""
-    turned = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
-    return _edges_of(turned, smooth_px)
-
-
-class _RoomEdges:
-    """The room's edges at the pixels where they are strongest, and how a turn changes them."""
-
-    def __init__(self, edges: Array, seen_mask: Mask, motion_px: Array) -> None:
-        height, width = seen_mask.shape
-        strength = np.hypot(edges[0], edges[1])
-        inside = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
-        pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - _EDGES)))
-        self.pixels = pixels[:: -(-len(pixels) // _MOST_PIXELS)]  # [m]
-        self.values = self.at_pixels(edges)  # [2 m]
-        row, column = np.divmod(self.pixels, width)
-        tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
-        # each derivative of a tile has its own contrast
-        both = np.concatenate((tile, tile + tile.max() + 1))
-        self.tiles = np.unique(both, return_inverse=True)[1]  # [2 m]
-        self.count = int(self.tiles.max()) + 1
-        slopes = [np.stack(np.gradient(edge)) for edge in edges]  # [2, H, W] each
-        changes = [[-(slope * move).sum(axis=0) for slope in slopes] for move in motion_px]
-        self.changes = np.stack([self.at_pixels(np.stack(c)) for c in changes], axis=1)  # [2 m, 3]
-        # Less weight for edges of high contrast, which move with the light: a bright window spreads
-        # over its frame.
-        usual = np.median(np.abs(self.values))
-        self.weights = 1.0 / (self.values**2 + 4.0 * usual**2)
-
-    def at_pixels(self, edges: Array) -> Array:
-        """Return the values [2 m] of maps [2, H, W] at the chosen pixels."""
-        return edges.reshape(2, -1)[:, self.pixels].ravel().astype(float)
-
-    def turn(self, edges: Array) -> tuple[Array, Array, float]:
-        """Return the turn that moves the room's edges to those of a capture.
-
-        These are the turn [3] deg, its standard errors [3] deg, and the likeness of the edges.
-        """
-        values = self.at_pixels(edges)
-        contrasts = Contrasts(self.values, self.tiles)  # of the edges in each tile
-        fit = fit_turn(self.changes, values, self.tiles, weights=self.weights, contrasts=contrasts)
-        turn, covariance = fit or (np.zeros(3), np.full((3, 3), UNKNOWN_TURN_DEG**2))
-        return turn, np.sqrt(np.diag(covariance)), self._likeness(values)
-
-    def _likeness(self, values: Array) -> float:
-        """Return the correlation of a capture's edges with the room's in the median tile."""
-        both, own, room = (
-            np.bincount(self.tiles, product, self.count)
-            for product in (values * self.values, values**2, self.values**2)
-        )
-        return float(np.median(both / np.sqrt(np.maximum(own * room, 1e-24))))
-
-
 def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
     """Return ln L of maps [n, h, w] and seen pixels [h, w] at the working size."""
     step = max(1, luminance_cdm2.shape[1] // _WORKING_ROWS)
@@ -258,31 +267,6 @@ def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
         log = np.log(np.maximum(image, _FLOOR_CDM2))
         logs[k] = log.reshape(height, step, width, step).mean(axis=(1, 3))
     return logs, np.asarray(seen_mask.reshape(height, step, width, step).all(axis=(1, 3)))
-
-
-def _compared(
-    logs: Floats32, seen_mask: Mask, heading_deg: float, progress: Progress
-) -> tuple[Array, Array, Array]:
-    """Return the turns [n, 3] deg, their standard errors, and the likenesses [n]."""
-    count = len(logs)
-    motion_px = _motion_px(seen_mask.shape, heading_deg)
-    angles, u_deg, likeness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_SHOWN)).round().astype(int))
-    for k, smooth_px in enumerate(_SMOOTH_PX):
-        progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
-        stored = {
-            int(i): _edges_turned_back(logs[i], heading_deg, angles[i], smooth_px) for i in shown
-        }
-        median = np.median(np.stack(list(stored.values())), axis=0)
-        room = _RoomEdges(median, seen_mask, motion_px)
-        for i in range(count):
-            edges = stored.get(i)
-            if edges is None:
-                edges = _edges_turned_back(logs[i], heading_deg, angles[i], smooth_px)
-            turn, u_deg[i], likeness[i] = room.turn(edges)
-            angles[i] += turn
-        angles -= np.median(angles, axis=0)
-    return angles, u_deg, likeness
 
 
 def camera_turns(
@@ -300,22 +284,89 @@ def camera_turns(
     light; what it explains is not a turn (`turns_by_light`); None if it is unknown. Consecutive
     captures of one pose get their median turn; a turn too small to be certain is zero. With fewer
     than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all
-    captures count as aligned.
+    captures count as aligned. The time grows with the captures alone.
     """
     count, height = luminance_cdm2.shape[:2]
-    still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))
-    if count < LEAST_CAPTURES or height < LEAST_ROWS or not seen_mask.any():
-        return still
+    angles, u_deg, correlation = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+    if count < MIN_CAPTURES or height < MIN_ROWS or not seen_mask.any():
+        return CameraTurns(angles, u_deg, np.ones(count, bool))
     logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
-    angles, u_deg, likeness = _compared(logs, seen_mask, heading_deg, progress)
+    shown = np.unique(np.linspace(0, count - 1, min(count, _MAX_SHOWN)).round().astype(int))
+    for k, smooth_px in enumerate(_SMOOTH_PX):
+        progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
+        stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in shown}
+        median = np.median(np.stack(list(stored.values())), axis=0)
+        room = _RoomEdges(median, seen_mask, heading_deg)
+        for i in range(count):
+            edges = stored.get(i)
+            if edges is None:
+                edges = _edges_of(logs[i], heading_deg, angles[i], smooth_px)
+            turn, u_deg[i], correlation[i] = room.turn(edges)
+            angles[i] += turn
+        angles -= np.median(angles, axis=0)
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
-    aligned = (likeness >= LEAST_LIKENESS) & (np.abs(angles).max(axis=1) < MOST_TURN_PX * pixel_deg)
+    near = np.abs(angles).max(axis=1) < MAX_TURN_PX * pixel_deg
+    aligned = (correlation >= MIN_CORRELATION) & near
     if light is not None:
         angles = angles - pixel_deg * turns_by_light(angles / pixel_deg, light)
     poses = _poses(angles, aligned, pixel_deg)
     # Rounded to four decimals as in the table, so that reading the table gives identical maps.
     return CameraTurns(np.round(poses, 4), np.round(u_deg, 4), aligned)
+
+
+# ----------------------------------------------------------------------------------------------
+# poses
+
+
+def turns_by_light(angles_px: Array, light: DirectLight) -> Floats:
+    """Return the part of apparent turns [n, 3] that the sun's azimuth explains, in pixels.
+
+    angles_px: heading, tilt and roll of each capture [n, 3], in pixels. The median of each day is
+    zero, so that only changes within a day are explained. An axis is zero unless days are predicted
+    from the other ones.
+    """
+    out = np.zeros_like(angles_px)
+    days, day = np.unique(light.day, return_inverse=True)
+    if len(days) < _MIN_LIGHT_DAYS:
+        return out
+    azimuth = np.radians(light.azimuth_deg)
+    waves = [wave(k * azimuth) for k in (1, 2) for wave in (np.cos, np.sin)]
+    basis = light.share[:, None] * np.stack(waves, axis=1)  # [n, 4]
+    fold = day % min(_MAX_FOLDS, len(days))
+
+    def within_days(values: Floats) -> Floats:
+        return values - np.array([np.median(values[day == k]) for k in range(len(days))])[day]
+
+    for axis, values in enumerate(angles_px.T):
+        rest = values.copy()
+        for k in np.unique(fold):
+            inside, others = fold == k, fold != k
+            rest[inside] -= basis[inside] @ _effect(basis[others], values[others], day[others])
+        if np.abs(within_days(rest)).sum() <= _MAX_LEFT * np.abs(within_days(values)).sum():
+            # the level of a day may be a turn: it is not touched
+            out[:, axis] = within_days(basis @ _effect(basis, values, day))
+    return out
+
+
+def _effect(basis: Floats, values: Floats, day: NDArray[np.intp]) -> Floats:
+    """Return the coefficients of `basis` [n, k] by a robust fit; each day has its own pose, [k].
+
+    The poses are not unknowns of the fit: weighted means of each day are subtracted from both sides
+    (Frisch and Waugh 1933), so that the time grows with the captures alone.
+    """
+    columns = np.column_stack((basis, values))
+    weights, solution = np.ones(len(values)), np.zeros(basis.shape[1])
+    for _ in range(_LIGHT_ROUNDS):
+        total = np.bincount(day, weights)
+        sums = np.stack([np.bincount(day, weights * c) for c in columns.T], axis=1)
+        within = columns - (sums / np.maximum(total, 1e-9)[:, None])[day]
+        design, target = within[:, :-1], within[:, -1]
+        normal = design.T @ (weights[:, None] * design) + _STIFFNESS * np.eye(len(solution))
+        solution = np.linalg.solve(normal, design.T @ (weights * target))
+        rest = target - design @ solution
+        weights = huber_weights(rest, robust_sigma(rest, 0.0) + _NOISE_PX)
+    return solution
 
 
 def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
@@ -332,16 +383,12 @@ def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
     poses = np.array([np.median(angles[rows[start:stop]], axis=0) for start, stop in pieces])
     poses -= np.median(np.repeat(poses, counts, axis=0), axis=0)  # of most captures
     for (start, stop), pose in zip(pieces, poses, strict=True):
-        size = np.abs(pose) / unit
-        if size.max() >= _least_turn(stop - start):
+        size, count = np.abs(pose) / unit, stop - start
+        # in units of TURN_PX; a short pose counts as a single capture, for which two cuts pay
+        least = np.sqrt(2.0 * MOVE_COST) if count < MIN_POSE else 1.0 + 1.0 / np.sqrt(count)
+        if size.max() >= least:
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
     return out
-
-
-def _least_turn(count: int) -> float:
-    """Return how far, in units of TURN_PX, a pose of `count` captures must differ."""
-    single = np.sqrt(2.0 * MOVE_COST)  # two cuts pay
-    return float(single if count < LEAST_POSE else 1.0 + SINGLE_TURN / np.sqrt(count))
 
 
 def _pieces(values: Array) -> list[tuple[int, int]]:

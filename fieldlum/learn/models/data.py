@@ -14,10 +14,10 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.alignment import align, find_turns, shown_place, turn_notes
+from fieldlum.learn.models.camera_turns import DirectLight
 from fieldlum.learn.models.check_pairs import Stated, check_plausible
 from fieldlum.learn.models.pair_pictures import fill_gaps, read_pictures
 from fieldlum.learn.models.teaching import joined_counts
-from fieldlum.learn.models.turns_by_light import DirectLight
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.pair.interval import is_doubted
 from fieldlum.session import Session, marks, open_session

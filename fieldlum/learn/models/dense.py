@@ -1,42 +1,221 @@
-"""Provide the network of Liu, Colburn and Inanici (2020) as a model.
+"""Provide the network of Liu, Colburn and Inanici (2020) as a model: two dense branches.
 
-See `dense_network` and `dense_training`.
+One branch has the inputs pixel position, mean luminance, sun, irradiance and sky, the other the sun
+patch. Source: Deep Neural Network Approach for Annual Luminance Simulations, J. Building
+Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule follow the paper; where the
+authors' code differs from their text, the text is followed. `dense_training` has the loop.
 """
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import ModelState, Patch, Prediction
+from fieldlum.learn.models.baselines import Domain, captured
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.dense_network import (
-    DHI_TOP_WM2,
-    DNI_TOP_WM2,
-    LOG_TOP,
-    POWER,
-    Net,
-    Shape,
-    bfloat16_pays,
-    canvas,
-    decode,
-    encode,
-    hours,
-    parameter_count,
-    pick_device,
-    scene_inputs,
-)
-from fieldlum.learn.models.dense_training import train
-from fieldlum.learn.models.training_domain import Domain, captured
+from fieldlum.optics.projection import equirect_rays, signed_angle_deg
 from fieldlum.sky.light import Light
+from fieldlum.sky.perez import reinhart_patches
 
+LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
+POWER = 1.0 / 1.5  # of the paper's preprocessing
+GAMMA = 10.0  # of the paper's preprocessing without a logarithm
+DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache; not measured
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The form of the network of Liu, Colburn and Inanici (2020).
+
+    width, depth: units of each layer and number of layers in branch one; patch_width: units of
+    branch two (200 in the form "cnn", by `dense_training.train`); sky_map: whether the luminance of
+    the sky patch behind a pixel is an input; form: "cnn" trains with complete images as batches, as
+    convolutions with kernel 1 would; curve: encoding of luminance, see `encode`. The defaults are
+    the paper's final form, other values its ablations (Table 1 and Figure 8).
+    """
+
+    width: int = 600
+    depth: int = 4
+    patch_width: int = 400
+    sky_map: bool = True
+    form: Literal["dense", "cnn"] = "dense"
+    curve: Literal["log", "gamma"] = "log"
+
+
+def encode(luminance_cdm2: Array, curve: str = "log") -> Floats32:
+    """Return luminance encoded for the network, in the same shape: 1.6e9 cd/m2 becomes 1.
+
+    Luminance below 1 cd/m2 counts as 1. The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L /
+    1.6e9)^(1/10). Larger luminances than 1.6e9 cd/m2 give values above 1.
+    """
+    floored = np.maximum(luminance_cdm2, 1.0)
+    if curve == "gamma":
+        return ((floored / 10.0**LOG_TOP) ** (1.0 / GAMMA)).astype(np.float32)
+    return ((np.log10(floored) / LOG_TOP) ** POWER).astype(np.float32)
+
+
+def decode(encoded: Array, curve: str = "log") -> Floats32:
+    """Return the luminance [cd/m2] of values encoded by `encode` with the same curve.
+
+    Values outside [0, 1] are clipped first, which bounds every prediction: the least result is 1,
+    the largest 1.6e9 cd/m2.
+    """
+    inside = np.clip(encoded, 0.0, 1.0)
+    if curve == "gamma":
+        return np.maximum(10.0**LOG_TOP * inside**GAMMA, 1.0).astype(np.float32)
+    return (10.0 ** (LOG_TOP * inside ** (1.0 / POWER))).astype(np.float32)
+
+
+class Net(nn.Module):
+    """The network of Liu, Colburn and Inanici (2020): two branches that are merged.
+
+    Branch one has position, sun, irradiance, mean luminance and sky of a pixel as inputs, branch
+    two the luminance of the sun patch there. With the default sizes the network has 1 689 201
+    parameters, or 1 688 601 without the sky as the eighth input of branch one.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        sizes = [8 if shape.sky_map else 7] + [shape.width] * shape.depth
+        self.scene = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
+        self.patch = nn.Linear(1, shape.patch_width)
+        self.merge = nn.Linear(shape.width + shape.patch_width, shape.width)
+        self.out = nn.Linear(shape.width, 1)
+
+    def forward(self, scene: Tensor, patch: Tensor) -> Tensor:
+        """Return the encoded luminance [b] of b pairs of an hour and a pixel.
+
+        scene: input of branch one, by `Inputs.scene` [b, 7 or 8]; patch: input of branch two, the
+        encoded luminance of the sun patch [b, 1].
+        """
+        x = scene
+        for layer in self.scene:
+            x = F.relu(layer(x))
+        x = torch.cat([x, F.relu(self.patch(patch)).to(x.dtype)], dim=1)
+        x = F.relu(self.merge(x))
+        with torch.autocast(x.device.type, enabled=False):  # the result needs full precision
+            return self.out(x.float()).squeeze(1)
+
+
+def parameter_count(net: nn.Module) -> int:
+    """Return the number of values in all parameter arrays of a network."""
+    return sum(p.numel() for p in net.parameters())
+
+
+# ----------------------------------------------------------------------------------------------
+# inputs
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Inputs of branch one for all pairs of one of n hours and one of P pixels.
+
+    pixel: x, y (0 to 1 from the left and the top) and encoded mean luminance [P, 3]; sky_patch:
+    index of the nearest of 2305 sky patches, -1 at or below the horizon [P]; sun: altitude,
+    azimuth, DNI and DHI, scaled to about 0 to 1 [n, 4]; sky: encoded luminance of the sky patches
+    [n, 2306], whose last column is 0, for pixels at or below the horizon; None without a sky map.
+    """
+
+    pixel: Tensor
+    sky_patch: Tensor
+    sun: Tensor
+    sky: Tensor | None
+
+    def scene(self, hour: Tensor, pixel: Tensor) -> Tensor:
+        """Return the input of branch one for b pairs of an hour and a pixel, [b, 7 or 8].
+
+        hour, pixel: indices from 0 [b]. Columns: x, y, altitude, azimuth, DNI, DHI, mean luminance
+        and, with a sky map, the sky patch.
+        """
+        fixed = self.pixel[pixel]
+        columns = [fixed[:, :2], self.sun[hour], fixed[:, 2:]]
+        if self.sky is not None:
+            columns.append(self.sky[hour, self.sky_patch[pixel]].unsqueeze(1))
+        return torch.cat(columns, dim=1)
+
+    def at(self, light: Light, shape: Shape) -> Inputs:
+        """Return the inputs of the same pixels in the hours of `light`.
+
+        Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2; azimuth is 0 at north,
+        0.5 at south and 0.75 at west. shape: its sky_map and curve are used.
+        """
+        from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
+        columns = (
+            light.sun_altitude_deg / 90.0,
+            (from_south + 180.0) / 360.0,
+            light.dni_wm2 / DNI_TOP_WM2,
+            light.dhi_wm2 / DHI_TOP_WM2,
+        )
+        device, sky = self.pixel.device, None
+        if shape.sky_map:
+            padded = np.pad(encode(light.sky_cdm2, shape.curve), ((0, 0), (0, 1)))
+            sky = torch.from_numpy(padded).to(device)
+        sun = torch.from_numpy(np.stack(columns, axis=1).astype(np.float32)).to(device)
+        return replace(self, sun=sun, sky=sky)
+
+
+def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -> Inputs:
+    """Return the inputs of all P = H W pixels, row by row, for no hour yet (`Inputs.at`).
+
+    average_log10: mean of log10 L [cd/m2] over training images, at least 0 [H, W]; heading_deg:
+    azimuth of the maps' centre column, clockwise from north.
+    """
+    height, width = average_log10.shape
+    y, x = np.mgrid[0:height, 0:width]
+    average = (average_log10 / LOG_TOP) ** POWER
+    fixed = np.stack([x / (width - 1), y / (height - 1), average], axis=-1).reshape(-1, 3)
+    rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
+    nearest = np.full(len(rays), -1)
+    up = np.flatnonzero(rays[:, 2] > 0)
+    directions = reinhart_patches().directions
+    for rows in np.array_split(up, max(1, len(up) // 8192)):
+        nearest[rows] = (rays[rows] @ directions.T).argmax(axis=1)
+    pixel = torch.from_numpy(fixed.astype(np.float32)).to(device)
+    return Inputs(pixel, torch.from_numpy(nearest).to(device), torch.empty(0, 4), None)
+
+
+# ----------------------------------------------------------------------------------------------
+# processor
+
+
+def pick_device() -> torch.device:
+    """Return the GPU of this process, or the CPU if there is no GPU.
+
+    With torchrun, process k of a machine gets its GPU number k.
+    """
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+
+
+def bfloat16_pays(device: torch.device) -> bool:
+    """Return whether the hardware itself computes products in bfloat16.
+
+    Emulated ones are slower than float32.
+    """
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    capability = torch.backends.cpu.get_cpu_capability()
+    flags = Path("/proc/cpuinfo")
+    native = flags.is_file() and "avx512_bf16" in flags.read_text(errors="ignore").split()
+    return "AVX512" in capability and native
+
+
+# ----------------------------------------------------------------------------------------------
+# the model
 
 
 class DenseFitted:
@@ -62,27 +241,26 @@ class DenseFitted:
         domain: Domain,
         training: Mapping[str, Any],
     ) -> None:
-        self.net, self.shape, self.patch = net.eval(), shape, patch
+        self._device = pick_device()
+        self.net, self.shape, self.patch = net.eval().to(self._device), shape, patch
         self.domain, self.training = domain, training
         self.average_log10, self.heading_deg = average_log10, heading_deg
         self.parameters = parameter_count(net)
-        self._device = pick_device()
-        self._canvas = canvas(average_log10, heading_deg).to(self._device)
-        self.net.to(self._device)
+        self._inputs = inputs_of(average_log10, heading_deg, self._device)
 
     def _encoded(self, light: Light, patch_cdm2: Floats32 | None) -> Iterator[Floats32]:
         """Yield the encoded map [H W] of each hour."""
-        at = hours(light, self.shape).to(self._device)
-        pixels = torch.arange(self._canvas.fixed.shape[0], device=self._device)  # [H W]
+        inputs = self._inputs.at(light, self.shape)
+        pixels = torch.arange(len(inputs.pixel), device=self._device)  # [H W]
         direct = torch.zeros(len(pixels), 1, device=self._device)
         for k in range(len(light)):
             if patch_cdm2 is not None and self.patch != "none":
                 encoded = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1), self.shape.curve))
                 direct = encoded.to(self._device)
-            parts = []
-            for pixel in pixels.split(PREDICT_PIXELS):
-                scene = scene_inputs(self._canvas, at, torch.full_like(pixel, k), pixel)
-                parts.append(self.net(scene, direct[pixel]))
+            parts = [
+                self.net(inputs.scene(torch.full_like(pixel, k), pixel), direct[pixel])
+                for pixel in pixels.split(PREDICT_PIXELS)
+            ]
             yield torch.cat(parts).float().cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
@@ -97,11 +275,8 @@ class DenseFitted:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
         height, width = self.average_log10.shape
         out = np.empty((len(light), height, width), np.float32)
-        fast = bfloat16_pays(self._device)
-        with (
-            torch.inference_mode(),
-            torch.autocast(self._device.type, torch.bfloat16, enabled=fast),
-        ):
+        device, fast = self._device, bfloat16_pays(self._device)
+        with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=fast):
             for k, encoded in enumerate(self._encoded(light, patch_cdm2)):
                 out[k] = decode(encoded, self.shape.curve).reshape(height, width)
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
@@ -111,15 +286,6 @@ class DenseFitted:
         config = {
             "shape": asdict(self.shape),
             "patch": self.patch,
-            "inputs": ["px", "py", "altitude", "azimuth", "dni", "dhi", "average"]
-            + ["sky"] * self.shape.sky_map,
-            "normalisation": {
-                "floor_cdm2": 1.0,
-                "log10_top": LOG_TOP,
-                "power": POWER,
-                "dni_top_wm2": DNI_TOP_WM2,
-                "dhi_top_wm2": DHI_TOP_WM2,
-            },
             "domain": self.domain.state(),
             "dense_training": self.training,
         }
@@ -139,19 +305,17 @@ def from_state(state: ModelState) -> DenseFitted:
     shape = Shape(**config["shape"])
     net = Net(shape)
     weights = {
-        k.removeprefix("net."): torch.from_numpy(v.copy())
-        for k, v in arrays.items()
-        if k.startswith("net.")
+        name.removeprefix("net."): torch.from_numpy(value.copy())
+        for name, value in arrays.items()
+        if name.startswith("net.")
     }
     try:
         net.load_state_dict(weights)
     except RuntimeError as error:
         raise ValueError(str(error).splitlines()[0]) from None
-    domain = Domain.from_state(config["domain"])
-    about = config["dense_training"]
-    return DenseFitted(
-        net, shape, arrays["average_log10"], config["heading_deg"], config["patch"], domain, about
-    )
+    domain, about = Domain.from_state(config["domain"]), config["dense_training"]
+    average, heading_deg = arrays["average_log10"], config["heading_deg"]
+    return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
 
 
 def fit(
@@ -169,11 +333,12 @@ def fit(
     no limit. options: fields of `Shape`, and other arguments of `dense_training.train`, such as its
     plan and the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
     """
-    shape = Shape(
-        **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}
-    )
+    from fieldlum.learn.models.dense_training import train
+
+    names = [name for name in options if name in Shape.__dataclass_fields__]
+    shape = Shape(**{name: options.pop(name) for name in names})
     net, average, record = train(
         data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options
     )
-    domain, about = captured(data.light), asdict(record)
-    return DenseFitted(net, shape, average, data.heading_deg, patch, domain, about)
+    domain = captured(data.light)
+    return DenseFitted(net, shape, average, data.heading_deg, patch, domain, asdict(record))

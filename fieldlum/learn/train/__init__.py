@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -266,8 +267,6 @@ def run(
     continues from its checkpoint in `out`. spent_s: part of the budget that is used already [s];
     captures: also compute how many captures would have been enough.
     """
-    from fieldlum.learn.models import distributed
-
     mode = patch_mode(data, patch)
     inputs = {
         "data": data.digest(),
@@ -315,7 +314,7 @@ def run(
     text = json.dumps(answer, default=lambda value: value.tolist())
     # JSON has no NaN
     answer = cast(TrainAnswer, json.loads(text, parse_constant=lambda _: None))
-    if distributed.rank() == 0:
+    if int(os.environ.get("RANK", "0")) == 0:  # of the processes of torchrun
         # this file is written last: it shows that the model is complete
         (out / SCORES).unlink(missing_ok=True)
         models.save(
