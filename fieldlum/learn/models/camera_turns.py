@@ -189,7 +189,7 @@ def _edges_of(logs: Array, heading_deg: float, angles_deg: Array, smooth_px: flo
     """Return the derivatives, by row and by column, of a smoothed map that is turned back first."""
     logs = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
     modes = ("nearest", "wrap")
-    smooth = gaussian_filter(logs, smooth_px, mode=modes, truncate=3.0)
+    smooth = gaussian_filter(logs, smooth_px, mode=modes, truncate=3.0)  # pyright: ignore[reportArgumentType]
     across = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2.0
     return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
 
