@@ -21,10 +21,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from fieldlum.core.arrays import Array, Floats, Floats32
-from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import ModelState, Patch, Prediction
-from fieldlum.learn.models.baselines import Domain, captured
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.baselines import Domain
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
 from fieldlum.sky.light import Light
 from fieldlum.sky.perez import reinhart_patches
@@ -316,29 +314,3 @@ def from_state(state: ModelState) -> DenseFitted:
     domain, about = Domain.from_state(config["domain"]), config["dense_training"]
     average, heading_deg = arrays["average_log10"], config["heading_deg"]
     return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
-
-
-def fit(
-    data: Dataset,
-    *,
-    patch: Patch = "absolute",
-    seed: int = 0,
-    budget_s: float | None = None,
-    progress: Progress = quiet,
-    **options: Any,
-) -> DenseFitted:
-    """Train the network on `data`; seed: of all random numbers; budget_s: time for training [s].
-
-    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. budget_s None:
-    no limit. options: fields of `Shape`, and other arguments of `dense_training.train`, such as its
-    plan and the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
-    """
-    from fieldlum.learn.models.dense_training import train
-
-    names = [name for name in options if name in Shape.__dataclass_fields__]
-    shape = Shape(**{name: options.pop(name) for name in names})
-    net, average, record = train(
-        data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options
-    )
-    domain = captured(data.light)
-    return DenseFitted(net, shape, average, data.heading_deg, patch, domain, asdict(record))

@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -33,18 +33,23 @@ from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Patch
+from fieldlum.learn.models.baselines import captured
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense import (
+    DenseFitted,
     Inputs,
     Net,
     Shape,
     bfloat16_pays,
     encode,
+    from_state,
     inputs_of,
     pick_device,
 )
 from fieldlum.session import replacing
 from fieldlum.session.provenance import data_digest
+
+__all__ = ["fit", "from_state"]  # what `model_registry` promises of a model's module
 
 RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
 STAGES = (6, 3, 1)  # batch in images' worth of pixels (paper)
@@ -642,3 +647,31 @@ def _restore(
             "a checkpoint of this training",
             "delete the file to start the training again",
         ) from None
+
+
+# ----------------------------------------------------------------------------------------------
+# the model
+
+
+def fit(
+    data: Dataset,
+    *,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    budget_s: float | None = None,
+    progress: Progress = quiet,
+    **options: Any,
+) -> DenseFitted:
+    """Train the network on `data`; seed: of all random numbers; budget_s: time for training [s].
+
+    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. budget_s None:
+    no limit. options: fields of `Shape`, and other arguments of `train`, such as its
+    plan and the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
+    """
+    names = [name for name in options if name in Shape.__dataclass_fields__]
+    shape = Shape(**{name: options.pop(name) for name in names})
+    net, average, record = train(
+        data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options
+    )
+    domain = captured(data.light)
+    return DenseFitted(net, shape, average, data.heading_deg, patch, domain, asdict(record))
