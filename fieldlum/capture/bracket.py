@@ -23,6 +23,7 @@ from fieldlum.capture.verify import as_taken
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter, ReportingCamera
+from fieldlum.devices.clock import Backoff
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.inside import link_on_the_way
@@ -81,7 +82,7 @@ class BracketCapture:
         if (link := link_on_the_way(self.session.root, folder)) is not None:
             return self.abort(slot, state, f"{link} is a symbolic link: replace it by a folder")
         _sweep(folder)
-        disk_pause_s = 0.0
+        disk = Backoff(FIRST_PAUSE_S, MAX_PAUSE_S)
         if state.outcome == "":
             state = self._start(slot, 1)
         while True:
@@ -107,8 +108,7 @@ class BracketCapture:
                 if disk_is_full(error):
                     self.recorder.make_room()
                     _sweep(folder)  # an incomplete frame takes up space
-                    on = self._wait_for_room(deadline, disk_pause_s)
-                    disk_pause_s = min(max(FIRST_PAUSE_S, 2.0 * disk_pause_s), MAX_PAUSE_S)
+                    on = self._wait_for_room(deadline, disk.next_s())
                 else:
                     if not isinstance(error, _Away):
                         self.camera.lost(error)

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import CameraInfo, InstrumentInfo
-from fieldlum.devices.clock import Clock
+from fieldlum.devices.clock import Backoff, Clock
 from fieldlum.devices.serial_port import Closable
 from fieldlum.session.tables import DeviceTable
 
@@ -45,7 +45,7 @@ class Keeper(Generic[D]):
         self.name, self._open, self._clock = name, open_device, clock
         self._tell, self._watchdog_s = tell, watchdog_s
         self._device: D | None = None
-        self._pause_s = FIRST_PAUSE_S
+        self._backoff = Backoff(FIRST_PAUSE_S, MAX_PAUSE_S)
         self._next_try = float("-inf")
         self._lost_at: float | None = None
 
@@ -90,7 +90,8 @@ class Keeper(Generic[D]):
         if self._lost_at is not None:
             after_s = round(self._clock.boottime() - self._lost_at, 1)
             self._tell("device-back", device=self.name, after_s=after_s)
-            self._lost_at, self._pause_s = None, FIRST_PAUSE_S
+            self._lost_at = None
+            self._backoff.reset()
         return result
 
     def lost(self, error: BaseException) -> None:
@@ -101,10 +102,9 @@ class Keeper(Generic[D]):
         self.close()
         now = self._clock.boottime()
         if self._lost_at is None:
-            self._lost_at, self._pause_s = now, FIRST_PAUSE_S
+            self._lost_at = now
             self._tell("device-lost", device=self.name, why=error_text(error))
-        self._next_try = now + self._pause_s
-        self._pause_s = min(2.0 * self._pause_s, MAX_PAUSE_S)
+        self._next_try = now + self._backoff.next_s()
 
     def close(self) -> None:
         """Close the device, if it is open."""

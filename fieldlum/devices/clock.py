@@ -32,6 +32,26 @@ def synchronised() -> bool | None:
     return None if state < 0 else state != _TIME_ERROR
 
 
+class Backoff:
+    """Pauses [s] between tries of something that fails: each is twice the one before, to a limit.
+
+    reset : the next pause is the first one again.
+    """
+
+    def __init__(self, first_s: float, max_s: float) -> None:
+        self._first_s, self._max_s = first_s, max_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin with the first pause again, after a success."""
+        self._pause_s = self._first_s
+
+    def next_s(self) -> float:
+        """Return the next pause [s]."""
+        pause_s, self._pause_s = self._pause_s, min(2.0 * self._pause_s, self._max_s)
+        return pause_s
+
+
 class Clock(Protocol):
     """Protocol of a clock: wall time, seconds with and without the computer's sleep, waiting."""
 

@@ -52,11 +52,10 @@ class Spn1Reading:
 
 @dataclass(frozen=True, slots=True)
 class Spn1Status:
-    """The instrument's answer to the command I; `lines` has all of its lines that are not blank."""
+    """The instrument's answer to the command I."""
 
     firmware: str = ""
     serial: str = ""
-    lines: tuple[str, ...] = ()
 
 
 def parse_reading(reply: bytes) -> Spn1Reading:
@@ -150,8 +149,7 @@ def parse_status(reply: bytes) -> Spn1Status:
             f"SPN1 is set to {units[1]}; expected W.m-2; change the unit with Delta-T's own program"
         )
     firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
-    lines = tuple(line.strip() for line in text.splitlines() if line.strip())
-    return Spn1Status(firmware[1].strip() if firmware else "", serial[1] if serial else "", lines)
+    return Spn1Status(firmware[1].strip() if firmware else "", serial[1] if serial else "")
 
 
 class Spn1:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture import doctor
-from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
@@ -280,22 +280,7 @@ class Snapshots:
         """Return doctor's findings that need no device; a capture may be using the devices."""
         if self._findings is not None and abs(now - self._findings[0]) < _FINDINGS_EVERY:
             return self._findings[1]
-        session = self._session
-        free = shutil.disk_usage(session.root).free
-        checks: dict[str, Callable[[], list[doctor.Finding]]] = {
-            "plan": lambda: doctor.check_plan(session, now),
-            "profile": lambda: doctor.check_profile(session, now.date()),
-            "clock": lambda: [doctor.check_clock(doctor.synchronised())],
-            "disk": lambda: [doctor.check_disk(session, now, free)],
-            "sleep": lambda: [doctor.check_sleep(doctor.granted_locks(), lid=doctor.has_lid())],
-            "calendar": lambda: doctor.check_calendar(session, now),
-        }
-        findings: list[doctor.Finding] = []
-        for name, check in checks.items():
-            try:
-                findings += check()
-            except (FieldlumError, OSError, ValueError) as error:
-                findings.append(doctor.Finding(name, "warn", str(error)))
+        findings = doctor.run(self._session, "", "", now, only=doctor.WITHOUT_DEVICES)
         self._findings = now, [asdict(finding) for finding in findings]
         return self._findings[1]
 

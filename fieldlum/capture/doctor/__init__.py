@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from typing import Any
@@ -25,6 +25,10 @@ from fieldlum.devices.clock import synchronised
 from fieldlum.session import Session
 from fieldlum.session.ledger import slots_ahead
 
+# Checks for a page that is shown while a capture uses the devices and writes the journal.
+WITHOUT_DEVICES = ("plan", "profile", "clock", "disk", "sleep", "calendar")
+EVERY = (*WITHOUT_DEVICES, "journal", "camera", "pyranometer", "meter", "writing")
+
 
 def run(
     session: Session,
@@ -34,11 +38,12 @@ def run(
     progress: Progress = quiet,
     *,
     meter_uri: str = "",
+    only: Container[str] = EVERY,
 ) -> list[Finding]:
     """Run all checks and return their findings; a check that raises an error is a failure.
 
     progress: called with the number of checks done, their total and the name of the next one. An
-    empty URI means that the device is not used.
+    empty URI means that the device is not used. only: names of the checks to run.
     """
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
@@ -54,6 +59,7 @@ def run(
         ("calendar", lambda: check_calendar(session, now_utc)),
     ]
     findings: list[Finding] = []
+    checks = [(name, check) for name, check in checks if name in only]
     for number, (name, check) in enumerate(checks):
         progress(number, len(checks), name)
         try:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
+from fieldlum.devices.clock import Backoff
 from fieldlum.session import replacing
 from fieldlum.session.inside import inside
 from fieldlum.session.permits import seal
@@ -68,7 +69,7 @@ class Outbox:
         self._post = post
         self._file = file
         self._report = report
-        self._first_pause_s = first_pause_s
+        self._backoff = Backoff(first_pause_s, MAX_PAUSE_S)
         messages, refused = _read(file)
         if refused:
             aside = file.with_name(f"{file.name}.refused")
@@ -98,19 +99,17 @@ class Outbox:
             return len(self._waiting)
 
     def _work(self) -> None:
-        pause_s = self._first_pause_s
         while (message := self._next()) is not None:
             self._save()
             if self._sent(message):
                 self._remove(message)
                 self._save()
-                pause_s = self._first_pause_s
+                self._backoff.reset()
                 continue
             with self._changed:
                 if self._closing:
                     return
-                self._changed.wait_for(lambda: self._closing, timeout=pause_s)
-            pause_s = min(2.0 * pause_s, MAX_PAUSE_S)
+                self._changed.wait_for(lambda: self._closing, timeout=self._backoff.next_s())
 
     def _next(self) -> Message | None:
         """Wait for a message; return None if the outbox is closed and empty."""

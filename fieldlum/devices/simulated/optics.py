@@ -13,13 +13,12 @@ from fieldlum.core.records import Panorama, SunSource
 from fieldlum.devices.simulated.world import detail_of
 from fieldlum.optics import projection
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
-from fieldlum.room.scene.sun_disc import DISC_RAYS, disc_rays
+from fieldlum.room.scene.sun_disc import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
 from fieldlum.sky.sky_view import SkyGrid, SkyPicture
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-SUN_RADIUS_DEG = 0.2665  # mean angular radius of the sun at 1 au (Auwers 1891: 959.63 arc seconds)
 _SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
 _SUN_SUBSAMPLES = 8  # per pixel and axis of the disc; chosen, not measured
 _SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur; chosen
