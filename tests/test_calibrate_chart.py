@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fieldlum.calibrate import chart
-from fieldlum.calibrate.chart_grid import grids
+from fieldlum.calibrate.chart import grids
 from fieldlum.calibrate.frames import LinearFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure

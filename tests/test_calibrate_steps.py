@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldlum.calibrate.steps import Steps, steps_by_overlap
+from fieldlum.calibrate.response import Steps, steps_by_overlap
 from fieldlum.optics.photometry import times_under
 
 NOMINAL_S = np.array([1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4, 1 / 2, 1, 2])

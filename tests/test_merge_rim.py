@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from fieldlum.merge.bracket import dark_rim
 from fieldlum.merge.quality import verdict
-from fieldlum.merge.rim import dark_rim
 from fieldlum.session.files.merge_report import DarkRim, MergeReport
 
 RNG = np.random.default_rng(3)

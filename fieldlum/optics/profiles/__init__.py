@@ -8,7 +8,6 @@ from typing import Literal
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure
 from fieldlum.core.strict_toml import build, plain, read_toml
-from fieldlum.optics.profiles.checks import check_camera
 from fieldlum.optics.profiles.tables import (
     Bracket,
     CameraBody,
@@ -23,6 +22,7 @@ from fieldlum.optics.profiles.tables import (
     ShutterTime,
     StrayLight,
     Vignetting,
+    check_camera,
 )
 from fieldlum.optics.projection import judged_text, seen_by_lenses
 
