@@ -263,7 +263,7 @@ def test_a_read_only_or_cloud_folder(tmp_path: Path) -> None:
 def test_sun_in_view_without_a_filter(tmp_path: Path) -> None:
     """Also with a planned filter it is a warning: a person must move the filter."""
     session = _session(tmp_path, ("sun-in-view",))
-    finding = doctor.check_calendar(session, NOW)[-1]
+    finding = doctor.check_sun(session, NOW)[-1]
     assert finding.verdict == "warn" and "computed from DNI" in finding.text
 
 

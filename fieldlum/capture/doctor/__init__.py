@@ -17,7 +17,7 @@ from fieldlum.capture.doctor.computer import (
 )
 from fieldlum.capture.doctor.findings import Finding
 from fieldlum.capture.doctor.instruments import check_camera, check_meter, check_pyranometer
-from fieldlum.capture.doctor.planned import check_calendar, check_journal, check_plan, check_profile
+from fieldlum.capture.doctor.planned import check_journal, check_plan, check_profile, check_sun
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.devices.awake import granted_locks
@@ -26,7 +26,7 @@ from fieldlum.session import Session
 from fieldlum.session.ledger import slots_ahead
 
 # Checks for a page that is shown while a capture uses the devices and writes the journal.
-WITHOUT_DEVICES = ("plan", "profile", "clock", "disk", "sleep", "calendar")
+WITHOUT_DEVICES = ("plan", "profile", "clock", "disk", "sleep", "sun")
 EVERY = (*WITHOUT_DEVICES, "journal", "camera", "pyranometer", "meter", "writing")
 
 
@@ -56,7 +56,7 @@ def run(
         ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
         ("writing", lambda: check_writing(session.root)),
         ("sleep", lambda: [check_sleep(granted_locks(), lid=has_lid())]),
-        ("calendar", lambda: check_calendar(session, now_utc)),
+        ("sun", lambda: check_sun(session, now_utc)),
     ]
     findings: list[Finding] = []
     checks = [(name, check) for name, check in checks if name in only]

@@ -1,9 +1,9 @@
-"""Check plan, camera profile and calendar."""
+"""Check plan, journal, camera profile, and slots with the sun in view."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import date, datetime, timedelta
+from datetime import date, datetime
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.doctor.findings import CALIBRATION_YEARS, Finding, iso_date
@@ -19,7 +19,6 @@ from fieldlum.session import Session, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
 from fieldlum.session.ledger import read_ledger, slots_ahead
 from fieldlum.session.makeups import without_capture
-from fieldlum.sky import sun
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
@@ -125,38 +124,22 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Fin
     return findings
 
 
-def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
-    """Return findings on coming changes of daylight saving time, and on slots with the sun in view.
+def check_sun(session: Session, now_utc: datetime) -> list[Finding]:
+    """Return a warning if coming slots have the sun in view of the lens, else an empty list.
 
-    The latter is a warning: it asks who moves a planned filter, or names the way without one. The
-    list is empty without coming slots.
+    It asks who moves a planned filter, or names the way without one.
     """
-    ahead, site = slots_ahead(session, now_utc), session.site_file().site
-    if not ahead:
+    in_view = [slot for slot in slots_ahead(session, now_utc) if "sun-in-view" in slot.tags]
+    if not in_view:
         return []
-    first, last = (sun.standard_date(slot.t_utc, site.timezone) for slot in (ahead[0], ahead[-1]))
-    changes = sun.clock_changes(first, last, site.timezone)
-    zone = ZoneInfo(site.timezone)
-    parts = []
-    for moment, change in changes:
-        way = "forward" if change > timedelta() else "back"
-        hours = abs(change.total_seconds()) / 3600
-        parts.append(f"{way} {hours:g} h on {moment.astimezone(zone):%Y-%m-%d}")
-    text = "no clock changes"
-    if parts:
-        text = f"clocks go {'; '.join(parts)}: the plan is in UTC and does not change"
-    findings = [Finding("calendar", "ok", text)]
-    in_view = [slot for slot in ahead if "sun-in-view" in slot.tags]
-    if in_view:
-        filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
-        text = f"the sun is in view of the lens in {len(in_view)} slots"
-        remedy = (
-            "the planned brackets have frames through a filter for it: a person must put the "
-            "filter on and take it off in each bracket, because no driver moves one; without a "
-            "person, remove nd from [bracket] of the profile and plan again"
-            if filtered
-            else "where the sensor cannot reach its disc, its illuminance is computed from DNI; a "
-            "person at the camera can use a filter instead (nd in [bracket] of the profile)"
-        )
-        findings.append(Finding("sun", "warn", f"{text}: {remedy}"))
-    return findings
+    filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
+    text = f"the sun is in view of the lens in {len(in_view)} slots"
+    remedy = (
+        "the planned brackets have frames through a filter for it: a person must put the "
+        "filter on and take it off in each bracket, because no driver moves one; without a "
+        "person, remove nd from [bracket] of the profile and plan again"
+        if filtered
+        else "where the sensor cannot reach its disc, its illuminance is computed from DNI; a "
+        "person at the camera can use a filter instead (nd in [bracket] of the profile)"
+    )
+    return [Finding("sun", "warn", f"{text}: {remedy}")]
