@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,24 +17,6 @@ from fieldlum.session.folder import session_around
 from fieldlum.session.inside import inside, refuse_link
 
 FORMAT = 1  # of the file; docs/file-formats.md
-PAIR_COLUMNS = (
-    "t_utc",
-    "panorama",
-    "dni_wm2",
-    "dhi_wm2",
-    "ghi_wm2",
-    "source",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "steadiness",
-    "sunpatch",
-    "sun_in_map",
-    "ok",
-    "why",
-    "format",
-)
-NEEDED = PAIR_COLUMNS[:4]
-OPTIONAL = (*PAIR_COLUMNS, "state", "refraction")
 MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement; chosen
 MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile; chosen
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
@@ -71,10 +53,15 @@ class PairRow:
     sun_in_map: bool = False
     ok: bool = True
     why: str = ""
+    format: int = FORMAT
     state: str = ""
     refraction: bool = True
-    format: int = FORMAT
     line: int = 0
+
+
+_KNOWN = tuple(field.name for field in fields(PairRow))[:-1]
+PAIR_COLUMNS = _KNOWN[:-2]  # a user may add state and refraction
+NEEDED = _KNOWN[:4]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +100,7 @@ class PairsFile:
         table = _table(path)
         rows = [_row(path, line, cells) for line, cells in table.dicts()]
         _refuse_foreign_pictures(path, rows)
-        unknown = [name for name in table.names if name and name not in OPTIONAL]
+        unknown = [name for name in table.names if name and name not in _KNOWN]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
         if change := change_of(path):
             warnings.append(f"WARNING: {change}")
