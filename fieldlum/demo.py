@@ -109,6 +109,7 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
     The clock jumps from slot to slot, so that nothing waits. seed: of the simulated noise.
     """
     from fieldlum import capture as stage
+    from fieldlum.capture.bracket import FrameChecks
     from fieldlum.capture.live import Live
     from fieldlum.capture.verify import doubts
 
@@ -117,7 +118,9 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 
     clock, options = stage.prepare(session, fast=True)
     place = f"sim:office?seed={seed}"
-    stage.run(session, place, place, clock=clock, options=options, watch=watch, check=doubts)
+    stage.run(
+        session, place, place, clock=clock, options=options, watch=watch, checks=FrameChecks(doubts)
+    )
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from tiny_field import FAST, T0, Field, TinyCamera, make_session
 
+from fieldlum.capture.bracket import FrameChecks
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure
 from fieldlum.devices.clock import FastClock
@@ -167,7 +168,7 @@ def test_a_defect_in_a_bracket_costs_its_slot_alone(rig: Field) -> None:
             raise ZeroDivisionError("a defect")
         return ""
 
-    rig.run(check_shortest=check)
+    rig.run(checks=FrameChecks(darkest=check))
     assert rig.outcomes() == ["done", "aborted", "done"]
     aborted = next(e for e in read_journal(rig.session) if e["event"] == "aborted")
     assert aborted["why"] == "ZeroDivisionError: a defect" and aborted["frames"] == 3

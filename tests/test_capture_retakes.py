@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tiny_field import FAST, LADDER, Field, make_session
 
+from fieldlum.capture.bracket import FrameChecks
 from fieldlum.capture.verify import doubts
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
@@ -54,7 +55,7 @@ class SlippingCamera:
 def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    events = rig.run(open_cam=lambda: camera, check=doubts)
+    events = rig.run(open_cam=lambda: camera, checks=FrameChecks(doubts))
     assert rig.outcomes() == ["done"] and camera.count == 4 and events.count("frame") == 3
     journal = read_journal(rig.session)
     told = next(e for e in journal if e["event"] == "retake")
@@ -85,7 +86,7 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
 def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, set(range(100)))
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    rig.run(open_cam=lambda: camera, check=doubts)
+    rig.run(open_cam=lambda: camera, checks=FrameChecks(doubts))
     assert camera.count == 4, "one retake, in vain: the rest of the bracket is not taken twice"
     why = next(e for e in read_journal(rig.session) if e["event"] == "done")["why"]
     assert why.count("instead of") == 3 and "taken again" not in why
@@ -110,7 +111,7 @@ def test_half_a_frame_is_seen_at_once_and_taken_again(rig: Field) -> None:
             else ""
         )
 
-    events = rig.run(check_opens=opens)
+    events = rig.run(checks=FrameChecks(pixels=opens))
     assert rig.outcomes() == ["done"] * 3 and events.count("retake") == 1
     folder = rig.session.raw / rig.session.slots()[0].id
     frames = json.loads((folder / "capture.json").read_text())["frames"]
@@ -124,7 +125,7 @@ def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(rig: Field) -
     bracket that can be merged, so it is aborted, for make-up slots and alerts.
     """
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    events = rig.run(check_opens=lambda path: "an unknown format")
+    events = rig.run(checks=FrameChecks(pixels=lambda path: "an unknown format"))
     assert events.count("retake") == 1 and rig.cameras[0].count == 4
     told = next(e for e in read_journal(rig.session) if e["event"] == "aborted")["why"]
     assert told == "3 of 3 frames cannot be read: 00_1s_again.dng: an unknown format"
@@ -139,7 +140,7 @@ def test_brackets_that_cannot_be_read_count_as_misses(rig: Field, tmp_path: Path
     hook = replace(FAST, on_misses=f"touch {tmp_path / 'called'}")
     rig.run(
         hook,
-        check_opens=lambda path: "" if path.name.startswith("00") else "no raw file",
+        checks=FrameChecks(pixels=lambda path: "" if path.name.startswith("00") else "no raw file"),
         listen=lambda event, t_utc, fields: told.append(event),
     )
     assert rig.outcomes() == ["aborted"] * 3 and told.count("hook") == 1
@@ -151,7 +152,9 @@ def test_brackets_that_cannot_be_read_count_as_misses(rig: Field, tmp_path: Path
 def test_no_retake_after_the_window(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    events = rig.run(replace(FAST, grace_s=4.0), open_cam=lambda: camera, check=doubts)
+    events = rig.run(
+        replace(FAST, grace_s=4.0), open_cam=lambda: camera, checks=FrameChecks(doubts)
+    )
     assert "retake" not in events and rig.outcomes() == ["done"] and camera.count == 3
 
 
@@ -169,7 +172,7 @@ def test_a_camera_that_fails_at_the_retake_costs_nothing(rig: Field) -> None:
 
     camera.expose = expose
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    events = rig.run(open_cam=lambda: camera, check=doubts)
+    events = rig.run(open_cam=lambda: camera, checks=FrameChecks(doubts))
     assert "retake" not in events and "device-lost" in events and rig.outcomes() == ["done"]
 
 
@@ -182,8 +185,10 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(rig: Field) -> None:
         return "97 % of the shortest exposure's pixels are clipped"
 
     rig.run(
-        check_shortest=clipped,
-        check=lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else "",
+        checks=FrameChecks(
+            lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else "",
+            darkest=clipped,
+        ),
     )
     done = [e for e in read_journal(rig.session) if e["event"] == "done"]
     assert looked == ["02_0.25s.dng"] * 3

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tiny_field import FAST, T0, Field, make_session
 
+from fieldlum.capture.bracket import FrameChecks
 from fieldlum.capture.verify import doubts
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import CameraSetup, Exposure
@@ -230,7 +231,7 @@ def test_capture_writes_the_true_exposures(pi: Path, tmp_path: Path) -> None:
     field.run(
         options,
         open_cam=lambda: open_camera(uri, clock=field.clock, session=session),
-        check=doubts,
+        checks=FrameChecks(doubts),
     )
     frames = CaptureFile.read(session.capture_file(session.slots()[0].id)).frames
     times_us = [round(frame.exposure.shutter_s * 1e6) for frame in frames]

@@ -32,18 +32,22 @@ from fieldlum.session.tables import DeviceTable
 
 STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured
 _FOLDER_BYTES = 1 << 14  # a new folder with its entries; not measured
-Check = Callable[[Path, Exposure], str]
-"""Checks a new frame; returns what is wrong with it, or nothing ("") if it is good."""
 
 
-def no_check(path: Path, exposure: Exposure) -> str:
-    """Accept every frame; used if no check is given."""
-    return ""
+@dataclass(frozen=True, slots=True)
+class FrameChecks:
+    """Checks of new frames; each returns what is wrong, or nothing ("") if the frame is good.
+
+    settings: compares EXIF with the requested exposure; pixels: reads the pixels; darkest: checks
+    whether over half of a bracket's darkest frame is clipped. By default every frame is accepted.
+    """
+
+    settings: Callable[[Path, Exposure], str] = lambda path, exposure: ""
+    pixels: Callable[[Path], str] = lambda path: ""
+    darkest: Callable[[Path], str] = lambda path: ""
 
 
-def no_look(path: Path) -> str:
-    """Accept every frame; used if no check is given."""
-    return ""
+NO_CHECKS = FrameChecks()
 
 
 @dataclass(slots=True)
@@ -51,9 +55,7 @@ class BracketCapture:
     """Takes the frames of slots, one slot after the other (`take`).
 
     A doubtful frame is taken once more while the slot's window is open, unless an earlier second
-    frame of the bracket is doubtful too. check: compares a frame's EXIF with the requested
-    exposure; check_opens: reads its pixels; check_shortest: checks whether over half of the darkest
-    frame is clipped. Each returns what is wrong, or "". between: called with each frame, and with
+    frame of the bracket is doubtful too. between: called with each frame, and with
     None while waiting, to log irradiance and to refresh the display. meter: illuminance meter, read
     before the first and after the last frame of each slot, None without one; frame_bytes: size of
     the largest frame so far, for which the disk must have space.
@@ -64,9 +66,7 @@ class BracketCapture:
     camera: Keeper[Camera]
     recorder: Recorder
     clock: SteadyClock
-    check: Check
-    check_opens: Callable[[Path], str]
-    check_shortest: Callable[[Path], str]
+    checks: FrameChecks
     between: Callable[[Frame | None], None]
     meter: Keeper[IlluminanceMeter] | None = None
     frame_bytes: int = 0
@@ -163,7 +163,7 @@ class BracketCapture:
             elif not isinstance(error, _Away):
                 self.camera.lost(error)
             return state
-        second = replace(second, doubt=second.doubt or self.check_opens(folder / second.file))
+        second = replace(second, doubt=second.doubt or self.checks.pixels(folder / second.file))
         if not self.recorder.tell(
             "retake", slot=slot.id, frame=frame_fields(second), why=doubtful.doubt
         ):
@@ -187,7 +187,7 @@ class BracketCapture:
         """
         for frame in sorted(state.frames, key=lambda frame: frame.index):
             if not (frame.doubt or frame.instead_of) and (
-                why := self.check_opens(folder / frame.file)
+                why := self.checks.pixels(folder / frame.file)
             ):
                 doubtful = replace(frame, doubt=why)
                 others = tuple(other for other in state.frames if other.index != frame.index)
@@ -262,7 +262,7 @@ class BracketCapture:
         camera = self.camera.get()
         if isinstance(camera, ReportingCamera):
             asked = camera.exposure_taken(written) or asked
-        doubt = self.check(written, asked)
+        doubt = self.checks.settings(written, asked)
         return doubt, as_taken(written, asked) if doubt else asked
 
     def _takes_whole_brackets(self, wanted: Sequence[FrameRequest]) -> bool:
@@ -326,7 +326,7 @@ class BracketCapture:
 
     def _unusable(self, folder: Path, state: SlotState) -> str:
         """Return why a bracket cannot be merged: most of its frames cannot be read; else ""."""
-        lost = [f for f in state.frames if f.doubt and self.check_opens(folder / f.file)]
+        lost = [f for f in state.frames if f.doubt and self.checks.pixels(folder / f.file)]
         if not lost or (count := len(state.frames)) - len(lost) >= max(2, count / 2):
             return ""  # `merge` needs so many
         return f"{len(lost)} of {count} frames cannot be read: {lost[0].file}: {lost[0].doubt}"
@@ -339,7 +339,7 @@ class BracketCapture:
             state.frames,
             key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2),
         )
-        if text := self.check_shortest(folder / darkest.file):
+        if text := self.checks.darkest(folder / darkest.file):
             doubts.append(f"{darkest.file}: {text}")
         try:
             write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)

@@ -162,8 +162,7 @@ def log(
                 f"{every_s:g} s; stop with Ctrl-C"
             )
             while rows is None or recorder.rows < rows:
-                for name, fields in steady.check():
-                    recorder.tell(name, **fields)
+                recorder.tell_all(steady.check())
                 logger.poll_if_due()
                 clock.sleep(min(logger.due_in_s, 1.0))
         finally:

@@ -10,7 +10,7 @@ import errno
 import os
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -75,6 +75,11 @@ class Recorder:
         with suppress(Exception):  # a listener's defect must not end the capture
             self._listen(event, now, fields)
         return durable
+
+    def tell_all(self, events: Iterable[tuple[str, EventFields]]) -> None:
+        """Write some events, each a name and its fields, as `tell` does."""
+        for name, fields in events:
+            self.tell(name, **fields)
 
     def sample(self, sample: IrradianceSample) -> bool:
         """Write a reading to its day file; return whether it is on the disk."""

@@ -6,12 +6,11 @@ import os
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from datetime import datetime, timedelta
-from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
 from fieldlum.capture.alerts import MissedHook
-from fieldlum.capture.bracket import BracketCapture, Check, no_check, no_look
+from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks
 from fieldlum.capture.frame_requests import shots
 from fieldlum.capture.live import Live, Watch, no_display
 from fieldlum.capture.logger import Logger
@@ -57,9 +56,7 @@ def run(
     clock: Clock,
     options: Options = DEFAULTS,
     watch: Watch = no_display,
-    check: Check = no_check,
-    check_opens: Callable[[Path], str] = no_look,
-    check_shortest: Callable[[Path], str] = no_look,
+    checks: FrameChecks = NO_CHECKS,
     meter_uri: str = "",
     trusted: Callable[[], bool | None] = synchronised,
     listen: Listen = no_listener,
@@ -70,19 +67,17 @@ def run(
     """Take all brackets that are due; return when every slot of the plan has an outcome.
 
     Return the state of all slots. `watch` is called with the state of the capture, `listen` with
-    each journal event; both must return at once. `check`, `check_opens` and `check_shortest`: as in
-    `BracketCapture`. `open_cam`, `open_pyr` and `open_met` replace what the URIs open. Raises
-    DeviceError if the camera cannot be set to a planned exposure, or the clock is before the last
-    journal entry; the error of opening a device at the start, unless it is an instrument that an
-    earlier capture of the session used; InputError if another process captures, imports or, with a
-    pyranometer, logs in the session;
+    each journal event; both must return at once. checks: of new frames. `open_cam`, `open_pyr` and
+    `open_met` replace what the URIs open. Raises DeviceError if the camera cannot be set to a
+    planned exposure, or the clock is before the last journal entry; the error of opening a device
+    at the start, unless it is an instrument that an earlier capture of the session used; InputError
+    if another process captures, imports or, with a pyranometer, logs in the session;
     NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
     logs = open_pyr is not None or bool(pyranometer_uri)
     with sole_user(session, "capture"), sole_user(session, "log") if logs else nullcontext():
-        looks = check, check_opens, check_shortest
         steady = SteadyClock(clock, trusted, options.boot)
-        runner = _Runner(session, steady, options, watch, looks, listen)
+        runner = _Runner(session, steady, options, watch, checks, listen)
         try:
             runner.open(
                 open_cam or (lambda: open_camera(camera_uri, clock=clock, session=session)),
@@ -108,11 +103,11 @@ class _Runner:
         clock: SteadyClock,
         options: Options,
         watch: Watch,
-        looks: tuple[Check, Callable[[Path], str], Callable[[Path], str]],
+        checks: FrameChecks,
         listen: Listen = no_listener,
     ) -> None:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
-        self.looks = looks
+        self.checks = checks
         self.setup = session.site_file()
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()
@@ -174,8 +169,7 @@ class _Runner:
             fieldlum=__version__,
             cut_bytes=self.recorder.journal.cut_bytes,
         )
-        for name, fields in self.clock.check():
-            self.recorder.tell(name, **fields)
+        self.recorder.tell_all(self.clock.check())
         try:
             devices = self.session.table().get("devices", {})
             update_session(self.session, {"devices": {**devices, **about}})
@@ -206,7 +200,7 @@ class _Runner:
             self.camera,
             self.recorder,
             self.clock,
-            *self.looks,
+            self.checks,
             self._between,
             self.meter,
             self.frame_bytes,
@@ -323,8 +317,7 @@ class _Runner:
     def _sleep_until(self, t_utc: datetime, *, log: bool) -> bool:
         inline = self.logger if log and not self.options.threaded else None
         while not self._plan_changed():
-            for name, fields in self.clock.check():
-                self.recorder.tell(name, **fields)
+            self.recorder.tell_all(self.clock.check())
             wait_s = (t_utc - self.clock.now()).total_seconds()
             if wait_s <= 0:
                 return True

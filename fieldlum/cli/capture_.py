@@ -58,6 +58,7 @@ def command(
           an external monitor.
     """
     from fieldlum import capture
+    from fieldlum.capture.bracket import FrameChecks
     from fieldlum.capture.live import Live
     from fieldlum.capture.notify import read_address
     from fieldlum.capture.preflight import wait_for_clock
@@ -114,9 +115,7 @@ def command(
             options=options,
             watch=watch,
             listen=remote.listen,
-            check=doubts,
-            check_opens=unreadable,
-            check_shortest=bracket_doubts,
+            checks=FrameChecks(doubts, unreadable, bracket_doubts),
             meter_uri=meter_uri,
         )
     outcomes = [state.outcome for state in ledger.slots.values()]
