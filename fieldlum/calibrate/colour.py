@@ -20,10 +20,13 @@ from fieldlum.calibrate.model_selection import (
     gross_errors,
     held_out_errors,
 )
-from fieldlum.calibrate.readings_csv import read_table
+from fieldlum.calibrate.readings_csv import columns_of, read_table
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.optics.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
+from fieldlum.optics.photometry.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
 from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.profiles.tables import Colour
 
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
@@ -35,6 +38,9 @@ MIN_OUTLIER = 0.5
 # a larger held-out error means that readings and colours do not belong together; chosen
 MAX_U_REL = 0.2
 CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
+# The greys, patches 19 to 24, have the colour of the daylight itself. Chosen.
+_GREY_WEIGHT = 10.0
+_CHART_XYZ = Path(__file__).with_name("chart_daylight.csv")  # written by bench/melanopic.py
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +50,8 @@ class Colours:
     rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
     : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
     uncertainty of the comparison; labels, places [n] : names for messages, and where they are;
-    frames : the files; matrix [3, 3] : XYZ to camera colours, as stored in the frames.
+    frames : the files; matrix [3, 3] : XYZ to camera colours, as stored in the frames. melanopic
+    [n] : melanopic equivalent daylight luminances by a spectrometer [cd/m2], None without.
     """
 
     rgb: Floats
@@ -54,6 +61,7 @@ class Colours:
     frames: tuple[Path, ...]
     matrix: Floats | None = None  # None if the frames do not state it
     places: tuple[Place, ...] = ()
+    melanopic: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +89,14 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     """Read spot readings from a csv with the columns file, x_px, y_px and luminance_cdm2.
 
     x_px, y_px : place of the reading on the sensor. Optional columns: radius_px of the averaged
-    disc (default 12) and u_rel of the reading (default 0.02). The profile's vignetting is
-    corrected. Raises InputError for an invalid csv, an unreadable frame, or a place that is clipped
-    or outside the picture.
+    disc (default 12), u_rel of the reading (default 0.02) and melanopic_cdm2, its melanopic
+    equivalent daylight luminance, in all rows or none. The profile's vignetting is corrected.
+    Raises InputError for an invalid csv, an unreadable frame, or a place that is clipped or outside
+    the picture.
     """
     required = ("file", "x_px", "y_px", "luminance_cdm2")
+    if "melanopic_cdm2" in columns_of(path):
+        required = (*required, "melanopic_cdm2")
     rows = read_table(path, required, {"radius_px": 12.0, "u_rel": READING_U})
     frames = {file: linear_frame(file, profile) for file in dict.fromkeys(r["file"] for r in rows)}
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
@@ -97,7 +108,10 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
     y = np.array([row["luminance_cdm2"] for row in rows])
     labels = tuple(f"{at.path.stem} {at.x:g},{at.y:g}" for at in places)
-    return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places)
+    melanopic = None
+    if "melanopic_cdm2" in required:
+        melanopic = np.array([row["melanopic_cdm2"] for row in rows])
+    return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places, melanopic)
 
 
 def _patch(
@@ -229,6 +243,8 @@ def _without_outliers(colours: Colours, profile: CameraProfile) -> tuple[Colours
         for i in np.flatnonzero(far)
     ]
     near = {name: getattr(colours, name)[~far] for name in ("rgb", "y", "u_rel")}
+    if colours.melanopic is not None:
+        near["melanopic"] = colours.melanopic[~far]
     return replace(colours, **near), tuple(notes)
 
 
@@ -247,3 +263,93 @@ def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
     share = np.diag((rgb / y[:, None]).mean(axis=0) * np.sqrt(len(y) * pull) / np.median(u))
     stacked = np.concatenate([design, share]), np.concatenate([target, share @ (s * prior)])
     return np.linalg.lstsq(*stacked, rcond=None)[0]
+
+
+# ----------------------------------------------------------------------------------------------
+# XYZ and melanopic weight
+
+
+def xyz_from_chart(rgb: Floats, y_from_rgb: Sequence[float], cct_k: float) -> Floats:
+    """Return the matrix from camera colours to X, Y, Z by a chart under daylight, [3, 3].
+
+    rgb : camera colours of the 24 patches [24, 3], in any unit, under CIE daylight of the
+    correlated colour temperature cct_k, 4000 to 25 000 K. Y is that of y_from_rgb. The level of
+    each patch is its own luminance by the camera, so that uneven light does no harm.
+    """
+    table = np.loadtxt(_CHART_XYZ, delimiter=",").reshape(24, 3, 3)  # patch, S0 to S2, XYZ
+    patches = daylight_parts(cct_k) @ table  # [24, 3]
+    weight = np.where(np.arange(24) < 18, 1.0, _GREY_WEIGHT)[:, None]
+    relative = weight * rgb / (rgb @ np.array(y_from_rgb))[:, None]
+    matrix = np.linalg.lstsq(relative, weight * patches / patches[:, 1:2], rcond=None)[0].T
+    matrix[1] = y_from_rgb
+    return matrix
+
+
+def daylight_parts(cct_k: float) -> Floats:
+    """Return the weights of S0, S1 and S2 in CIE daylight of a correlated colour temperature, [3].
+
+    Raises ValueError for a colour temperature outside 4000 to 25 000 K.
+    """
+    if not 4000.0 <= cct_k <= 25_000.0:
+        raise ValueError(f"{cct_k:g} K: CIE daylight is defined from 4000 to 25 000 K")
+    # The polynomial of CIE 015:2018, 3.1: x of daylight, in descending powers of 1 / T.
+    low = (-4.6070e9, 2.9678e6, 0.09911e3, 0.244063)
+    high = (-2.0064e9, 1.9018e6, 0.24748e3, 0.237040)
+    x = np.polyval(low if cct_k <= 7000.0 else high, 1.0 / cct_k)
+    y = -3.000 * x * x + 2.870 * x - 0.275
+    m = 0.0241 + 0.2562 * x - 0.7341 * y
+    m1 = (-1.3515 - 1.7703 * x + 5.9114 * y) / m
+    m2 = (0.0300 - 31.4424 * x + 30.0717 * y) / m
+    return np.array([1.0, m1, m2])
+
+
+def xyz_from_matrix(matrix: Floats, y_from_rgb: Sequence[float], grey: Floats) -> Floats:
+    """Return the matrix from camera colours to X, Y, Z by the colour matrix of a raw file, [3, 3].
+
+    matrix : XYZ to camera colours. grey [3] : a camera colour that gets the luminance by
+    y_from_rgb; Y is that of y_from_rgb.
+    """
+    inverse = np.linalg.inv(matrix)
+    inverse *= float(np.dot(y_from_rgb, grey)) / float(inverse[1] @ grey)
+    inverse[1] = y_from_rgb
+    return inverse
+
+
+def with_melanopic(
+    colour: Colour, colours: Colours, profile: CameraProfile, scale: float, cct_k: float | None
+) -> tuple[Colour, str]:
+    """Return the profile's table with colours and a melanopic weight, and a line on their origin.
+
+    colour : with the fitted y_from_rgb. scale : of that fit. cct_k : correlated colour temperature
+    of the daylight on a chart, None if unknown. X, Y, Z come from the chart, else from the colour
+    matrix in the frames. The weight follows from X, Y, Z, and from readings of a spectrometer if
+    there are any. Without any of these, the table has no melanopic weight.
+    """
+    u_rel = U_MATRIX
+    if cct_k is not None:
+        xyz, u_rel = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), U_CHART
+        line = f"melanopic: chart under daylight of {cct_k:g} K"
+    elif colours.matrix is not None:
+        xyz = xyz_from_matrix(colours.matrix, colour.y_from_rgb, colours.rgb.mean(axis=0))
+        line = "melanopic: the file's colour matrix"
+    elif colours.melanopic is not None and colour.rgb_to_radiance:
+        xyz = rgb_to_xyz(RADIANCE_CHROMATICITIES) @ np.reshape(colour.rgb_to_radiance, (3, 3))
+        xyz[1], line = colour.y_from_rgb, "melanopic: the profile's colours"
+    else:
+        none = replace(colour, melanopic_from_rgb=(), melanopic_u_rel=0.0)
+        return none, "melanopic: none; use a chart with --cct, or raw frames with a colour matrix"
+    weights = MELANOPIC_FROM_XYZ @ xyz
+    if colours.melanopic is not None:
+        start = replace(profile.colour, y_from_rgb=tuple(weights.tolist()))
+        read = replace(colours, y=colours.melanopic, matrix=None)
+        found = fit(read, replace(profile, colour=start))
+        weights = np.array(found.y_from_rgb) * found.scale / scale
+        u_rel, line = max(found.u_rel, READING_U), f"{line}, then {len(read.y)} readings"
+    radiance = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) @ xyz
+    table = replace(
+        colour,
+        rgb_to_radiance=tuple(round(float(v), 6) for v in radiance.ravel()),
+        melanopic_from_rgb=tuple(round(float(v), 6) for v in weights),
+        melanopic_u_rel=round(u_rel, 4),
+    )
+    return table, f"{line}; relative uncertainty {100 * u_rel:.1f} % under daylight"

@@ -152,12 +152,14 @@ def vignette(
 
 @_part
 def colour(
-    sources: Annotated[Path, "SPOTS.csv|FRAME", EXISTING_PATH], corners: str | None = None
+    sources: Annotated[Path, "SPOTS.csv|FRAME", EXISTING_PATH],
+    corners: str | None = None,
+    cct_k: Annotated[float | None, click.FloatRange(4000, 25_000)] = None,
 ) -> None:
-    """Fit luminance from camera R, G, B, by spot readings or a chart.
+    """Fit luminance and melanopic light from camera R, G, B, by spot readings or a chart.
 
-    SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours.
-    FRAME shows a 24-patch chart in even light.
+    SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours, and
+    optionally melanopic_cdm2 of a spectrometer. FRAME shows a 24-patch chart in even light.
 
     \b
     Example:
@@ -165,6 +167,8 @@ def colour(
 
     Options:
       --corners X,Y,...: Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.
+      --cct K: Correlated colour temperature of the daylight on the chart, for melanopic
+          light.
     """
 
 

@@ -227,9 +227,13 @@ def fit_vignette(profile: CameraProfile, sources: Paths, lens_number: int) -> Fi
     return FittedPart(changed, [fit.choice.line], samples.frames, figures, drawn)
 
 
-def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> FittedPart:
-    """Fit luminance from camera R, G, B."""
+def fit_colour(
+    profile: CameraProfile, sources: Path, corners: str | None, cct_k: float | None
+) -> FittedPart:
+    """Fit luminance, X, Y, Z and melanopic luminance from camera R, G, B."""
     is_table = sources.suffix.lower() == ".csv"
+    if is_table and cct_k is not None:
+        raise click.UsageError("--cct needs a frame of a chart instead of a table")
     if is_table:
         colours = colour.from_table(sources, profile)
     else:
@@ -242,8 +246,12 @@ def fit_colour(profile: CameraProfile, sources: Path, corners: str | None) -> Fi
         )
     figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
+    new, line = colour.with_melanopic(new, colours, profile, fit.scale, cct_k)
+    figures["melanopic_from_rgb"] = list(new.melanopic_from_rgb)
+    figures["melanopic_u_rel"] = new.melanopic_u_rel
+    lines = [fit.choice.line, line]
     frames, drawn = [sources, *colours.frames], partial(pictures.of_colour, colours, fit)
-    return FittedPart({"colour": new}, [fit.choice.line], frames, figures, drawn, notes)
+    return FittedPart({"colour": new}, lines, frames, figures, drawn, notes)
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:

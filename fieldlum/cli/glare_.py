@@ -45,6 +45,7 @@ CSV_COLUMNS = (
     "seen_share",
     "dgp_low",
     "dgp_high",
+    "u_melanopic_edi_lx",
 )
 
 
@@ -58,6 +59,7 @@ def command(
     csv_path: Annotated[Path | None, FILE_PATH] = None,
     json_lines: bool = False,
     reference: bool = False,
+    lamps: bool = False,
 ) -> None:
     """Compute glare of panoramas and fisheyes (.exr, .hdr).
 
@@ -79,6 +81,7 @@ def command(
           (first) view.
       --csv FILE: Write one row for each picture and view.
       --reference: Also run evalglare and show its result.
+      --lamps: Electric light is on: melanopic EDI is less certain.
     """
     if not all(math.isfinite(azimuth) for azimuth in view_azimuths):
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
@@ -96,6 +99,7 @@ def command(
                 view_options=view_options,
                 part=part,
                 measured_ev_lx=calibrate_ev_lx,
+                lamps=lamps,
             )
         except InputError as error:
             say(f"fieldlum glare: {error}")
@@ -131,7 +135,9 @@ def _table(answer: GlareAnswer) -> None:
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
     if "calibration_factor" in answer:
         click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
-    click.echo("  view     DGP   DGPs     Ev   m-EDI*   UGR    DGI   window:task  verdict")
+    estimate = answer["melanopic_der"] != "colour"
+    edi = "  m-EDI*" if estimate else "  m-EDI   ±u"
+    click.echo(f"  view     DGP   DGPs     Ev {edi}  UGR    DGI   window:task  verdict")
     for view in answer["views"]:
         if view["dgp"] is None:
             click.echo(f"  {view['azimuth_deg']:5.1f}°  {view['verdict']}")
@@ -144,7 +150,8 @@ def _table(answer: GlareAnswer) -> None:
         click.echo(
             f"  {view['azimuth_deg']:5.1f}°  {view['dgp']:.3f}  {view['dgps']:.3f}  "
             f"{view['ev_lx']:6.0f}"
-            f"  {view['melanopic_edi_lx']:6.0f}  {_figure(view['ugr'])}  {_figure(view['dgi'])}"
+            f"  {view['melanopic_edi_lx']:6.0f}{_plus_minus(view['u_melanopic_edi_lx'])}"
+            f"  {_figure(view['ugr'])}  {_figure(view['dgi'])}"
             f"  {_figure(view['window_to_task'])}        {view['verdict']}{bounds}"
         )
         if "reference" in view:
@@ -152,7 +159,10 @@ def _table(answer: GlareAnswer) -> None:
     share = answer["disturbed_share"]
     if share is not None and len(answer["views"]) > 1:
         click.echo(f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions")
-    click.echo("  * an estimate: Ev with the spectrum of D65")
+    if estimate:
+        click.echo("  * an estimate: Ev with the spectrum of D65")
+    else:
+        click.echo("  m-EDI by the camera's colour, with its standard uncertainty")
 
 
 def _reference_line(answer: Mapping[str, Any]) -> None:
@@ -161,6 +171,10 @@ def _reference_line(answer: Mapping[str, Any]) -> None:
         f"UGR {answer['ugr']:.1f}, DGI {answer['dgi']:.1f}, {answer['sources']} sources "
         f"({answer['version']}; {answer['flags']})"
     )
+
+
+def _plus_minus(u: float | None) -> str:
+    return "" if u is None else f" {u:4.0f}"
 
 
 def _figure(value: float | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Flag, JsonTable, Panorama, Progress, quiet
 from fieldlum.merge.disc import MEASURED, sun_on_sensor, take_out_disc
+from fieldlum.merge.frame_checks import floating_white_balance
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.project import TAPER_RAD, ProjectedImage, blend, finish, view_through
 from fieldlum.merge.quality import report_of, verdict
@@ -152,6 +153,9 @@ def merge_shots(
     """
     options = options or MergeOptions()
     target = options.target(profile)
+    floating = floating_white_balance(shots, profile)
+    if floating:
+        profile = replace(profile, colour=replace(profile.colour, melanopic_from_rgb=()))
     images, findings = merge_headings(
         sorted_shots(shots, profile), profile, options, heading_deg=heading_deg, progress=progress
     )
@@ -169,7 +173,13 @@ def merge_shots(
         panorama, disc = take_out_disc(panorama, *sun_deg)
         sun = None if disc is None else _measured_sun(images, findings, profile, panorama, disc)
     view = "" if isinstance(target, Equirect) else target.view(heading_deg)
-    return MergeResult(panorama, report, verdict(report), view, sun, sky)
+    text = verdict(report)
+    if floating:
+        text += (
+            f"; no melanopic colour, because EXIF of {floating} states no fixed white balance: "
+            "set one in the camera, the same as in the calibration"
+        )
+    return MergeResult(panorama, report, text, view, sun, sky)
 
 
 def _measured_sun(

@@ -9,7 +9,12 @@ from fieldlum.merge.shots import Shot
 from fieldlum.optics.photometry import saturation_plateau
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import signed_angle_deg
-from fieldlum.optics.raw import channel_positions, read_mosaic, roll_deg_of
+from fieldlum.optics.raw import (
+    channel_positions,
+    read_mosaic,
+    roll_deg_of,
+    white_balance_is_fixed,
+)
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
@@ -97,6 +102,18 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
         f"by EXIF, the camera was held {abs(off):.0f} deg off the profile's roll of "
         f"{lens.roll_deg:g} deg: hold it as in the calibration, or correct roll_deg of the profile"
     )
+
+
+def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str:
+    """Return the first JPEG frame without a fixed white balance; "" if there is none.
+
+    Its colours are unknown. Only frames of a profile with a melanopic weight are examined; raw
+    counts have no white balance.
+    """
+    if profile.camera.kind == "raw" or not profile.colour.melanopic_from_rgb:
+        return ""
+    names = (shot.path.name for shot in shots if not white_balance_is_fixed(shot.path))
+    return next(names, "")
 
 
 def _degrees(values: set[float]) -> str:

@@ -16,6 +16,8 @@ from fieldlum.merge.sensor import SensorImage
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.optics.linear_light import curve_u_rel, lens_geometry, vignetting_of
 from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.photometry.melanopic import ATTRIBUTE as MELANOPIC
+from fieldlum.optics.photometry.melanopic import attribute_text as melanopic_text
 from fieldlum.optics.photometry.stray_light import stray_cdm2
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, Resampler, resampler, wrapped
@@ -254,6 +256,10 @@ def finish(
     flags[in_lens & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
+    attributes = calibration_mark(profile)
+    if matrix is not None and p.colour.melanopic_from_rgb:
+        weights = np.array(p.colour.melanopic_from_rgb)
+        attributes[MELANOPIC] = melanopic_text(weights, matrix, p.colour.melanopic_u_rel)
     return Panorama(
         light.reshape(shape).astype(np.float32),
         heading_deg,
@@ -262,7 +268,7 @@ def finish(
         t_utc,
         None,
         None if rgb is None else rgb.reshape(*shape, 3),
-        calibration_mark(profile),
+        attributes,
     )
 
 

@@ -171,7 +171,8 @@ def calibration_mark(profile: CameraProfile) -> dict[str, str]:
     multiplies k by the ratio of the meters to the picture.
     """
     p = profile
-    parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
+    colour = {k: v for k, v in plain(p.colour).items() if not k.startswith("melanopic")}
+    parts = plain([p.lens, p.sensor, p.shutter, p.response, colour, p.nd])
     if p.stray.angle_deg:  # absent without it, so that earlier pictures have the same digest
         parts.append(plain(p.stray))
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -160,11 +160,16 @@ class Colour:
     """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB.
 
     rgb_to_radiance: matrix of 9 values, row by row; if empty, no colour is written, only Y.
+    melanopic_from_rgb: weights of R, G, B in melanopic luminance; if empty, melanopic EDI is an
+    estimate. melanopic_u_rel: relative standard uncertainty of melanopic over photopic light under
+    daylight.
     """
 
     y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
     rgb_to_radiance: tuple[float, ...] = ()
     u_rel: float = 0.02
+    melanopic_from_rgb: tuple[float, ...] = ()
+    melanopic_u_rel: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,6 +284,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
                 raise _impossible(where, f"{key} = {value:g}", "a number above 0")
     relative = (
         p.colour.u_rel,
+        p.colour.melanopic_u_rel,
         p.scale.u_rel,
         p.response.u_rel,
         p.sensor.linearity_u_rel,
@@ -340,6 +346,15 @@ def check_camera(profile: CameraProfile, where: str) -> None:
             where,
             f"colour.rgb_to_radiance has {len(p.colour.rgb_to_radiance)} values",
             "9 values, or none",
+        )
+    if len(p.colour.melanopic_from_rgb) not in (0, 3) or (
+        p.colour.melanopic_from_rgb and not p.colour.rgb_to_radiance
+    ):
+        raise _impossible(
+            where,
+            f"colour.melanopic_from_rgb has {len(p.colour.melanopic_from_rgb)} values, "
+            f"colour.rgb_to_radiance {len(p.colour.rgb_to_radiance)}",
+            "3 values next to 9 of rgb_to_radiance, or none",
         )
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
         raise _impossible(

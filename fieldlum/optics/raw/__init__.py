@@ -5,7 +5,12 @@ frame by its own maximum.
 """
 
 from fieldlum.optics.raw.dng import channel_positions, write_dng
-from fieldlum.optics.raw.exif import FrameInfo, roll_deg_of, same_model
+from fieldlum.optics.raw.exif import (
+    FrameInfo,
+    roll_deg_of,
+    same_model,
+    white_balance_is_fixed,
+)
 from fieldlum.optics.raw.integrity import RAW_SUFFIXES, is_jpeg, possible_frames, unreadable
 from fieldlum.optics.raw.jpeg import jpeg_size, read_jpeg, write_jpeg
 from fieldlum.optics.raw.mosaic import Mosaic, read_exif, read_mosaic

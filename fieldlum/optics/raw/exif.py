@@ -380,6 +380,14 @@ def roll_deg_of(path: Path) -> float | None:
     return _ROLL_DEG.get(int(tag[0])) if tag else None
 
 
+def white_balance_is_fixed(path: Path) -> bool:
+    """Return whether EXIF WhiteBalance of a JPEG states 1, a manual setting (EXIF 2.32, 4.6.5).
+
+    Raises InputError for a file that is missing or empty.
+    """
+    return numbers(tags_of(path), "EXIF WhiteBalance") == [1.0]
+
+
 def same_model(model: str, wanted: str) -> bool:
     """Return whether two camera names are equal, or one is a sequence of words in the other.
 

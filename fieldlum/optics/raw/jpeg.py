@@ -116,6 +116,7 @@ def write_jpeg(
     fields[33434] = IFDRational(rational(exposure.shutter_s))
     fields[33437] = IFDRational(rational(exposure.f_number))
     fields[34855] = round(exposure.iso)
+    fields[41987] = 1  # WhiteBalance: manual
     if exposure.nd:
         exif[0x010E] = f"ND={exposure.nd}"
     for tag, text in time_tags(t_camera).items():

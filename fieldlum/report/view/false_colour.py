@@ -56,6 +56,8 @@ def write_png(
 
 def _title(picture: MeasuredPicture) -> str:
     figures = [] if picture.ev_lx is None else [f"Ev {picture.ev_lx:.0f} lx"]
+    if picture.edi_lx is not None:
+        figures.append("m-EDI {:.0f} ± {:.0f} lx".format(*picture.edi_lx))
     figures += [] if picture.dgp is None else [f"DGP {picture.dgp:.3f}"]
     return "  ".join([picture.name, *figures])
 

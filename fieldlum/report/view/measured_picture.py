@@ -27,9 +27,10 @@ class MeasuredPicture:
     luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr : [H, W] of complete pixels, 0
     where the view has no direction. u_cdm2 : standard uncertainty [H, W], None if unknown. view :
     None for a panorama. heading_deg : azimuth of the centre column, clockwise from true north.
-    ev_lx, dgp : in the view direction, None if unknown. outlines : pixels (x, y) from the top left,
-    around the strongest glare sources of a fisheye; none for a panorama. notes : warnings of the
-    glare figures.
+    ev_lx, dgp : in the view direction, None if unknown; edi_lx : melanopic EDI there with its
+    standard uncertainty, None without calibrated colour. outlines : pixels (x, y) from the top
+    left, around the strongest glare sources of a fisheye; none for a panorama. notes : warnings of
+    the glare figures.
     """
 
     name: str
@@ -40,6 +41,7 @@ class MeasuredPicture:
     heading_deg: float
     ev_lx: float | None
     dgp: float | None
+    edi_lx: tuple[float, float] | None
     outlines: tuple[Outline, ...]
     notes: tuple[str, ...]
 
@@ -72,6 +74,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     azimuths_deg = (panorama.heading_deg,) if picture.view is None else ()
     answer = picture_glare(path, azimuths_deg, part=part)
     row = answer["views"][0]
+    edi, u_edi = row["melanopic_edi_lx"], row["u_melanopic_edi_lx"]
     return MeasuredPicture(
         name=path.name,
         luminance_cdm2=luminance,
@@ -81,6 +84,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
         heading_deg=panorama.heading_deg,
         ev_lx=row["ev_lx"],
         dgp=row["dgp"],
+        edi_lx=None if edi is None or u_edi is None else (edi, u_edi),
         outlines=_outlines(picture, luminance),
         notes=tuple(answer["warnings"]),
     )

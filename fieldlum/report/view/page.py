@@ -102,6 +102,7 @@ def _about(picture: MeasuredPicture) -> JsonTable:
         "heading": picture.heading_deg,
         "ev": picture.ev_lx,
         "dgp": picture.dgp,
+        "edi": picture.edi_lx,
         "outlines": picture.outlines,
         "notes": picture.notes,
     }

@@ -10,6 +10,7 @@ import numpy as np
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama, SunSource, counted, utc_text
+from fieldlum.optics.photometry.melanopic import melanopic_ratio
 from fieldlum.optics.projection import NOT_SEEN
 from fieldlum.year.glare.pictures import Picture
 from fieldlum.year.glare.standards import disturbed_share
@@ -38,11 +39,13 @@ class ViewAnswer(TypedDict):
 
     azimuth_deg, altitude_deg : the view direction, clockwise from true north and above the horizon;
     altitude_deg for single pictures only. task_cdm2, window_to_task, uniformity : see
-    `contrast.ViewRegions.ratios`. melanopic_edi_lx : see `contrast.melanopic_edi_lx`. verdict : the
-    grade of DGP; "A to B" if dgp_low and dgp_high have different grades; "not seen" as in seen.
-    seen : "seen", "partly seen" or "not seen"; seen_share : share (0 to 1) of the vertical
-    illuminance of a uniform field that comes from seen pixels. dgp_low, dgp_high : bounds of DGP,
-    for a partly seen direction only. source_count : number of glare sources of a
+    `contrast.ViewRegions.ratios`. melanopic_edi_lx : measured by the camera's colour, or Ev times
+    1.0 if `melanopic_der` calls it an estimate; u_melanopic_edi_lx : its standard uncertainty, None
+    for an estimate and for a picture without uncertainty. verdict : the grade of DGP; "A to B" if
+    dgp_low and dgp_high have different grades; "not seen" as in seen. seen : "seen", "partly seen"
+    or "not seen"; seen_share : share (0 to 1) of the vertical illuminance of a uniform field that
+    comes from seen pixels. dgp_low, dgp_high : bounds of DGP, for a partly seen direction only.
+    source_count : number of glare sources of a
     single picture; sources : its strongest ones, at most 20. reference : evalglare's figures, if
     requested; a panorama has them for fully seen directions only.
 
@@ -65,6 +68,7 @@ class ViewAnswer(TypedDict):
     window_to_task: float | None
     uniformity: float | None
     melanopic_edi_lx: float | None
+    u_melanopic_edi_lx: float | None
     verdict: str
     seen: str
     seen_share: float
@@ -81,11 +85,12 @@ class GlareAnswer(TypedDict):
     file : path of the picture. t_utc : time of the picture; None if unknown. heading_deg : azimuth
     of a panorama's centre column, or of a fisheye's view, clockwise from true north. sun : the sun
     as a source next to the pixels (fields of `SunSource`); None without a sun. melanopic_der :
-    the assumed spectrum, as a text. views : one entry for each view direction. disturbed_share :
-    share (0 to 1) of the views with a grade whose DGP is above 0.40; None if no view has a grade.
-    covered_share : share of the front hemisphere that the picture covers; 1 for a panorama.
-    rammg_cdm2, rammg_lightness : of a panorama only, see `contrast`. calibration_factor : factor
-    that scaled the luminance to a measured illuminance; absent without one.
+    where melanopic EDI comes from: "D65, assumed" for an estimate, else "colour". views : one entry
+    for each view direction. disturbed_share : share (0 to 1) of the views with a grade whose DGP is
+    above 0.40; None if no view has a grade. covered_share : share of the front hemisphere that the
+    picture covers; 1 for a panorama. rammg_cdm2, rammg_lightness : of a panorama only, see
+    `contrast`. calibration_factor : factor that scaled the luminance to a measured illuminance;
+    absent without one.
     """
 
     file: str
@@ -140,7 +145,7 @@ def answer_of(
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
         "heading_deg": panorama.heading_deg,
         "sun": None if sun is None else asdict(sun),
-        "melanopic_der": "D65, assumed",
+        "melanopic_der": "D65, assumed" if melanopic_ratio(panorama) is None else "colour",
         "views": views,
         "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
         "warnings": warnings

@@ -1,4 +1,4 @@
-"""Compute contrast, window to task, uniformity and melanopic illuminance of a map.
+"""Compute contrast, window to task and uniformity of a map.
 
 RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
 Marini 2004). In cd/m2 it follows the code of Liu, Colburn and Inanici 2020: five levels, halved by
@@ -25,7 +25,6 @@ TASK_ALTITUDE_DEG = -30.0
 TASK_RADIUS_DEG = 15.0
 BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
 WINDOW_CDM2 = 2000.0  # brighter pixels are window, the limit of a glare source; not measured
-MELANOPIC_DER_D65 = 1.0  # CIE S 026:2018, by definition
 
 
 def local_contrast(image: Floats) -> Floats:
@@ -96,15 +95,6 @@ def lightness(relative: Floats) -> Floats:
     """
     ratio = np.clip(relative, 0.0, 1.0)
     return np.where(ratio > (6 / 29) ** 3, 116.0 * np.cbrt(ratio) - 16.0, ratio * (29 / 3) ** 3)
-
-
-def melanopic_edi_lx(ev_lx: Floats) -> Floats:
-    """Return the estimated melanopic equivalent daylight illuminance [lx], in the shape of `ev_lx`.
-
-    It is the vertical illuminance `ev_lx` [lx] times the melanopic daylight efficacy ratio of D65,
-    which is 1 (CIE S 026). The ratio of a blue sky is higher.
-    """
-    return np.asarray(ev_lx, float) * MELANOPIC_DER_D65
 
 
 class ViewRegions:

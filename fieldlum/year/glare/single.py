@@ -12,6 +12,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, SunSource
+from fieldlum.optics.photometry.melanopic import melanopic_edi
 from fieldlum.optics.projection import NOT_SEEN, SEEN, direction
 from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare.answers import (
@@ -25,7 +26,7 @@ from fieldlum.year.glare.answers import (
     valid_pixels,
     verdict,
 )
-from fieldlum.year.glare.contrast import ViewRegions, melanopic_edi_lx, rammg, rammg_lightness
+from fieldlum.year.glare.contrast import ViewRegions, rammg, rammg_lightness
 from fieldlum.year.glare.fisheye import panorama_to_fisheye
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS, MORE_METRICS, glare_directions
@@ -43,6 +44,7 @@ def picture_glare(
     view_options: str = "",
     part: str = "",
     measured_ev_lx: float | None = None,
+    lamps: bool = False,
 ) -> GlareAnswer:
     """Return the object that `glare --json` prints for a .hdr or .exr picture.
 
@@ -50,14 +52,15 @@ def picture_glare(
     fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
-    has this vertical illuminance; None for no scaling. Raises InputError for an unusable picture,
+    has this vertical illuminance; None for no scaling. lamps : electric light is on, so that
+    melanopic EDI is less certain. Raises InputError for an unusable picture,
     or if a picture to scale has no light in its first view.
     """
     picture = read_picture(path, view_options, part)
     judge = _panorama_answer if picture.view is None else single_picture_glare
     if measured_ev_lx is None:
-        return judge(picture, path, azimuths_deg, reference, 1.0)
-    ev = judge(picture, path, azimuths_deg, False, 1.0)["views"][0]["ev_lx"]
+        return judge(picture, path, azimuths_deg, reference, 1.0, lamps)
+    ev = judge(picture, path, azimuths_deg, False, 1.0, lamps)["views"][0]["ev_lx"]
     if not ev or ev <= 0.0:
         raise InputError(
             path,
@@ -66,7 +69,7 @@ def picture_glare(
             "check the view direction, or omit the measured illuminance (--calibrate-ev)",
         )
     factor = measured_ev_lx / ev
-    answer = judge(picture, path, azimuths_deg, reference, factor)
+    answer = judge(picture, path, azimuths_deg, reference, factor, lamps)
     answer["calibration_factor"] = factor
     return answer
 
@@ -87,13 +90,18 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Gl
             "use a map of all directions (equirectangular)",
         )
     picture = Picture(panorama, None)
-    answer = _panorama_answer(picture, source, azimuths_deg, False, 1.0)
+    answer = _panorama_answer(picture, source, azimuths_deg, False, 1.0, False)
     answer["file"] = ""
     return answer
 
 
 def _panorama_answer(
-    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
+    picture: Picture,
+    path: Path,
+    azimuths_deg: Sequence[float],
+    reference: bool,
+    factor: float,
+    lamps: bool,
 ) -> GlareAnswer:
     """Judge a panorama in the given directions, with its luminance times `factor`."""
     panorama = picture.panorama
@@ -104,7 +112,7 @@ def _panorama_answer(
     if seen_mask is not None:
         warnings.insert(0, _unseen_text(seen_mask))
     maps, sun = take_out_sun(maps, panorama.heading_deg, scaled_sun(panorama.sun, factor))
-    views = _view_rows(maps, panorama.heading_deg, azimuths, sun, seen_mask)
+    views = _view_rows(maps, panorama, azimuths, sun, seen_mask, lamps)
     for row in views:
         if reference and row["seen"] == SEEN:
             azimuth = row["azimuth_deg"]
@@ -117,12 +125,18 @@ def _panorama_answer(
 
 def _view_rows(
     maps: Floats,
-    heading_deg: float,
+    panorama: Panorama,
     azimuths: np.ndarray,
     sun: SunSource | None,
     seen_mask: np.ndarray | None,
+    lamps: bool,
 ) -> list[ViewAnswer]:
-    """Return the figures of each direction; seen_mask [H, W], None if all pixels were seen."""
+    """Return the figures of each direction.
+
+    maps : luminance [H, W] of the panorama without the sun; seen_mask [H, W], None if all pixels
+    were seen.
+    """
+    heading_deg = panorama.heading_deg
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     height, width = maps.shape
@@ -133,18 +147,23 @@ def _view_rows(
     figures |= ViewRegions(height, width, heading_deg, azimuths, seen_mask).ratios(maps[None])
     most = np.zeros(1) if seen_mask is None else brightest_cdm2(maps[None], seen_mask)
     low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)
+    edi, u_edi = melanopic_edi(
+        panorama, maps.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
+    )
     views = []
     for i, azimuth in enumerate(azimuths):
         row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
         row |= {name: plain(values[0, i]) for name, values in figures.items()}
-        row["melanopic_edi_lx"] = float(melanopic_edi_lx(figures["ev_lx"][0, i]))
+        row["melanopic_edi_lx"] = float(edi[i])
+        row["u_melanopic_edi_lx"] = None if u_edi is None else plain(u_edi[i])
         row["verdict"] = verdict(row["dgp"])
         row |= {"seen": coverage.words[i], "seen_share": float(coverage.seen_share[i])}
         if coverage.partly[i]:
             row |= {"dgp_low": float(low[0, i]), "dgp_high": float(high[0, i])}
             row["verdict"] = bounds_verdict(row["dgp_low"], row["dgp_high"])
         if not coverage.judged[i]:
-            row |= dict.fromkeys((*figures, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
+            row |= dict.fromkeys((*figures, "melanopic_edi_lx", "u_melanopic_edi_lx"))
+            row["verdict"] = NOT_SEEN
         views.append(cast(ViewAnswer, row))
     return views
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
+from fieldlum.optics.photometry.melanopic import melanopic_edi
 from fieldlum.optics.projection import FULLY_SEEN_SHARE, NOT_SEEN, signed_angle_deg
 from fieldlum.year.glare.answers import (
     GlareAnswer,
@@ -23,7 +24,6 @@ from fieldlum.year.glare.answers import (
     valid_pixels,
     verdict,
 )
-from fieldlum.year.glare.contrast import melanopic_edi_lx
 from fieldlum.year.glare.metrics import METRICS, MORE_METRICS
 from fieldlum.year.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels, region_ratios
 from fieldlum.year.glare.picture_grid import PictureGrid, picture_grid
@@ -40,13 +40,19 @@ SHOWN_SOURCES = 20
 
 
 def single_picture_glare(
-    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
+    picture: Picture,
+    path: Path,
+    azimuths_deg: Sequence[float],
+    reference: bool,
+    factor: float,
+    lamps: bool,
 ) -> GlareAnswer:
     """Return the `glare` answer of a fisheye or perspective picture in its own view direction.
 
     path : names the picture in the answer and in errors. factor : multiplies the luminance.
-    reference : add evalglare's figures. Raises InputError if `azimuths_deg` has another azimuth
-    than the picture's own (it may be empty), and for pixels that are not finite.
+    reference : add evalglare's figures. lamps : electric light is on. Raises InputError if
+    `azimuths_deg` has another azimuth than the picture's own (it may be empty), and for pixels that
+    are not finite.
     """
     view = picture.view
     assert view is not None
@@ -60,7 +66,13 @@ def single_picture_glare(
     figures |= region_ratios(pixels, grid)
     row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
     row |= {name: plain(value) for name, value in figures.items()}
-    row["melanopic_edi_lx"] = float(melanopic_edi_lx(np.asarray(figures["ev_lx"])))
+    weights = grid.illuminance.reshape(-1, 1)
+    sun_ev_lx = np.array([parts["sun_ev_lx"]])
+    edi, u_edi = melanopic_edi(
+        picture.panorama, pixels.ravel(), weights, sun, sun_ev_lx, lamps=lamps
+    )
+    row["melanopic_edi_lx"] = float(edi[0])
+    row["u_melanopic_edi_lx"] = None if u_edi is None else plain(u_edi[0])
     row |= _seen_figures(pixels, grid, parts)
     row |= {"source_count": len(sources), "sources": _source_rows(sources)}
     if reference:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats
-from fieldlum.year.glare.contrast import ViewRegions, melanopic_edi_lx
+from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import Views
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import SOURCE_CDM2
@@ -71,7 +71,7 @@ def view_figures(
     figures["u_dgp"] = dgp_uncertainty(
         figures["ev_lx"], figures["contrast"], *relative_uncertainty(block, views, figures)
     )
-    figures["melanopic_edi_lx_estimate"] = melanopic_edi_lx(figures["ev_lx"])
+    figures["melanopic_edi_lx_estimate"] = figures["ev_lx"]
     return figures | regions.ratios(maps)
 
 

@@ -1,0 +1,107 @@
+"""Compute melanopic equivalent daylight illuminance (EDI, CIE S 026:2018) from camera colour.
+
+Under daylight, melanopic luminance is nearly linear in X, Y and Z (Trinh, Bodrogi and Khanh,
+Sensors 23:5000, 2023). The spectrum of an LED does not follow from its colour, so the uncertainty
+of warm light is larger. bench/melanopic.py computes the constants and compares them with cameras.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.records import Panorama, SunSource
+
+# Melanopic EDI over X, Y and Z: least squares over CIE daylight of 4000 to 25000 K through eight
+# glazings of Rubin 1985 and from three walls; rms 1.7 % (bench/melanopic.py).
+MELANOPIC_FROM_XYZ = np.array([-0.7898, 1.1566, 0.5489])
+# Relative standard uncertainty of the ratio under daylight (bench/melanopic.py): of XYZ by a chart
+# under daylight, and by the colour matrix in a raw file.
+U_CHART, U_MATRIX = 0.025, 0.06
+U_LAMP = 0.10  # the same under LED lamps, from their spectrum (CIE LED-B1 to V2; the same bench)
+# Ratios of light that may be a lamp's: daylight behind clear glass is above the first, most lamps
+# are below the second (the same bench).
+_DAYLIGHT_RATIO, _LAMP_RATIO = 0.85, 0.70
+# Melanopic over photopic illuminance of direct sunlight: 0.94 exp(-0.058 air mass), within 2 % of
+# SPECTRL2 (Bird and Riordan 1986) with an aerosol depth of 0.1 and air mass 1 to 15.
+_SUN_RATIO, _SUN_RATIO_DECAY = 0.94, 0.058
+_U_SUN = 0.07  # relative u of its melanopic illuminance: aerosol 5 %, glass and disc 5 %; chosen
+_RADIANCE_Y = (0.265, 0.670, 0.065)  # weights of R, G, B in the luminance of a stored picture
+ATTRIBUTE = "melanopic"  # of a picture: weights of R, G and B, and the ratio's relative u
+
+
+def attribute_text(melanopic_from_rgb: Floats, rgb_to_radiance: Floats, u_rel: float) -> str:
+    """Return the attribute of a picture whose R, G, B are the camera's times a matrix.
+
+    melanopic_from_rgb [3] : weights of the camera's colours; rgb_to_radiance [3, 3].
+    """
+    weights = np.asarray(melanopic_from_rgb) @ np.linalg.inv(rgb_to_radiance)
+    return " ".join(f"{value:.6g}" for value in (*weights, u_rel))
+
+
+def melanopic_ratio(panorama: Panorama) -> tuple[Floats32, float] | None:
+    """Return melanopic over photopic luminance of each pixel [H, W], and its relative u.
+
+    The uncertainty is that under daylight. None for a picture without calibrated colour.
+    """
+    text = panorama.attributes.get(ATTRIBUTE)
+    if text is None or panorama.rgb is None:
+        return None
+    *weights, u_rel = (float(word) for word in text.split())
+    rgb = np.asarray(panorama.rgb, np.float32)
+    light = rgb @ np.array(_RADIANCE_Y, np.float32)
+    ratio = np.ones_like(light)
+    np.divide(rgb @ np.array(weights, np.float32), light, out=ratio, where=light > 0)
+    return np.maximum(ratio, 0.0), u_rel
+
+
+def melanopic_edi(
+    panorama: Panorama,
+    luminance_cdm2: Floats,
+    weights_sr: Floats,
+    sun: SunSource | None,
+    sun_ev_lx: Floats,
+    *,
+    lamps: bool = False,
+) -> tuple[Floats, Floats | None]:
+    """Return melanopic EDI and its standard uncertainty in d view directions, [d] each, in lx.
+
+    luminance_cdm2 : of the pixels, flat [n], without the sun. weights_sr [n, d] : solid angle times
+    cosine. sun : separate from the pixels, with the illuminance sun_ev_lx [d] in each direction.
+    lamps : electric light is known to be on. Without calibrated colour the first result is the
+    illuminance, an estimate with the spectrum of D65, and the second is None. Errors of all pixels
+    count as equal in sign.
+    """
+    map_lx = luminance_cdm2 @ weights_sr
+    colour = melanopic_ratio(panorama)
+    if colour is None:
+        return map_lx + sun_ev_lx, None
+    edi = (luminance_cdm2 * colour[0].ravel()) @ weights_sr
+    if panorama.u_cdm2 is None:
+        u_map = np.full_like(map_lx, np.nan)
+    else:
+        u_map = np.nan_to_num(panorama.u_cdm2.ravel()) @ weights_sr
+        u_map /= np.maximum(panorama.luminance_cdm2.ravel() @ weights_sr, 1e-9)
+    u_map = np.hypot(u_map, ratio_u_rel(edi / np.maximum(map_lx, 1e-9), colour[1], lamps=lamps))
+    sun_edi = sun_ev_lx * (0.0 if sun is None else sun_ratio(sun.altitude_deg))
+    return edi + sun_edi, np.hypot(edi * u_map, sun_edi * _U_SUN)
+
+
+def sun_ratio(altitude_deg: float) -> float:
+    """Return the melanopic over the photopic illuminance of direct sunlight, without glazing.
+
+    altitude_deg : apparent. The relative air mass is that of Kasten and Young 1989.
+    """
+    altitude = np.maximum(altitude_deg, 0.0)
+    mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
+    return _SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * mass)
+
+
+def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool = False) -> Floats:
+    """Return the relative standard uncertainty of ratios of any shape.
+
+    u_rel : under daylight. lamps : electric light is known to be on. Light with a low ratio may be
+    a lamp's, whose spectrum does not follow from its colour.
+    """
+    share = np.clip((_DAYLIGHT_RATIO - ratio) / (_DAYLIGHT_RATIO - _LAMP_RATIO), 0.0, 1.0)
+    return np.hypot(u_rel, U_LAMP * (np.ones_like(share) if lamps else share))

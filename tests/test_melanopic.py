@@ -1,0 +1,163 @@
+"""Melanopic EDI from camera colour: weights, pictures, calibration and white balance."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_frames import PROFILE
+from click.testing import CliRunner
+
+from fieldlum.calibrate import colour
+from fieldlum.cli import main
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import Exposure, Panorama, SunSource
+from fieldlum.merge.frame_checks import floating_white_balance
+from fieldlum.merge.shots import Shot
+from fieldlum.optics.images import write_panorama
+from fieldlum.optics.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
+from fieldlum.optics.photometry.melanopic import (
+    MELANOPIC_FROM_XYZ,
+    U_CHART,
+    attribute_text,
+    melanopic_edi,
+    melanopic_ratio,
+    ratio_u_rel,
+    sun_ratio,
+)
+from fieldlum.optics.profiles import Colour, check_camera
+from fieldlum.optics.raw import write_jpeg
+
+# X, Y, Z of D65 and of illuminant A (CIE 015:2018, table 7), and their ratios by CIE S 026.
+D65, A = np.array([0.9504, 1.0, 1.0888]), np.array([1.0985, 1.0, 0.3558])
+CAMERA = np.array([[0.55, 0.25, 0.10], [0.30, 0.62, 0.08], [0.02, 0.12, 1.10]])  # to X, Y, Z
+
+
+def coloured(xyz: np.ndarray, u_cdm2: float = 3.0) -> Panorama:
+    """A uniform panorama of 100 cd/m2 of one colour."""
+    rgb = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) @ xyz
+    text = attribute_text(MELANOPIC_FROM_XYZ @ rgb_to_xyz(RADIANCE_CHROMATICITIES), np.eye(3), 0.03)
+    shape = (8, 16)
+    return Panorama(
+        np.full(shape, 100.0, np.float32),
+        180.0,
+        u_cdm2=np.full(shape, u_cdm2, np.float32),
+        rgb=np.broadcast_to(rgb, (*shape, 3)).astype(np.float32),
+        attributes={"melanopic": text},
+    )
+
+
+@pytest.mark.authority
+def test_ratios_are_those_of_cie_s_026() -> None:
+    for xyz, ratio, tolerance in ((D65, 1.0, 0.005), (A, 0.496, 0.03)):
+        found, u_rel = melanopic_ratio(coloured(xyz)) or (np.zeros(1), 0.0)
+        assert found == pytest.approx(ratio, abs=tolerance) and u_rel == 0.03
+    assert melanopic_ratio(replace(coloured(D65), attributes={})) is None
+
+
+@pytest.mark.authority
+def test_direct_sunlight_is_that_of_spectrl2() -> None:
+    # pvlib's spectrl2 at an aerosol depth of 0.1: zenith 0, 60, 75 and 80 degrees
+    for altitude, ratio in ((90.0, 0.893), (30.0, 0.840), (15.0, 0.752), (10.0, 0.676)):
+        assert sun_ratio(altitude) == pytest.approx(ratio, rel=0.02)
+
+
+@pytest.mark.analytic
+def test_edi_of_a_uniform_room_with_a_sun() -> None:
+    picture, weights = coloured(D65), np.full((128, 1), np.pi / 128)
+    sun = SunSource(30.0, 180.0, 5000.0)
+    edi, u = melanopic_edi(picture, np.full(128, 100.0), weights, sun, np.array([1000.0]))
+    expected = 100.0 * np.pi + 1000.0 * sun_ratio(30.0)
+    assert edi == pytest.approx(expected, rel=0.005) and u is not None
+    of_map = 100.0 * np.pi * np.hypot(0.03, 0.03)
+    assert u[0] == pytest.approx(np.hypot(of_map, 0.07 * 1000 * sun_ratio(30.0)), rel=0.02)
+    plain = replace(picture, attributes={})
+    edi, u = melanopic_edi(plain, np.full(128, 100.0), weights, None, np.zeros(1))
+    assert edi == pytest.approx(100.0 * np.pi) and u is None
+
+
+@pytest.mark.property
+def test_light_that_may_be_a_lamps_is_less_certain() -> None:
+    u = ratio_u_rel(np.array([1.1, 0.85, 0.78, 0.70, 0.45]), 0.025)
+    assert (np.diff(u) >= 0).all() and u[0] == 0.025 and u[-1] == pytest.approx(0.1031, abs=1e-3)
+    assert ratio_u_rel(np.array([1.1]), 0.025, lamps=True)[0] == u[-1]
+
+
+@pytest.mark.analytic
+def test_a_chart_under_daylight_gives_the_cameras_matrix() -> None:
+    for cct_k in (4500.0, 8000.0):
+        table = np.loadtxt(colour._CHART_XYZ, delimiter=",").reshape(24, 3, 3)
+        xyz = colour.daylight_parts(cct_k) @ table
+        rgb = xyz @ np.linalg.inv(CAMERA).T * np.linspace(0.5, 2.0, 24)[:, None]  # uneven light
+        found = colour.xyz_from_chart(rgb, CAMERA[1], cct_k)
+        assert found == pytest.approx(CAMERA, abs=1e-6)
+    white = colour.daylight_parts(6504.0) @ table[18] / table[18, 0, 1]
+    assert white / white[1] == pytest.approx(D65, rel=0.05)  # white paint is slightly yellow
+    with pytest.raises(ValueError, match="4000 to 25 000 K"):
+        colour.daylight_parts(3000.0)
+
+
+@pytest.mark.analytic
+def test_weights_follow_the_matrix_and_readings_of_a_spectrometer() -> None:
+    rng = np.random.default_rng(2)
+    rgb = rng.uniform(10.0, 100.0, (12, 3))
+    truth = np.array([-0.1, 0.7, 0.5])
+    labels = tuple(map(str, range(12)))
+    matrix = np.linalg.inv(CAMERA)
+    colours = colour.Colours(rgb, rgb @ CAMERA[1], np.full(12, 0.01), labels, (Path("x"),), matrix)
+    own = Colour(tuple(CAMERA[1].tolist()))
+    table, line = colour.with_melanopic(own, colours, PROFILE, 1.0, None)
+    assert table.melanopic_from_rgb == pytest.approx(MELANOPIC_FROM_XYZ @ CAMERA, abs=1e-5)
+    assert "colour matrix" in line and table.melanopic_u_rel == 0.06
+    read = replace(colours, melanopic=rgb @ truth)
+    table, line = colour.with_melanopic(own, read, PROFILE, 1.0, None)
+    assert table.melanopic_from_rgb == pytest.approx(truth, abs=0.02)
+    assert "12 readings" in line and table.melanopic_u_rel == 0.02
+    chart, line = colour.with_melanopic(
+        own, replace(colours, rgb=rng.uniform(1, 9, (24, 3))), PROFILE, 1.0, 5500.0
+    )
+    assert chart.melanopic_u_rel == U_CHART and "5500 K" in line
+    none, line = colour.with_melanopic(own, replace(colours, matrix=None), PROFILE, 1.0, None)
+    assert none.melanopic_from_rgb == () and "--cct" in line
+
+
+@pytest.mark.contract
+def test_a_profile_with_a_melanopic_weight_has_colours() -> None:
+    weight = replace(PROFILE.colour, melanopic_from_rgb=(0.1, 0.5, 0.4), melanopic_u_rel=0.03)
+    with pytest.raises(InputError, match="melanopic_from_rgb has 3 values"):
+        check_camera(replace(PROFILE, colour=weight), "x.toml")
+    check_camera(replace(PROFILE, colour=replace(weight, rgb_to_radiance=(1.0,) * 9)), "x.toml")
+
+
+@pytest.mark.contract
+def test_a_jpeg_without_fixed_white_balance_has_no_melanopic_colour(tmp_path: Path) -> None:
+    from PIL import Image
+
+    exposure = Exposure(0.01, 5.6)
+    write_jpeg(tmp_path / "a.jpg", np.zeros((8, 8, 3), np.uint8), exposure)
+    Image.new("RGB", (8, 8)).save(tmp_path / "b.jpg")
+    body = replace(PROFILE.camera, kind="jpeg")
+    weight = replace(PROFILE.colour, melanopic_from_rgb=(0.1, 0.5, 0.4))
+    profile = replace(PROFILE, camera=body, colour=weight)
+    fixed, unknown = (Shot(tmp_path / name, exposure) for name in ("a.jpg", "b.jpg"))
+    assert floating_white_balance([fixed], profile) == ""
+    assert floating_white_balance([fixed, unknown], profile) == "b.jpg"
+    assert floating_white_balance([unknown], replace(profile, colour=PROFILE.colour)) == ""
+
+
+@pytest.mark.contract
+def test_glare_states_melanopic_edi_with_its_uncertainty(tmp_path: Path) -> None:
+    write_panorama(tmp_path / "a.exr", coloured(D65))
+    write_panorama(tmp_path / "b.exr", replace(coloured(D65), attributes={}))
+    run = CliRunner().invoke(
+        main, ["glare", str(tmp_path / "a.exr"), str(tmp_path / "b.exr"), "--json"]
+    )
+    measured, estimate = (json.loads(line) for line in run.stdout.splitlines())
+    assert measured["melanopic_der"] == "colour" and estimate["melanopic_der"] == "D65, assumed"
+    view = measured["views"][0]
+    assert view["melanopic_edi_lx"] == pytest.approx(view["ev_lx"], rel=0.005)
+    assert view["u_melanopic_edi_lx"] == pytest.approx(0.0424 * view["ev_lx"], rel=0.02)
+    assert estimate["views"][0]["u_melanopic_edi_lx"] is None
+    text = CliRunner().invoke(main, ["glare", str(tmp_path / "a.exr"), "--lamps"])
+    assert "by the camera's colour" in text.output
