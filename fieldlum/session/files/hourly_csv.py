@@ -40,14 +40,17 @@ VIEW_COLUMNS = {  # name and number of digits written
     "dgps": 4,
     "ev_lx": 1,
     "melanopic_edi_lx_estimate": 1,
+    "melanopic_edi_lx": 1,  # written only with calibrated colour, like its uncertainty
+    "u_melanopic_edi_lx": 1,
     "ugr": 2,
     "dgi": 2,
     "task_cdm2": 1,
     "window_to_task": 2,
     "uniformity": 3,
 }
-# Version 0.1.0 did not write these columns; in its years they are NaN.
-LATER_COLUMNS = ("dgp_low", "dgp_high")
+# Columns that earlier versions did not write are NaN in their years.
+COLOUR_COLUMNS = ("melanopic_edi_lx", "u_melanopic_edi_lx")
+LATER_COLUMNS = ("dgp_low", "dgp_high", *COLOUR_COLUMNS)
 LATER_HOUR_COLUMNS = ("disturbed_share",)
 
 
@@ -100,10 +103,15 @@ class HourlyFile:
     def write(self, folder: Path, timezone: str) -> None:
         """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""
         zone = ZoneInfo(timezone)
-        names = [_view_column(name, a) for a in self.azimuths_deg for name in VIEW_COLUMNS]
-        digits = [figure for _ in self.azimuths_deg for figure in VIEW_COLUMNS.values()]
+        columns = {
+            name: digits
+            for name, digits in VIEW_COLUMNS.items()
+            if name not in COLOUR_COLUMNS or np.isfinite(self.views[name]).any()
+        }
+        names = [_view_column(name, a) for a in self.azimuths_deg for name in columns]
+        digits = [figure for _ in self.azimuths_deg for figure in columns.values()]
         # One block for each direction: the columns of a view are next to each other.
-        block = np.stack([self.views[name] for name in VIEW_COLUMNS], axis=2)
+        block = np.stack([self.views[name] for name in columns], axis=2)
         block = block.reshape(len(self.t_utc), -1)  # [n, d * metrics]
         path = folder / NAME
         with (

@@ -28,12 +28,12 @@ def default_folder(model_folder: Path) -> Path:
     This is SESSION/annual/NAME for a model in SESSION/models/NAME, else `annual` in the model's
     folder.
     """
-    if _session_folder(model_folder) is None:
+    if session_folder(model_folder) is None:
         return model_folder / "annual"
     return model_folder.parent.parent / "annual" / model_folder.resolve().name
 
 
-def _session_folder(model_folder: Path) -> Path | None:
+def session_folder(model_folder: Path) -> Path | None:
     """Return the session that a model folder is in; None if it is elsewhere."""
     models = model_folder.resolve().parent
     in_session = models.name == "models" and (models.parent / "session.toml").is_file()
@@ -48,7 +48,7 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     its size in pixels must be equal. scene: the fitted scene in the model's config.json, if any;
     then the room and heading as stated before the fit are compared.
     """
-    root = _session_folder(model_folder)
+    root = session_folder(model_folder)
     if root is None:
         return
     session = open_session(root)

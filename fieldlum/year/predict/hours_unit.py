@@ -20,9 +20,15 @@ from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import Views, panorama_views
 from fieldlum.year.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
 from fieldlum.year.glare.unseen import ViewCoverage, view_coverage
-from fieldlum.year.predict.block_figures import hour_figures, unseen_bounds, view_figures
+from fieldlum.year.predict.block_figures import (
+    hour_figures,
+    relative_uncertainty,
+    unseen_bounds,
+    view_figures,
+)
 from fieldlum.year.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
 from fieldlum.year.predict.maps import write_maps
+from fieldlum.year.predict.melanopic import MelanopicYear, sun_shares
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +45,7 @@ class _HoursJob:
     azimuths_deg: tuple[float, ...]
     discs_lx: Floats  # [k, n]
     maps: str
+    melanopic: MelanopicYear | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +81,13 @@ def hour_units(
     azimuths_deg: Sequence[float] | Floats,
     discs_lx: Floats,
     maps: str,
+    melanopic: MelanopicYear | None = None,
 ) -> list[WorkUnit]:
     """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
 
     azimuths_deg: view directions, clockwise from true north; discs_lx: illuminance of the sun's
     disc in k random draws of its visibility [k, n]; maps: folder or URL of the Zarr
-    store of maps, "" to write none.
+    store of maps, "" to write none; melanopic: colours by the captures, None without any.
     """
     model = model_folder.resolve()
     local = Path(maps).resolve() if maps and "://" not in maps else None
@@ -96,7 +104,8 @@ def hour_units(
     units = []
     for start in range(0, len(light), BLOCK):
         rows = slice(start, min(start + BLOCK, len(light)))
-        job = _HoursJob(name, digest, start, light[rows], azimuths, discs_lx[:, rows], where)
+        discs = discs_lx[:, rows]
+        job = _HoursJob(name, digest, start, light[rows], azimuths, discs, where, melanopic)
         text = f"hours-{rows.start}-{rows.stop}"
         units.append(WorkUnit(text, predict_hours, folder, job, files=files))
     return units
@@ -111,6 +120,11 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     room = ready.room
     (block,) = blocks(ready.fitted, room, job.light)
     figures = view_figures(block, room, ready.views, ready.regions)
+    if job.melanopic is not None:
+        ev_lx = figures["ev_lx"] - figures["sun_ev_lx"]
+        shares = sun_shares(ready.fitted, room, block.light, ready.views, ev_lx)
+        u_ev_rel, _ = relative_uncertainty(block, ready.views, figures)
+        figures |= job.melanopic.figures(block.light, shares, figures, u_ev_rel)
     least, most = unseen_bounds(block, room, ready.coverage, figures)
     discs = job.discs_lx
     per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)

@@ -15,7 +15,7 @@ from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.learn.models import load, read_config
 from fieldlum.learn.models.disc_in_view import drawn_discs_lx
-from fieldlum.session import check_writable
+from fieldlum.session import Session, check_writable
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
@@ -32,11 +32,13 @@ from fieldlum.year.predict.checks import (
     default_folder,
     delete_earlier_year,
     inputs_of,
+    session_folder,
 )
 from fieldlum.year.predict.glare_summary import judge, poor, summary_of_year
 from fieldlum.year.predict.hours_unit import HourFigures, hour_units
 from fieldlum.year.predict.maps import FolderMapStore, MapStore
 from fieldlum.year.predict.maps_bucket import BucketMapStore
+from fieldlum.year.predict.melanopic import has_colour, year_of_captures
 from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.year.predict.pictures import telling_pictures
 
@@ -91,6 +93,10 @@ def run(
         check_url(maps_to, "--maps-to", "use --maps")
         inputs["maps_to"] = maps_to
     inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
+    root = session_folder(model_folder)
+    pairs = None if root is None else Session(root).pairs
+    coloured = pairs if pairs is not None and has_colour(pairs) else None
+    inputs |= {"melanopic": "colour"} if coloured else {}
     if not force and (existing := already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
@@ -112,6 +118,7 @@ def run(
         azimuths,
         folder,
         none_trusted=poor(config),
+        coloured_pairs=coloured,
         maps=maps,
         bucket=BucketMapStore(maps_to, inputs, folder / ".maps.zarr.tmp") if maps_to else None,
         seed=seed,
@@ -167,6 +174,7 @@ def measure(
     folder: Path,
     *,
     none_trusted: bool = False,
+    coloured_pairs: Path | None = None,
     maps: bool = False,
     bucket: BucketMapStore | None = None,
     seed: int = 0,
@@ -181,13 +189,15 @@ def measure(
     the first includes the disc, too.
 
     none_trusted: mark no hour as trusted, because `train` warned of the model's single maps.
-    The maps are written to maps.zarr in
-    `folder` with `maps`, or to `bucket`.
+    coloured_pairs: pairs.csv of pictures with melanopic colour, None for none. The maps are written
+    to maps.zarr in `folder` with `maps`, or to `bucket`.
     """
     count, d = len(light), len(azimuths_deg)
-    coverage = view_coverage(
-        room.seen, panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
-    )
+    grid = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
+    coverage = view_coverage(room.seen, grid)
+    melanopic = None
+    if coloured_pairs is not None:
+        melanopic = year_of_captures(coloured_pairs, load(model_folder), room, grid)
     hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
     figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
     rng = np.random.default_rng([seed, 2])
@@ -200,7 +210,8 @@ def measure(
         store = FolderMapStore(folder / "maps.zarr")
     if store is not None:
         store.create(light.t_utc, room, room.setup.site.name)
-    units = hour_units(model_folder, light, azimuths_deg, discs_lx, store.target if store else "")
+    target = store.target if store else ""
+    units = hour_units(model_folder, light, azimuths_deg, discs_lx, target, melanopic)
 
     def take(outcome: UnitOutcome) -> None:
         block: HourFigures = outcome.result()

@@ -1,0 +1,169 @@
+"""Predict melanopic EDI of a year from the colours of the captures.
+
+Sky and sun have their own colours. The ratio of melanopic to photopic light in a view direction is
+that of the sky times its share in the illuminance, plus that of the sun times the rest, times a
+factor of the direction for the colours of glass and walls. The captures give sky, sun and factors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.learn.models import Fitted
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.photometry.melanopic import melanopic_ratio, sun_ratio
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.sky.light import LEAST_LX, Light, light_at
+from fieldlum.year.glare.geometry import Views
+from fieldlum.year.predict.blocks import ModelRoom, blocks
+
+_MOST_CAPTURES = 80  # that are read, which limits the time; chosen
+# Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
+# over `sun_ratio` (fits to two simulated rooms with a coloured sky), with the weight of _PRIOR
+# captures.
+_TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95]), 2.0
+_U_SUN = 0.07  # relative u of the visible sun's melanopic illuminance; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class MelanopicYear:
+    """The ratio of melanopic to photopic light by hour and view direction.
+
+    weights [3] : of an overcast sky, of a sky's clearness, and of the sun; factors [d] : of the
+    view directions; u_rel : relative standard uncertainty, by days held out and by the camera's
+    colour.
+    """
+
+    weights: Floats
+    factors: Floats
+    u_rel: float
+
+    def ratio(self, light: Light, sun_share: Floats) -> Floats:
+        """Return the ratio in n hours, [n, d]; sun_share [n, d] : share of the sun in the light."""
+        return np.einsum("ndk,k,d->nd", _parts(light, sun_share), self.weights, self.factors)
+
+    def figures(
+        self, light: Light, sun_share: Floats, views: dict[str, Floats], u_ev_rel: Floats
+    ) -> dict[str, Floats]:
+        """Return melanopic EDI and its standard uncertainty, by column of hourly.csv, [n, d] each.
+
+        views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_ev_rel [n, d] : relative
+        standard uncertainty of `ev_lx`.
+        """
+        of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light, sun_share)
+        of_sun = views["sun_ev_lx"] * sun_ratio(light.shown_altitude_deg)[:, None]
+        edi = of_map + of_sun
+        u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * _U_SUN), edi * u_ev_rel)
+        return {"melanopic_edi_lx": edi, "u_melanopic_edi_lx": u}
+
+
+def _parts(light: Light, sun_share: Floats) -> Floats:
+    """Return what the weights multiply, [n, d, 3]."""
+    sine = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
+    beam = light.dni_wm2 * sine
+    clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
+    sky = 1.0 - sun_share
+    sun = sun_share * sun_ratio(light.shown_altitude_deg)[:, None]
+    return np.stack([sky, sky * clear, sun], axis=-1)
+
+
+def fit_year(
+    light: Light, ratio: Floats, sun_share: Floats, days: Sequence[int], u_colour_rel: float
+) -> MelanopicYear:
+    """Fit the ratio of n captures in d directions.
+
+    light : of the captures; ratio, sun_share : [n, d]; days [n] : number of the day of each, for
+    holding days out; u_colour_rel : relative standard uncertainty of the camera's colour.
+    """
+    parts, day = _parts(light, sun_share), np.array(days)
+    errors = []
+    for held in np.unique(day):
+        rows = day != held
+        if rows.any():
+            weights, factors = _solve(parts[rows], ratio[rows])
+            errors.append(np.einsum("ndk,k,d->nd", parts[~rows], weights, factors) / ratio[~rows])
+    off = np.concatenate(errors) - 1.0 if errors else np.full((1, 1), 0.1)
+    u_rel = float(np.hypot(np.sqrt(np.mean(off**2)), u_colour_rel))
+    return MelanopicYear(*_solve(parts, ratio), u_rel)
+
+
+def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
+    """Return the weights [3] by relative least squares, and the factors [d]."""
+    rows = (parts / ratio[..., None]).reshape(-1, 3)
+    pull = np.sqrt(_PRIOR * ratio.shape[1]) * np.eye(3) * np.sqrt((rows**2).mean(axis=0))
+    stacked = np.concatenate([rows, pull]), np.concatenate([np.ones(len(rows)), pull @ _TYPICAL])
+    weights = np.linalg.lstsq(*stacked, rcond=None)[0]
+    count = len(ratio)
+    off = (ratio / (parts @ weights)).mean(axis=0) - 1.0
+    return weights, 1.0 + off * count / (count + _PRIOR)
+
+
+def sun_shares(
+    fitted: Fitted, room: ModelRoom, light: Light, views: Views, ev_lx: Floats
+) -> Floats:
+    """Return the sun's share (0 to 1) in the light of the predicted maps, [n, d].
+
+    The hours are predicted again without the sun, under the same sky. ev_lx [n, d] : vertical
+    illuminance by the maps of `light`, without the disc.
+    """
+    shares = np.zeros(ev_lx.shape)
+    sunny = np.flatnonzero(light.direct_lx > 0.0)
+    if len(sunny) == 0:
+        return shares
+    shade = _without_sun(light[sunny])
+    for block in blocks(fitted, room, shade):
+        rows = sunny[block.rows]
+        maps = block.prediction.luminance_cdm2.reshape(len(rows), -1)
+        shares[rows] = 1.0 - maps @ views.illuminance / np.maximum(ev_lx[rows], LEAST_LX)
+    return np.clip(shares, 0.0, 1.0)
+
+
+def _without_sun(light: Light) -> Light:
+    sky, dark = light.sky, np.zeros(len(light))
+    beam = sky.direct_lx * np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
+    ground = sky.ground_cdm2 * sky.diffuse_lx / np.maximum(sky.diffuse_lx + beam, LEAST_LX)
+    perez = replace(sky, direct_lx=dark, ground_cdm2=ground)
+    return replace(light, dni_wm2=dark, perez=perez)
+
+
+def has_colour(pairs: Path) -> bool:
+    """Return whether the first picture of a pairs.csv has melanopic colour."""
+    first = next((row for row in PairsFile.find(pairs).usable if row.panorama), None)
+    picture = None if first is None else pairs.parent / first.panorama
+    if picture is None or not picture.is_file():
+        return False
+    return melanopic_ratio(read_panorama(picture)) is not None
+
+
+def year_of_captures(pairs: Path, fitted: Fitted, room: ModelRoom, views: Views) -> MelanopicYear:
+    """Fit the ratio to the pictures of a pairs.csv.
+
+    Raises NotEnoughDataError if no picture has melanopic colour.
+    """
+    usable = [row for row in PairsFile.find(pairs).usable if row.panorama and not row.sun_in_map]
+    step = -(-len(usable) // _MOST_CAPTURES) if usable else 1
+    rows: list[PairRow] = []
+    ratios, u_rel = [], 0.0
+    for row in usable[::step]:
+        picture = read_panorama(pairs.parent / row.panorama)
+        colour = melanopic_ratio(picture)
+        if colour is None:
+            continue
+        light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0).ravel()
+        photopic = np.maximum(light @ views.illuminance, LEAST_LX)
+        ratios.append((light * colour[0].ravel()) @ views.illuminance / photopic)
+        rows, u_rel = [*rows, row], max(u_rel, colour[1])
+    if not rows:
+        raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
+    dni, dhi = (np.array([getattr(row, name) for row in rows]) for name in ("dni_wm2", "dhi_wm2"))
+    light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
+    maps = [block.prediction.luminance_cdm2 for block in blocks(fitted, room, light)]
+    ev_lx = np.concatenate(maps).reshape(len(rows), -1) @ views.illuminance
+    shares = sun_shares(fitted, room, light, views, ev_lx)
+    return fit_year(light, np.array(ratios), shares, [row.t_utc.toordinal() for row in rows], u_rel)
