@@ -11,7 +11,7 @@ from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
 from fieldlum.bench import charts, markdown, stress
-from fieldlum.bench.rows import over_seeds, parse_specs, without_training_hours
+from fieldlum.bench.rows import parse_specs, without_training_hours
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.learn import models
@@ -114,27 +114,6 @@ def test_the_front_holds_what_nothing_beats() -> None:
     """(3, 3) is beaten by (2, 2)."""
     points = [(3.0, 3.0), (1.0, 5.0), (2.0, 2.0), (9.0, 1.0), (9.5, 1.5)]
     assert charts.pareto(points) == [1, 2, 3]
-
-
-@pytest.mark.slow
-@pytest.mark.analytic
-def test_seeds_become_mean_and_spread() -> None:
-    """1 and 3 have mean 2 and standard deviation sqrt 2."""
-    keys = (
-        "log10_mse_weighted",
-        "rer_weighted",
-        "paper_log10_mse",
-        "paper_rer",
-        "dgp_mse",
-        "rammg_mse",
-    )
-    rows = [
-        dict.fromkeys(keys, v) | {"name": "dense", "fit_s": v, "fit_cpu_s": v, "seed": s}
-        for s, v in enumerate((1.0, 3.0))
-    ]
-    (row,) = over_seeds(rows)
-    assert row["log10_mse_weighted"] == 2.0 and row["seeds"] == 2
-    assert row["log10_mse_weighted_sd"] == pytest.approx(2**0.5)
 
 
 @pytest.mark.slow

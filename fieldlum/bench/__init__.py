@@ -15,7 +15,7 @@ import numpy as np
 
 from fieldlum.bench import charts, stress
 from fieldlum.bench.cost import radiance_row
-from fieldlum.bench.rows import BenchData, BenchRow, over_seeds, score_row
+from fieldlum.bench.rows import BenchData, score_row
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.model_registry import MODELS
@@ -31,7 +31,6 @@ TABLE = {
     "judged_log10_mse": "log10 MSE*",
     "n_judged": "hours*",
     "log10_mse_weighted": "log10 MSE",
-    "log10_mse_weighted_sd": "sd",
     "rer_weighted": "RER",
     "median": "median",
     "p90": "p90",
@@ -46,7 +45,6 @@ TABLE = {
     "rammg_mse_cut": "RAMMG MSE < 500",
     "n_train": "train",
     "n_test": "test",
-    "seeds": "seeds",
     "fit_s": "fit [s]",
     "fit_cpu_s": "fit [CPU s]",
     "predict_s_per_map": "map [s]",
@@ -140,7 +138,6 @@ def store(
 def run(
     loaded: BenchData,
     *,
-    seeds: int = 1,
     budget_min: float = 5.0,
     with_stress: bool = False,
     render_hours: int = 1,
@@ -149,30 +146,22 @@ def run(
 ) -> BenchAnswer:
     """Score all models, write tables and charts into `out`, and return the scores.
 
-    Files: bench.md and scores; with `with_stress` stress tests. seeds: trainings of each random
-    model; budget_min: minutes of one training of the dense network; render_hours: hours for which
-    Radiance is timed.
+    Files: bench.md and scores; with `with_stress` stress tests. budget_min: minutes of training for
+    the dense network; render_hours: hours for which Radiance is timed.
     """
     data, test = loaded.data, loaded.test
-    scored: list[BenchRow] = []
+    rows: list[Mapping[str, object]] = []
     trials: dict[str, Trial] = {}
     asked = None if test is None else truth(test)
     for spec in loaded.specs:
-        once = spec.folder is not None or MODELS[spec.name].baseline
-        for seed in range(1 if once else seeds):
-            row, trial = score_row(
-                spec, data, asked, seed=seed, budget_s=60.0 * budget_min, progress=progress
-            )
-            scored.append(row)
-            trials.setdefault(trial.name, trial)
+        row, trial = score_row(spec, data, asked, budget_s=60.0 * budget_min, progress=progress)
+        rows.append(row)
+        trials.setdefault(trial.name, trial)
     chosen = choose_model(list(trials.values()))
     rendering = radiance_row(data if test is None else test, render_hours, progress=progress)
-    rendered = [] if rendering is None else [rendering]
-    table = [*over_seeds(scored), *rendered]
-    rows: list[Mapping[str, object]] = [*scored, *rendered]
-    store(out, "scores", table, lambda path: charts.speed_accuracy(path, table, machine()))
-    write_csv(out / "scores_by_seed.csv", rows)
-    parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
+    rows += [] if rendering is None else [rendering]
+    store(out, "scores", rows, lambda path: charts.speed_accuracy(path, rows, machine()))
+    parts = [f"## Scores\n\n{markdown(rows, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     if with_stress and loaded.specs:
         regimes = _stress(loaded, progress)
         cells = [asdict(regime) for regime in regimes]

@@ -161,7 +161,7 @@ def score_row(
     data: Dataset,
     test: Truth | None,
     *,
-    seed: int,
+    seed: int = 0,
     budget_s: float,
     progress: Progress = quiet,
 ) -> tuple[BenchRow, Trial]:
@@ -210,23 +210,3 @@ def _fitted(
     about = config.state.get("dense_training", {})
     spent = Spent(*(float(about.get(name, float("nan"))) for name in ("seconds", "cpu_seconds")))
     return models.load(spec.folder), spent, len(config.training.slots)
-
-
-def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
-    """Return one row for each model, with the mean over seeds of errors and fit times.
-
-    Keys ending in _sd have the standard deviation of errors over seeds, None with one seed; other
-    values are those of the first seed. The key seeds has the number of seeds.
-    """
-    out: list[dict[str, object]] = []
-    for name in dict.fromkeys(row["name"] for row in rows):
-        mine = [row for row in rows if row["name"] == name]
-        row: dict[str, object] = {**mine[0], "seeds": len(mine)}
-        for key in (*ERRORS, "bias_log10"):
-            values = [value for r in mine if (value := r.get(key)) is not None]
-            row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
-            row[key] = float(np.mean(values)) if values else None
-        for key in ("fit_s", "fit_cpu_s"):
-            row[key] = float(np.mean([s for r in mine if (s := r[key]) is not None]))
-        out.append(row)
-    return out

@@ -33,7 +33,7 @@ from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 
 SEEDS = 5  # number of fits of the normal case, which differ only by chance; chosen
-FEWEST = 8  # hours of training and of test that a condition needs; chosen
+MIN_HOURS = 8  # hours of training and of test that a condition needs; chosen
 # Number of rows to which maps are reduced after a condition was applied at full size: thirty fits
 # then take a minute or two. Chosen.
 HEIGHT = 20
@@ -218,7 +218,7 @@ def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
 
 
 def _asked(name: str, data: Dataset, test: Dataset, rows: Mask) -> Iterator[Case]:
-    if rows.sum() >= FEWEST:
+    if rows.sum() >= MIN_HOURS:
         yield Case(name, data, test.take(rows))
 
 
@@ -236,7 +236,7 @@ def _seasons(pool: Dataset, test: Dataset) -> Iterator[Case]:
         "two weeks of captures": ((days >= first) & (days < first + 14), np.ones(len(test), bool)),
     }
     for name, (teach, check) in pairs.items():
-        if teach.sum() >= FEWEST and check.sum() >= FEWEST:
+        if teach.sum() >= MIN_HOURS and check.sum() >= MIN_HOURS:
             yield Case(name, pool.take(teach), test.take(check))
 
 

@@ -31,8 +31,8 @@ Places = NDArray[np.int64]  # [n, 2] column and row on a lattice
 _BLUR_PX = 1.0  # sigma of the blur against noise; a gap is wider
 _WINDOWS_PX = (11, 19, 35, 67)  # of the threshold: from one gap to several
 _DARKER = 2.0  # codes of 255 by which a gap is darker than its surroundings
-_LEAST_AREA_PX2 = 30.0  # smallest area of a patch
-_MOST_AREA = 1 / 30  # largest area of a patch, over that of the picture
+_MIN_AREA_PX2 = 30.0  # smallest area of a patch
+_MAX_AREA = 1 / 30  # largest area of a patch, over that of the picture
 # Distance of an outline from four straight sides, over the length of the outline; tried in order.
 _CORNER_REL = (0.04, 0.08, 0.12)
 _FILLED = 0.75  # area of an outline over that of its four corners
@@ -42,8 +42,8 @@ _ASIDE = 0.3  # distance of a neighbour across an edge, in sides
 _LIKE = (0.45, 2.2)  # ratio of the areas of neighbours
 _OFF_PLACE = 0.15  # distance of a patch from its place, in steps
 _SIDE = (0.5, 1.1)  # side of a patch, in steps
-_LEAST_GROWN = 6  # neighbours from which a lattice is fitted
-_LEAST_SEEN = 8  # patches of the 24 that must be found on it
+_MIN_NEIGHBOURS = 6  # neighbours from which a lattice is fitted
+_MIN_FOUND = 8  # patches of the 24 that must be found on it
 _PATCH = 0.4  # half of a patch's side, in steps
 _QUARTER = np.array([[0, 1], [-1, 0]])  # of a turn, of row vectors
 
@@ -85,7 +85,7 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
             outlines, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
             corners += [q for q in map(_four_corners, outlines) if q is not None]
     quads = np.array(corners).reshape(-1, 4, 2)
-    return _apart(quads[_areas(quads) < _MOST_AREA * picture.shape[0] * picture.shape[1]])
+    return _apart(quads[_areas(quads) < _MAX_AREA * picture.shape[0] * picture.shape[1]])
 
 
 def _four_corners(outline: Array) -> Floats | None:
@@ -96,7 +96,7 @@ def _four_corners(outline: Array) -> Floats | None:
     import cv2
 
     area = cv2.contourArea(outline)
-    if area < _LEAST_AREA_PX2:
+    if area < _MIN_AREA_PX2:
         return None
     length = cv2.arcLength(outline, True)
     for within in _CORNER_REL:
@@ -189,16 +189,16 @@ def _turned(inverse: Floats, edges: Floats) -> NDArray[np.int64]:
 
 def _fitted(quads: Quads, members: list[int], places: Places) -> tuple[Floats, Places] | None:
     """Return the homography [3, 3] from places to pixels, and the places [n, 2] with a patch."""
-    if len(members) < _LEAST_GROWN or (np.ptp(places, axis=0) == 0).any():
+    if len(members) < _MIN_NEIGHBOURS or (np.ptp(places, axis=0) == 0).any():
         return None
     centres, side = quads.mean(axis=1), float(np.sqrt(np.median(_areas(quads[members]))))
     h = _homography(places, centres[members], _OFF_PLACE * side)
     place, there = _on_places(h, quads)
-    if there.sum() < _LEAST_SEEN:
+    if there.sum() < _MIN_FOUND:
         return None
     # Fit again with the patches across a gap.
     place, there = _on_places(_homography(place[there], centres[there]), quads)
-    if there.sum() < _LEAST_SEEN:
+    if there.sum() < _MIN_FOUND:
         return None
     return _homography(place[there], centres[there]), np.unique(
         place[there].astype(np.int64), axis=0
@@ -260,7 +260,7 @@ def _laid_on(h: Floats, places: Places, rows: int, columns: int) -> Iterator[Qua
             (places[:, None] - grid @ turn).reshape(-1, 2), axis=0, return_counts=True
         )
         for shift, count in zip(
-            shifts[counts >= _LEAST_SEEN], counts[counts >= _LEAST_SEEN], strict=True
+            shifts[counts >= _MIN_FOUND], counts[counts >= _MIN_FOUND], strict=True
         ):
             ways.append((-int(count), len(ways), (grid @ turn + shift)[:, None] + half @ turn))
     for _, _, patches in sorted(ways, key=lambda way: way[:2]):
@@ -299,7 +299,7 @@ _SRGB = np.fromstring(
 _ALIKE = 0.2
 _IN_ORDER = 0.9  # correlation of ln Y with a chart's; chosen, not measured
 _GRID_SIZES = (1.0, 2.0)  # sizes of the picture in which lattices are searched; chosen
-_LONGEST = 1600  # longest side [px] of the picture at size 1; chosen, limits the time
+_MAX_SIDE_PX = 1600  # longest side [px] of the picture at size 1; chosen, limits the time
 
 
 def misfit(rgb: Floats) -> float:
@@ -386,11 +386,11 @@ def _candidates(picture: NDArray[np.uint8]) -> Iterator[Floats]:
 def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], float]:
     """Return the resized picture, and its size relative to the original.
 
-    size : relative to a picture whose longer side is at most _LONGEST pixels.
+    size : relative to a picture whose longer side is at most _MAX_SIDE_PX pixels.
     """
     import cv2
 
-    by = size * min(1.0, _LONGEST / max(picture.shape[:2]))
+    by = size * min(1.0, _MAX_SIDE_PX / max(picture.shape[:2]))
     how = cv2.INTER_AREA if by < 1 else cv2.INTER_LINEAR
     sized = cv2.resize(picture, None, fx=by, fy=by, interpolation=how) if by != 1.0 else picture
     return np.asarray(sized, np.uint8), by

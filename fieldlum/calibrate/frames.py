@@ -27,7 +27,7 @@ from fieldlum.optics.projection import angle_of_radius, relative_radius
 from fieldlum.optics.raw import channel_positions, is_jpeg, read_jpeg, read_mosaic
 
 FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
-_MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.
+_MAX_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.
 
 
 class Place(NamedTuple):
@@ -88,12 +88,12 @@ class LinearFrame:
         yy, xx = np.mgrid[rows, columns]
         disc = (xx + 0.5 - x) ** 2 + (yy + 0.5 - y) ** 2 <= r**2
         values, bad = self.rgb[rows, columns][disc], self.bad[rows, columns][disc]
-        if bad.mean() > _MOST_CLIPPED:
+        if bad.mean() > _MAX_CLIPPED:
             share = f"{100 * bad.mean():.0f} % of the patch at x {x_px:g}, y {y_px:g} px"
             raise InputError(
                 self.path,
                 f"{share} is clipped, or too dark for the camera's response",
-                f"at most {100 * _MOST_CLIPPED:.0f} % of such pixels",
+                f"at most {100 * _MAX_CLIPPED:.0f} % of such pixels",
                 "use a frame that exposes the patch well",
             )
         return _mean(values[~bad], float(bad.mean()))

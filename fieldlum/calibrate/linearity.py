@@ -24,12 +24,12 @@ from fieldlum.optics.raw import channel_positions, read_mosaic
 
 BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)
-# least number of times: a fourth order, an offset and one more; chosen, not measured
-FEWEST_TIMES = 6
+# minimum number of times: a fourth order, an offset and one more; chosen, not measured
+MIN_TIMES = 6
 # of the full scale: the frames must reach below the first and above the second; chosen
 LOWEST, HIGHEST = 0.05, 0.8
 _FULL = 0.97  # of saturation: a block with brighter pixels does not count; chosen
-_LEAST_DN = 5.0  # counts above black: darker blocks contain little but the black level; chosen
+_MIN_DN = 5.0  # counts above black: darker blocks contain little but the black level; chosen
 _REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
 _BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
 _NEGLIGIBLE = 2e-5  # of light: an order that lowers the held-out rms by less gains nothing; chosen
@@ -99,14 +99,14 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
             mean, error = _blocks(cell, b, b + _FULL * (top - b))
             scale = profile.sensor.white_dn - b
             means.append(mean / scale)
-            errors.append(error / np.maximum(mean, _LEAST_DN))
+            errors.append(error / np.maximum(mean, _MIN_DN))
         shares.append(np.concatenate(means))
         weights.append(1.0 / (_REPEATS**2 + np.concatenate(errors) ** 2))
         seconds.append(true_shutter_s(mosaic.exposure.shutter_s, profile)[0])
     return Levels(np.array(shares), np.array(weights), np.array(seconds), tuple(paths))
 
 
-def _blocks(cell: Floats, black: float, most: float) -> tuple[Floats, Floats]:
+def _blocks(cell: Floats, black: float, maximum: float) -> tuple[Floats, Floats]:
     """Return means above black of blocks [blocks], and their standard errors.
 
     The mean is NaN where a pixel is near saturation.
@@ -116,7 +116,7 @@ def _blocks(cell: Floats, black: float, most: float) -> tuple[Floats, Floats]:
     cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
     mean = cut.mean(axis=1) - black
     error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
-    good = (cut.max(axis=1) < most) & (mean > _LEAST_DN)
+    good = (cut.max(axis=1) < maximum) & (mean > _MIN_DN)
     return np.where(good, mean, np.nan), error
 
 
@@ -128,13 +128,13 @@ def fit(levels: Levels) -> LinearityFit:
     """
     times = np.unique(levels.seconds)
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
-    if len(times) < FEWEST_TIMES or low > LOWEST or high < HIGHEST:
+    if len(times) < MIN_TIMES or low > LOWEST or high < HIGHEST:
         finding = (
             f"{len(times)} shutter times, with raw values of {100 * low:.0f} to {100 * high:.0f} "
             "% of white"
         )
         wanted = (
-            f"expected at least {FEWEST_TIMES} shutter times, with values from under "
+            f"expected at least {MIN_TIMES} shutter times, with values from under "
             f"{100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
         raise NotEnoughDataError(f"{finding}; {wanted}")

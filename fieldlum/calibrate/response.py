@@ -183,7 +183,7 @@ FLAT = 3.0
 NEGLIGIBLE = 0.002  # of light: smaller differences between candidates do not matter; chosen
 DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 _LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
-_LAW_SIGMA = 4.0  # least difference between two laws, in standard errors over the places; chosen
+_LAW_SIGMA = 4.0  # minimum difference between two laws, in standard errors over the places; chosen
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
 
 

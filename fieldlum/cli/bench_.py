@@ -24,7 +24,6 @@ def command(
     pool: Path | None = None,
     site: Path | None = None,
     models: str = ",".join(MODELS),
-    seeds: Annotated[int, click.IntRange(min=1)] = 1,
     budget: Above0 = 5.0,
     stress: bool = False,
     render: Annotated[int, click.IntRange(min=0)] = 1,
@@ -49,7 +48,6 @@ def command(
       --pool: Pairs of other seasons, of which --stress takes captures to train on.
       --models: Models to compare, separated by commas: names, NAME:none or NAME:gain (use
           of sun patches), or folders of trained models.
-      --seeds: Trainings of each random model, with seeds 0, 1, 2 ...
       --budget: Minutes of training for the dense network.
       --stress: Also test conditions in which methods fail.
       --render: Number of hours to render with Radiance, to compare the cost; needs a
@@ -72,11 +70,10 @@ def command(
         )
     for note in loaded.data.notes:
         say(note)
-    say_if(estimate_text(_needed_s(loaded, seeds, budget, render, stress)))
+    say_if(estimate_text(_needed_s(loaded, budget, render, stress)))
     with progress("benchmark") as show:
         answer = run(
             loaded,
-            seeds=seeds,
             budget_min=budget,
             with_stress=stress,
             render_hours=render,
@@ -90,9 +87,7 @@ def command(
     say(f"tables and charts in {out}")
 
 
-def _needed_s(
-    loaded: BenchData, seeds: int, budget_min: float, render_hours: int, with_stress: bool
-) -> float:
+def _needed_s(loaded: BenchData, budget_min: float, render_hours: int, with_stress: bool) -> float:
     """Return how long the benchmark may take [s]."""
     from fieldlum.learn.train.folds import day_folds
 
@@ -103,7 +98,7 @@ def _needed_s(
         len(data),
         data.shape[0] * data.shape[1],
         folds=len(day_folds(data)) if loaded.test is None else 1,
-        dense_min=budget_min * seeds * sum(MODELS[spec.name].slow for spec in specs),
+        dense_min=budget_min * sum(MODELS[spec.name].slow for spec in specs),
         render_hours=render_hours if room is not None and room.kind == "box" else 0,
         with_stress=with_stress,
     )

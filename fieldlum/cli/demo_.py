@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import click
 
@@ -25,7 +25,6 @@ def _shown(name: str) -> Iterator[Progress]:
 def command(
     folder: Path = Path("fieldlum-demo"),
     preset: Literal["quick", "paper", "hard"] = "quick",
-    seed: Annotated[int, click.IntRange(0)] = 1,
 ) -> None:
     """Run all stages on simulated captures.
 
@@ -41,11 +40,10 @@ def command(
       --preset: quick: 230 x 115, a short training. paper: 460 x 230, half an hour of
           training. hard: 116 x 58, with clouds, lamps, a knocked camera and ten more
           troubles.
-      --seed: Seed of the simulated camera, the instrument and the training.
     """
     from fieldlum.demo import run
 
-    outcome = run(folder, preset=preset, seed=seed, show=_shown)
+    outcome = run(folder, preset=preset, show=_shown)
     for name, value, remark in outcome.figures:
         click.echo(f"{name:18} {value:>16}  {remark}")
     total = sum(outcome.seconds.values())

@@ -36,7 +36,7 @@ _FRAME_S_PER_MEGAPIXEL = 0.05
 # `calibrate lens --chessboard`: 3.5 CPU s for a JPEG of 12 megapixels, 6.4 s for 21 megapixels.
 # Measured once; no command repeats it.
 _BOARD_S_PER_MEGAPIXEL = 0.3
-_LEAST_PRINTED_S = 20.0  # shorter times are not printed; chosen
+_MIN_PRINTED_S = 20.0  # shorter times are not printed; chosen
 
 
 def merge_s(folders: Iterable[Path]) -> float:
@@ -113,6 +113,6 @@ def estimate_text(seconds: float, processes: int = 1) -> str:
     seconds: on one core [s], divided evenly among `processes`.
     """
     needed = seconds / max(processes, 1)
-    if needed < _LEAST_PRINTED_S:
+    if needed < _MIN_PRINTED_S:
         return ""
     return f"this takes {duration_text(needed)}, or less if parts were computed before"

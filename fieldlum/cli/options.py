@@ -152,7 +152,7 @@ def scheduler_of(text: str) -> Scheduler:
 
 DEFAULT_SIZE = "460x230"  # the maps of Liu, Colburn and Inanici 2020
 DEFAULT_FISHEYE_SIZE = "1000x1000"  # evalglare's usual pictures are 800 to 1200 pixels across
-_LARGEST_PX = 16384  # largest width: a map of 134 million pixels, 0.5 GB in float32; chosen
+_MAX_WIDTH_PX = 16384  # largest width: a map of 134 million pixels, 0.5 GB in float32; chosen
 
 
 def dimensions(size: str) -> tuple[int, int]:
@@ -160,10 +160,10 @@ def dimensions(size: str) -> tuple[int, int]:
     width, _, height = size.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
-    if not (8 <= int(width) <= _LARGEST_PX and 8 <= int(height) <= _LARGEST_PX // 2):
+    if not (8 <= int(width) <= _MAX_WIDTH_PX and 8 <= int(height) <= _MAX_WIDTH_PX // 2):
         raise click.UsageError(
-            f"--size {size}: the width must be 8 to {_LARGEST_PX}, the height 8 to "
-            f"{_LARGEST_PX // 2}"
+            f"--size {size}: the width must be 8 to {_MAX_WIDTH_PX}, the height 8 to "
+            f"{_MAX_WIDTH_PX // 2}"
         )
     return int(width), int(height)
 

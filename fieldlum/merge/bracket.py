@@ -34,7 +34,7 @@ from fieldlum.sky.sun_disc import SunDisc
 
 # Rings from the edge of the image inwards, each of 0.5 degrees; the innermost is the reference.
 _RINGS = 7
-_LEAST_PIXELS = 50  # of a ring, for its median; chosen
+_MIN_PIXELS = 50  # of a ring, for its median; chosen
 # A ring below this share of the reference is dark. The outermost one of a real 8 mm fisheye has 0.2
 # (docs/validation.md); scenes seldom darken so much within 3 degrees. Chosen.
 _DARK_SHARE = 0.6
@@ -72,7 +72,7 @@ def dark_rim(luminance_cdm2: Floats, from_edge_deg: Floats) -> tuple[float, floa
     """
     step = _TAPER_DEG / _RINGS
     ring = np.minimum((from_edge_deg / step).astype(int), _RINGS - 1)
-    if (np.bincount(ring, minlength=_RINGS) < _LEAST_PIXELS).any():
+    if (np.bincount(ring, minlength=_RINGS) < _MIN_PIXELS).any():
         return None
     median = np.array([np.median(luminance_cdm2[ring == k]) for k in range(_RINGS)])
     share = median / max(median[-1], 1e-9)

@@ -27,7 +27,7 @@ _ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5
 # Standard uncertainty [px] of a disc's centre of energy on a mosaic, for a disc one pixel wide and
 # sharp optics: 0.08 px rms over positions on the mosaic (simulation, 150 draws for each width). It
 # decreases with the disc's width, but not below the second value.
-_CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
+_CENTRE_PX, _MIN_CENTRE_PX = 0.1, 0.02
 # share of a clipped spot's width, because its halo is not exactly round; not measured
 _CLIPPED_CENTRE = 0.05
 _BLUR_RAD = np.radians(0.5)  # blur of a lens; not measured
@@ -36,7 +36,7 @@ _DISC_PART = 0.05  # share of the brightest pixel's excess; dimmer pixels count 
 # sides it searches again. There only a strong light counts, because a facade of glass mirrors up to
 # a fifth of the sun's 100 klx. Chosen.
 _HEADING_ERROR_DEG = 5.0
-_LEAST_FAR_LX = 20_000.0
+_MIN_FAR_LX = 20_000.0
 MEASURED = "nd-frames"
 OPEN = "merge"
 
@@ -103,7 +103,7 @@ def _disc_near(
         if disc is None:
             far = at(turn_deg)
             shown = far is not None and np.isfinite(far.sigma_deg)
-            disc = far if far is not None and shown and far.normal_lx > _LEAST_FAR_LX else None
+            disc = far if far is not None and shown and far.normal_lx > _MIN_FAR_LX else None
     return disc
 
 
@@ -167,7 +167,7 @@ def sun_on_sensor(
     across = float((weight * (columns + 0.5)).sum() / weight.sum()) + left
     wide_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
     sigma_px = _CLIPPED_CENTRE * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
-    sigma_px = max(float(sigma_px), _LEAST_CENTRE_PX)
+    sigma_px = max(float(sigma_px), _MIN_CENTRE_PX)
     east, north, up = (float(v) for v in lens_rays(lens, across, down))
     altitude = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
     azimuth = (float(np.degrees(np.arctan2(east, north))) + heading_deg) % 360.0

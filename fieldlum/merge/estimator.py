@@ -66,7 +66,7 @@ class Signal(Protocol):
         """Return a mask, True for counts that are not saturated, and the variance of all counts."""
         ...
 
-    def largest_cdm2(self) -> Floats32:
+    def max_cdm2(self) -> Floats32:
         """Return the largest luminance that this frame can measure before it saturates [cd/m2].
 
         One value for the frame or each of its colours, in a shape that broadcasts to the frame's.
@@ -318,7 +318,7 @@ def _fill_lost(
     for load in frames if strips else ():
         signal = load()
         per, largest = (
-            np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.largest_cdm2())
+            np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.max_cdm2())
         )
         for a, b in strips:
             counts, _ = signal.strip(a, b)

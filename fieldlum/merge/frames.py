@@ -30,7 +30,7 @@ from fieldlum.optics.raw import channel_positions, read_mosaic
 # of the saturation: brighter pixels do not predict; noise is added to the limit; chosen
 _GATE = 0.97
 _FULL = 0.99  # of the saturation: a count above it is treated as saturated; chosen
-# least signal-to-noise ratio of a pixel of a frame that is searched for edges; not measured
+# minimum signal-to-noise ratio of a pixel of a frame that is searched for edges; not measured
 _SMALL_SNR = 8.0
 
 
@@ -176,7 +176,7 @@ class RawSignal:
         )
         return counts < self.limit, variance.astype(np.float32)
 
-    def largest_cdm2(self) -> Floats32:
+    def max_cdm2(self) -> Floats32:
         """Return the luminance of `limit` [cd/m2], in a shape that broadcasts to the frame's."""
         return self._limit_cdm2
 

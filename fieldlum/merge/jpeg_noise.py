@@ -26,7 +26,7 @@ from fieldlum.optics.projection.grids import Target
 
 _BANDS = 64  # rows of cells that are evaluated, enough for a smooth field; chosen
 # Cells in one step of the curve over the level, and largest number of steps. Not measured.
-_IN_A_STEP, _MOST_STEPS = 40, 24
+_IN_A_STEP, _MAX_STEPS = 40, 24
 _FAR = 4.0  # robust sigmas beyond which a cell is excluded, because something moved there; chosen
 _REACH_CELLS = 1.5  # sigma of the neighbourhood over which noise is averaged [cells]; not measured
 _PRIOR_CELLS = 2.0  # weight of the picture's mean, as a number of cells; not measured
@@ -153,7 +153,7 @@ def _by_level(level: Floats, apart: Floats) -> Floats:
     It is a line through the medians of steps with equal numbers of cells.
     """
     order = np.argsort(level)
-    steps = np.array_split(order, int(np.clip(len(level) // _IN_A_STEP, 1, _MOST_STEPS)))
+    steps = np.array_split(order, int(np.clip(len(level) // _IN_A_STEP, 1, _MAX_STEPS)))
     places, medians = ([float(np.median(v[s])) for s in steps] for v in (level, apart))
     return np.interp(level, places, medians)
 

@@ -139,7 +139,7 @@ class JpegSignal:
         """Return a mask, True for values z [rows, W, 3] up to code 250, and all variances of z."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
-    def largest_cdm2(self) -> Floats32:
+    def max_cdm2(self) -> Floats32:
         """Return the luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 

@@ -29,7 +29,7 @@ _BAND = 1 << 21
 _VOTE_SIGMA = 4.0  # a frame further from a value does not vote for it; chosen
 # a frame further from the consensus is excluded if its neighbours are excluded too; chosen
 _LEAVE_SIGMA = 3.0
-# least number of marked pixels in a window, because single pixels are marked by chance; chosen
+# minimum number of marked pixels in a window, because single pixels are marked by chance; chosen
 _SUPPORT, _WINDOW_PX = 4, 5
 _CLOUDED = 10  # with this many undecided pixels in a window, its middle is undecided too; chosen
 # largest relative sigma of a frame that may contradict a frame outside its limits; chosen
@@ -38,7 +38,7 @@ _SURE = 1 / 8
 _REACH_PX, _HALO_PX = 8, 3
 # of the largest readable value: a brighter consensus explains a saturated frame; chosen
 _SATURATED = 0.9
-_WITNESSES = 2  # least number of agreeing frames; chosen
+_WITNESSES = 2  # minimum number of agreeing frames; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Ballot:
     """The votes of n frames at m pixels; all arrays are [n, m].
 
     usable: the frame can measure the pixel; then value_cdm2 is the luminance by this frame, and
-    variance that of value_cdm2 [(cd/m2)^2]. saturated: the frame is saturated there; largest_cdm2
+    variance that of value_cdm2 [(cd/m2)^2]. saturated: the frame is saturated there; max_cdm2
     is the luminance from which on it saturates. A frame can be neither, but not both.
     """
 
@@ -67,7 +67,7 @@ class Ballot:
     variance: Strip
     usable: Mask
     saturated: Mask
-    largest_cdm2: Strip
+    max_cdm2: Strip
 
 
 def vote(ballot: Ballot, u_ratio: float) -> Consensus:
@@ -80,11 +80,11 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     explains and the dissenting values do not.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
-    enough = _SATURATED * ballot.largest_cdm2
+    enough = _SATURATED * ballot.max_cdm2
     n, m = value.shape
     spread = variance + (u_ratio * value) ** 2
     best, finest = np.zeros(m, np.float32), np.zeros(m, np.float32)
-    most = np.full(m, -1.0, np.float32)
+    best_votes = np.full(m, -1.0, np.float32)
     for start in range(n):
         centre = value[start]
         agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * (spread + spread[start]))
@@ -98,8 +98,10 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
             agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * spread)
         votes = agree.sum(axis=0) + (ballot.saturated & (centre >= enough)).sum(axis=0)
         precision = np.where(agree, 1 / spread, 0.0).sum(axis=0)
-        better = usable[start] & ((votes > most) | ((votes == most) & (precision > finest)))
-        for kept, new in ((best, centre), (most, votes), (finest, precision)):
+        better = usable[start] & (
+            (votes > best_votes) | ((votes == best_votes) & (precision > finest))
+        )
+        for kept, new in ((best, centre), (best_votes, votes), (finest, precision)):
             kept[better] = new[better]
     off = value - best
     agree = usable & (off**2 <= _VOTE_SIGMA**2 * spread)
@@ -110,7 +112,9 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     burnt = ballot.saturated & (best >= enough) & (brightest < enough)
     witnesses = (noticed | burnt).sum(axis=0)
     against = dissent.sum(axis=0)
-    clear = (most >= 0) & ((against == 0) | ((witnesses >= _WITNESSES) & (witnesses > against)))
+    clear = (best_votes >= 0) & (
+        (against == 0) | ((witnesses >= _WITNESSES) & (witnesses > against))
+    )
     sure = (agree & (spread < (_SURE * best) ** 2)).sum(axis=0)
     return Consensus(best.astype(np.float32), clear, sure)
 
@@ -185,7 +189,7 @@ def _ballot(frames: Sequence[Callable[[], Signal]], near: Mask, first: int) -> B
         per = np.broadcast_to(signal.per_cdm2, near.shape)[near]
         value[i], variance[i] = counts[near] / per, signal.readable(counts)[1][near] / per**2
         usable[i], saturated[i] = own[near], full[near]
-        largest[i] = np.broadcast_to(signal.largest_cdm2(), near.shape)[near]
+        largest[i] = np.broadcast_to(signal.max_cdm2(), near.shape)[near]
     return Ballot(value, variance, usable, saturated, largest)
 
 

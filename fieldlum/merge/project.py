@@ -90,11 +90,11 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
         flags[(valid_share < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
     raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
     present = int(np.bitwise_or.reduce(raised, axis=None))
-    for flag, least in _SHARE.items():
+    for flag, minimum in _SHARE.items():
         if present & flag:
             marked = ((raised & flag) > 0).ravel().astype(np.float32)
             share = np.max([r.matrices[c] @ marked for c in colours], axis=0)
-            flags[share > least] |= np.uint8(flag)
+            flags[share > minimum] |= np.uint8(flag)
     if colours == [""]:
         return np.asarray(rgb[0], np.float64), np.asarray(var[0], np.float64), flags
     return np.stack(rgb, axis=1).astype(np.float64), np.stack(var, axis=1).astype(np.float64), flags

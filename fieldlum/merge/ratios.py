@@ -15,7 +15,7 @@ from fieldlum.session.files.merge_report import NeighbourQuality
 
 # rows (of raw frames: row pairs) and approximate number of columns to sample; chosen to limit time
 _ROWS, _COLUMNS = 96, 640
-_SNR_LONG = 30.0  # least signal-to-noise ratio of a pixel in the longer frame; not measured
+_SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame; not measured
 # Least signal-to-noise ratios in the shorter frame, tried from the highest, and number of pixels
 # that suffices. Bright pixels are preferred because a black level that is wrong by one count
 # affects dim pixels. Chosen.
@@ -97,8 +97,8 @@ def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
 
 
 def _brightest(well_exposed: Mask, snr: Floats) -> Mask:
-    for least in _SNR_SHORT[:-1]:
-        usable = well_exposed & (snr > least)
+    for minimum in _SNR_SHORT[:-1]:
+        usable = well_exposed & (snr > minimum)
         if usable.sum() >= _ENOUGH:
             return usable
     return well_exposed & (snr > _SNR_SHORT[-1])
@@ -191,7 +191,7 @@ def ratio_curve(samples: Sequence[Sample], covariance: Floats, extra: float = 0.
     luminances that only an uncertain frame can read.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
-    largest = [float(np.max(s.largest_cdm2())) for s in small]
+    largest = [float(np.max(s.max_cdm2())) for s in small]
     levels = np.geomspace(1e-6 * min(largest), max(largest), _LEVELS)
     information = []
     for s in small:

@@ -46,7 +46,7 @@ from fieldlum.session.files.merge_report import NeighbourQuality
 
 # Smaller relative differences between frames never count as motion. The value equals the prior
 # uncertainty of a mechanical shutter time (photometry/ratios.py, PRIOR_LONG). Chosen.
-_LEAST_TOLERANCE = 0.003
+_MIN_TOLERANCE = 0.003
 _TOLERANCE_SIGMA = 3.0  # standard deviations of the frames' typical disagreement; chosen
 # The verdict reports an exposure's deviation if it exceeds both: 2 %, and three times its prior u.
 # Chosen.
@@ -190,7 +190,7 @@ def trust_in(
         ratio_curve(sampled.samples, fit.covariance, u_extra),
         # The tolerance includes the error of a JPEG's response, because that error makes frames
         # differ without any motion.
-        max(_LEAST_TOLERANCE, _TOLERANCE_SIGMA * disagreement, u_response),
+        max(_MIN_TOLERANCE, _TOLERANCE_SIGMA * disagreement, u_response),
     )
 
 
@@ -204,8 +204,8 @@ def trust_in(
 
 
 _STEPS = 12  # levels of the signal at which a pair is evaluated; chosen
-# least number of pixels in a step, and most pixels of a pair; chosen
-_IN_A_STEP, _MOST = 200, 12_000
+# minimum number of pixels in a step, and maximum of a pair; chosen
+_IN_A_STEP, _MAX_PAIR_PIXELS = 200, 12_000
 _ROUNDED_DN2 = 1 / 12  # variance of rounding to integers, a uniform distribution (GUM 4.3.7)
 # Smaller factors on a variance (1.2 on the noise) are not reliably different from the profile's.
 # Chosen.
@@ -277,7 +277,7 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     shape = long.counts.shape
     good = a.usable(long.counts) & b.usable(short.counts) & ~long.full & ~short.full
     at = np.flatnonzero(good)
-    at = at[:: max(1, len(at) // _MOST)]
+    at = at[:: max(1, len(at) // _MAX_PAIR_PIXELS)]
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
     ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape).ravel()[at]
     order = np.argsort(y_long)

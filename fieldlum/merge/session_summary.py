@@ -112,10 +112,10 @@ def _thumbnail(path: Path) -> NDArray[np.uint8]:
 MIN_BRACKETS = 5
 # Frames whose correction is less certain than the first value are excluded from the drift; the
 # second value limits the weights [%]. Chosen.
-_MOST_U_PERCENT, _LEAST_U_PERCENT = 1.0, 0.02
+_MAX_U_PERCENT, _MIN_U_PERCENT = 1.0, 0.02
 # A lower mean global irradiance counts as night, and no change of irradiance is computed [W/m2].
 # Chosen.
-_LEAST_GHI_WM2 = 5.0
+_MIN_GHI_WM2 = 5.0
 
 
 def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
@@ -149,14 +149,14 @@ def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | Non
         for f in sidecar.report.frames
         if f.t_utc
         and (text := exposure_text(f.exposure)) in typical
-        and f.u_percent < _MOST_U_PERCENT
+        and f.u_percent < _MAX_U_PERCENT
     ]
     if len(rows) < 3:
         return None
     seconds, log_light, u_percent = (np.array(column) for column in zip(*rows, strict=True))
     if np.ptp(seconds) <= 0:
         return None
-    weight = 1 / np.maximum(u_percent, _LEAST_U_PERCENT)
+    weight = 1 / np.maximum(u_percent, _MIN_U_PERCENT)
     slope = np.polyfit(seconds - seconds.mean(), log_light, 1, w=weight)[0]
     return float(100 * slope * np.ptp(seconds))
 
@@ -178,7 +178,7 @@ def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> 
     if len(rows) < 3:
         return None
     seconds, ghi = (np.array(column, float) for column in zip(*rows, strict=True))
-    if ghi.mean() < _LEAST_GHI_WM2 or np.ptp(seconds) <= 0:
+    if ghi.mean() < _MIN_GHI_WM2 or np.ptp(seconds) <= 0:
         return None
     slope = np.polyfit(seconds - seconds.mean(), ghi, 1)[0]
     return float(100 * slope * (closed - opened).total_seconds() / ghi.mean())

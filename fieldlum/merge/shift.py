@@ -21,7 +21,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
 from fieldlum.optics.turn_fit import fit_turn
 
-LONGEST = 800  # longest side of the reduced frames [px], to limit the time; chosen
+MAX_SIDE_PX = 800  # longest side of the reduced frames [px], to limit the time; chosen
 _LEVELS = 4  # number of sizes, each half of the one before; chosen
 _STEPS = 2  # Gauss-Newton steps at each size; chosen
 _MAX_PIXELS = 30_000  # pixels of a fit, to limit the time; chosen
@@ -70,25 +70,25 @@ class Moved:
         return max(self.shift_px - 3.0 * self.u_px, 0.0)
 
 
-def reduced(signal: Floats32, seen_mask: Mask, least: float, cell: int = 1) -> Small:
+def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> Small:
     """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
 
     signal: [h, w], linear in light with black at 0, in any unit; seen_mask: mask [h, w], False for
     pixels to ignore. A block counts as seen if all its pixels are seen and its mean is above
-    `least`, which must not be negative. cell: a block's side is a multiple of this number of pixels
-    (2 for a mosaic).
+    `minimum`, which must not be negative. cell: a block's side is a multiple of this number of
+    pixels (2 for a mosaic).
     """
     import cv2
 
     h, w = signal.shape
-    by = cell * max(1, -(-max(h, w) // (cell * LONGEST)))
+    by = cell * max(1, -(-max(h, w) // (cell * MAX_SIDE_PX)))
     size = (w // by, h // by)
     part = np.s_[: size[1] * by, : size[0] * by]
     mean = cv2.resize(signal[part], size, interpolation=cv2.INTER_AREA)
     share = cv2.resize(
         seen_mask[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA
     )
-    complete = (share == 255) & (mean > least)
+    complete = (share == 255) & (mean > minimum)
     return Small(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
 
 

@@ -41,15 +41,15 @@ _MARGIN_PX = 8  # around them: resampling reaches two pixels, and the lens curve
 _FINEST_DEG = 0.1
 # The sun's declination is within 23.44 degrees. Added to it: half the diagonal of a tile, and two
 # degrees for the level of the camera, refraction and the disc.
-_MOST_DECLINATION_DEG = 23.44 + _TILE_DEG / np.sqrt(2.0) + 2.0
+_MAX_DECLINATION_DEG = 23.44 + _TILE_DEG / np.sqrt(2.0) + 2.0
 _HEADING_ERRORS_DEG = (-5.0, 0.0, 5.0)  # of a compass near steel (sky_view)
 # A tile is resampled if a part of it is brighter than this share of the picture's median luminance:
 # what a window shows is brighter than the room. Chosen.
-_LEAST_SHARE = 1.25
+_MIN_SHARE = 1.25
 _SAMPLES = 3  # places of a tile in each direction at which the panorama is read; chosen
 # Bytes of stored matrices in a process: blocks beyond are computed again for each capture. A raw
 # camera needs 1 MB a block of 36 square degrees. Chosen.
-_MOST_BYTES = 256_000_000
+_MAX_BYTES = 256_000_000
 
 _stored: dict[tuple[Target, LensGeometry, tuple[int, int], str], Resampler] = {}
 
@@ -77,7 +77,7 @@ def sky_cut(
     used = np.flatnonzero(can_be_sun.any(axis=1))
     first, (left, width) = int(used[0]), smallest_arc(np.asarray(can_be_sun.any(axis=0)))
     place = np.s_[first : int(used[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
-    dark_cdm2 = _LEAST_SHARE * float(np.median(seen.luminance[seen.coverage > 0.0]))
+    dark_cdm2 = _MIN_SHARE * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
     bright = (can_be_sun & _any(shines & (seen.coverage > 0.0), target))[place]
     out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
@@ -199,7 +199,7 @@ def _resampler(
     if key not in _stored:
         made = resampler.__wrapped__(*key)
         matrices = [m for r in _stored.values() for m in r.matrices.values()]
-        if sum(m.data.nbytes + m.indices.nbytes for m in matrices) > _MOST_BYTES:
+        if sum(m.data.nbytes + m.indices.nbytes for m in matrices) > _MAX_BYTES:
             return made
         _stored[key] = made
     return _stored[key]
@@ -216,7 +216,7 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     out = np.zeros((rows, 2 * rows), bool)
     for wrong in _HEADING_ERRORS_DEG:
         rays = equirect_rays(rows, 2 * rows, heading_deg + wrong)
-        out |= np.abs(np.degrees(np.arcsin(np.clip(rays @ pole, -1, 1)))) < _MOST_DECLINATION_DEG
+        out |= np.abs(np.degrees(np.arcsin(np.clip(rays @ pole, -1, 1)))) < _MAX_DECLINATION_DEG
     above = 90.0 - np.arange(rows) * _TILE_DEG > LOWEST_ALTITUDE_DEG
     return out & above[:, None]
 

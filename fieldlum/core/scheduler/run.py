@@ -17,9 +17,9 @@ from fieldlum.core.scheduler.units import UnitOutcome, WorkUnit
 from fieldlum.core.scheduler.workers import POLL_S, Cluster, Here, Processes
 
 # A unit counts as hanging after this many times the median time of completed units, but never
-# before SHORTEST_LIMIT_S. Until FEW units have ended, FIRST_LIMIT_S applies.
+# before MIN_LIMIT_S. Until FEW units have ended, FIRST_LIMIT_S applies.
 LIMIT_TIMES_MEDIAN = 20.0  # not measured
-SHORTEST_LIMIT_S = 300.0  # seconds; not measured
+MIN_LIMIT_S = 300.0  # seconds; not measured
 FIRST_LIMIT_S = 3600.0  # seconds; not measured
 FEW = 5  # number of units; not measured
 
@@ -54,7 +54,7 @@ class _Pace:
             return self._limit_s
         if len(self._took_s) < FEW:
             return FIRST_LIMIT_S
-        return max(SHORTEST_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(self._took_s))
+        return max(MIN_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(self._took_s))
 
     def text(self) -> str:
         """Return units per second and the remaining time, for the progress line."""

@@ -33,7 +33,7 @@ from fieldlum.optics.images.radiance_header import (
 
 # Brighter pixels are damaged. Infinity is written as 1e30, and single precision ends at 3e38.
 # [W/sr/m2] Chosen between the two.
-_BRIGHTEST = 2e30
+_MAX_RADIANCE = 2e30
 # decoded at a time: limits memory to 6 MB; chosen; any value gives the same picture
 _BLOCK_PIXELS = 500_000
 
@@ -130,7 +130,7 @@ def _decoded_rows(
     """
     scanlines, width = header.resolution.counts
     plain = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {scanlines} +X {width}\n".encode()
-    brightest = _BRIGHTEST * float(header.exposure.min())
+    brightest = _MAX_RADIANCE * float(header.exposure.min())
     process = subprocess.Popen(
         [radiance_program("pvalue"), "-h", "-H", "-df"],
         stdin=subprocess.PIPE,

@@ -16,7 +16,7 @@ _OFF_GRID = 0.07
 # A saturated run of counts is a spike if it is this many times the average of equal runs below it.
 # Chosen so that a bright smooth scene is no spike; not measured.
 _SPIKE_RATIO = 10
-_SPIKE_SHARE = 2e-4  # least share of all pixels in a spike; chosen, not measured
+_SPIKE_SHARE = 2e-4  # minimum share of all pixels in a spike; chosen, not measured
 _HOT_SHARE = 2e-5  # share of pixels that may be above the spike (hot pixels); chosen, not measured
 
 

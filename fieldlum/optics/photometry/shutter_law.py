@@ -24,7 +24,7 @@ _STEPS_A_STOP = {THIRD_STOPS: 3, HALF_STOPS: 2}
 # A time further from the grid than this share is used unchanged. Labels are rounded by up to 6.3 %
 # (13 s) in thirds of a stop, and by 11.6 % (1/20 s is 2^-4.5 s) in halves. Chosen just above.
 _OFF_GRID = {THIRD_STOPS: 0.07, HALF_STOPS: 0.12}
-# Least difference of the expected ln ratio between two laws, for a pair to decide between them.
+# Minimum difference of the expected ln ratio between two laws, for a pair to decide between them.
 # Chosen above the uncertainty of a pair; not measured.
 _TELLS_APART = 0.02
 # A law is chosen if the measured ratios are nearer to its expectation than to that of the other

@@ -21,7 +21,7 @@ from fieldlum.optics.projection.panorama import (
 FULLY_SEEN_SHARE = 0.98
 # Below this share a direction gets no result: a 180-degree lens sees half of the cosine-weighted
 # hemisphere at 90 degrees from its axis. Chosen.
-LEAST_SEEN_SHARE = 0.5
+MIN_SEEN_SHARE = 0.5
 SEEN = "seen"
 PARTLY_SEEN = "partly seen"
 NOT_SEEN = "not seen"
@@ -44,7 +44,7 @@ def seen_shares(seen_mask: Mask, heading_deg: float, azimuths_deg: ArrayLike) ->
 def seen_words(shares: Floats) -> tuple[str, ...]:
     """Return "seen" (from 0.98), "partly seen" (from 0.5) or "not seen" for each share, [d]."""
     return tuple(
-        SEEN if s >= FULLY_SEEN_SHARE else PARTLY_SEEN if s >= LEAST_SEEN_SHARE else NOT_SEEN
+        SEEN if s >= FULLY_SEEN_SHARE else PARTLY_SEEN if s >= MIN_SEEN_SHARE else NOT_SEEN
         for s in shares
     )
 

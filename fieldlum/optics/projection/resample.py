@@ -31,7 +31,7 @@ _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}
 # Samples along an edge of a target pixel, at least, and their largest distance over `_SPACING`.
 # Chosen so that no sensor pixel is skipped; energy is kept within 0.35 %
 # (docs/validation.md, geometry).
-_LEAST = 3
+_MIN_SAMPLES = 3
 _STEP = 1.1
 # Largest distance of the nodes at which lens coordinates are computed exactly, half a degree:
 # between them the coordinates are interpolated. Chosen.
@@ -195,7 +195,7 @@ def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> i
         1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad
     )
     return int(
-        np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), _LEAST, 24)
+        np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), _MIN_SAMPLES, 24)
     )
 
 
@@ -209,7 +209,7 @@ def _counts(target: Target, first: int, last: int, sub: int) -> tuple[int, int]:
     if isinstance(target, Equirect):
         top, bottom = target.zenith_angle_rad(np.array([first, last]))
         edges = np.clip((top, bottom, np.pi / 2.0), top, bottom)
-        across = max(_LEAST, int(np.ceil(sub * np.sin(edges).max())))
+        across = max(_MIN_SAMPLES, int(np.ceil(sub * np.sin(edges).max())))
     return -(-sub // fine) * fine, -(-across // fine) * fine
 
 
@@ -326,11 +326,11 @@ def _rows(
     i, j = np.floor(p), np.floor(q)
     p -= i
     q -= j
-    i_least, j_least = (v.min(axis=(0, 1)) for v in (i, j))
-    i -= i_least
-    j -= j_least
+    i_min, j_min = (v.min(axis=(0, 1)) for v in (i, j))
+    i -= i_min
+    j -= j_min
     across, down = int(i.max()) + 2, int(j.max()) + 2
-    corner = lattice.number(i_least.astype(np.int64), j_least.astype(np.int64), sensor_width)
+    corner = lattice.number(i_min.astype(np.int64), j_min.astype(np.int64), sensor_width)
     window = lattice.number(*np.meshgrid(np.arange(across), np.arange(down)), sensor_width).ravel()
     window = window - np.int32(lattice.row * sensor_width + lattice.column)
     values, columns = [], []

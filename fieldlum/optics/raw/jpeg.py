@@ -60,7 +60,7 @@ def jpeg_size(path: Path) -> tuple[int, int]:
     return 0, 0
 
 
-def _codes(path: Path, most_pixels: int) -> NDArray[np.uint8]:
+def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
     """Return the codes [h, w, 3] of a JPEG's first picture.
 
     Pillow's class for JPEG is used directly: `Image.open` also reads the index of further pictures
@@ -76,7 +76,7 @@ def _codes(path: Path, most_pixels: int) -> NDArray[np.uint8]:
             warnings.simplefilter("ignore")
             with JpegImageFile(path) as image:
                 width, height = image.size
-                if width * height <= most_pixels:
+                if width * height <= max_pixels:
                     return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
         damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
@@ -87,7 +87,7 @@ def _codes(path: Path, most_pixels: int) -> NDArray[np.uint8]:
     raise InputError(
         path,
         f"{width} x {height} pixels",
-        f"at most {most_pixels:,} pixels",
+        f"at most {max_pixels:,} pixels",
         "state width_px and height_px of the camera in its profile, or copy the file again",
     )
 

@@ -25,7 +25,7 @@ from fieldlum.optics.raw.dng import channel_positions
 from fieldlum.optics.raw.exif import ExifTag, FrameInfo, info_of, numbers, tags_of
 
 # A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels. Chosen.
-_LARGEST_PIXELS = 400_000_000
+_MAX_PIXELS = 400_000_000
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()
 # First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content:
@@ -305,11 +305,11 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
     with opened(path) as raw:
         cfa, index = _pattern(path, raw)
         counts = raw.raw_image_visible
-        if not 0 < counts.size <= _LARGEST_PIXELS or min(counts.shape) < 2:
+        if not 0 < counts.size <= _MAX_PIXELS or min(counts.shape) < 2:
             raise _damaged(
                 path,
                 f"a mosaic of {' x '.join(map(str, counts.shape[::-1]))} pixels",
-                f"at least 2 x 2 and at most {_LARGEST_PIXELS / 1e6:.0f} million pixels",
+                f"at least 2 x 2 and at most {_MAX_PIXELS / 1e6:.0f} million pixels",
             )
         black = raw.black_level_per_channel
         down, right = _visible_shift(path, raw)
