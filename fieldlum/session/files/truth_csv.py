@@ -12,7 +12,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.session.codec import read_rows, write_rows
 
-TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
+TRUTH_COLUMNS: tuple[str, ...] = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 _REMEDY = "write the file again with: fieldlum simulate"
 
 
