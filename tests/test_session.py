@@ -75,7 +75,7 @@ def test_plan_and_site_round_trip(session: Session) -> None:
             "8 cells; expected 7 cells",
         ),  # a bracket of one frame, its second taken for a tag
         ((b",", b";"), "plan.csv: columns separated by ';'"),
-        ((b"exposures", b"shutters"), "shutters, tags; expected columns"),
+        ((b"exposures", b"shutters"), "no column exposures; expected columns"),
     ],
 )
 def test_a_plan_that_a_spreadsheet_spoilt_is_refused(

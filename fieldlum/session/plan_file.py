@@ -4,23 +4,41 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
+from fieldlum.core.records import Exposure, Slot, shutter_text, slot_id, utc_text
 from fieldlum.core.strict_csv import read_table
-from fieldlum.session.writing import write_table
+from fieldlum.session.codec import read_row, write_rows
 
-PLAN_COLUMNS = (
-    "slot",
-    "t_utc",
-    "t_local",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "exposures",
-    "tags",
-)
+_DIGITS = {"sun_altitude_deg": ".3f", "sun_azimuth_deg": ".3f"}
+
+
+@dataclass(frozen=True, slots=True)
+class _PlanRow:
+    """One line of plan.csv; t_local only serves people who read the file."""
+
+    slot: str
+    t_utc: datetime
+    t_local: str
+    sun_altitude_deg: float
+    sun_azimuth_deg: float
+    exposures: str = ""
+    tags: str = ""
+
+    def planned(self) -> Slot:
+        """Return the slot. Raises ValueError if its name is not that of its time."""
+        if slot_id(self.t_utc) != self.slot:
+            raise ValueError(f"slot {self.slot} does not match t_utc {utc_text(self.t_utc)}")
+        exposures = (parse_exposure(text) for text in self.exposures.split(";") if text.strip())
+        angles = self.sun_altitude_deg, self.sun_azimuth_deg
+        return Slot(self.t_utc, *angles, tuple(exposures), tuple(self.tags.split()))
+
+
+PLAN_COLUMNS = tuple(field.name for field in fields(_PlanRow))
 
 
 def exposure_text(exposure: Exposure) -> str:
@@ -57,18 +75,18 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
     """
     zone = ZoneInfo(timezone)
     rows = (
-        (
+        _PlanRow(
             slot.id,
-            utc_text(slot.t_utc),
+            slot.t_utc,
             slot.t_utc.astimezone(zone).strftime("%Y-%m-%d %H:%M %Z"),
-            f"{slot.sun_altitude_deg:.3f}",
-            f"{slot.sun_azimuth_deg:.3f}",
+            slot.sun_altitude_deg,
+            slot.sun_azimuth_deg,
             "; ".join(exposure_text(e) for e in slot.exposures),
             " ".join(slot.tags),
         )
         for slot in slots
     )
-    write_table(path, PLAN_COLUMNS, rows, end="\r\n")
+    write_rows(path, PLAN_COLUMNS, rows, _DIGITS, end="\r\n")
 
 
 def read_plan(path: Path) -> list[Slot]:
@@ -85,20 +103,8 @@ def read_plan(path: Path) -> list[Slot]:
         )
     expected, remedy = f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
     slots: list[Slot] = []
-    table = read_table(path, expected, remedy)
-    if table.names != PLAN_COLUMNS:
-        raise InputError(path, f"columns {', '.join(table.names)[:120]}", expected, remedy)
-    for number, row in table.dicts():
-        where, wrong = f"{path}:{number}", (KeyError, ValueError, TypeError, AttributeError)
-        with input_errors(where, expected, remedy, *wrong):
-            slots.append(_slot(row))
+    for line, cells in read_table(path, expected, remedy, needed=PLAN_COLUMNS).dicts():
+        row = read_row(_PlanRow, path, line, cells, remedy)
+        with input_errors(f"{path}: line {line}", expected, remedy, ValueError, ArithmeticError):
+            slots.append(row.planned())
     return slots
-
-
-def _slot(row: dict[str, str]) -> Slot:
-    t_utc = parse_utc(row["t_utc"])
-    if slot_id(t_utc) != row["slot"]:
-        raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")
-    exposures = tuple(parse_exposure(text) for text in row["exposures"].split(";") if text.strip())
-    angles = float(row["sun_altitude_deg"]), float(row["sun_azimuth_deg"])
-    return Slot(t_utc, *angles, exposures, tuple(row["tags"].split()))
