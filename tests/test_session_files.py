@@ -144,7 +144,7 @@ def test_model_config_is_strict_about_what_it_knows(tmp_path: Path) -> None:
 
 @pytest.mark.contract
 def test_scores_come_back_equal(tmp_path: Path) -> None:
-    scores = ScoresFile(({"name": "mean"},), "mean", "only one", 5, 0.1, {}, ("note",))
+    scores = ScoresFile(({"name": "mean"},), "mean", "only one", 5, 0.1, notes=("note",))
     scores.write(tmp_path)
     assert ScoresFile.read(tmp_path) == scores and scores.judged_row is None
 

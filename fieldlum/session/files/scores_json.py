@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 from msgspec import field
 
-from fieldlum.core.records import JsonTable
-from fieldlum.session.codec import JsonFile, to_json
+from fieldlum.session.codec import JsonFile
 
 
 class ScoreFigures(TypedDict):
@@ -107,10 +105,10 @@ class TrainAnswer(TypedDict):
 
 
 class ScoresFile(JsonFile, frozen=True):
-    """The content of one scores.json.
+    """The content of one scores.json, which is a `TrainAnswer` without `kept`.
 
     models: one row for each model, as `ScoreRow`, of which earlier versions wrote fewer keys;
-    chosen: name of the chosen one; captures: as `CaptureCurve`; more: keys that other versions add.
+    chosen: name of the chosen one; captures: as `CaptureCurve`.
     """
 
     NAME, SEALED = "scores.json", True
@@ -123,8 +121,10 @@ class ScoresFile(JsonFile, frozen=True):
     parameters: int = 0
     final_fit_s: float = 0.0
     captures: dict[str, Any] = field(default_factory=dict)
+    year: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
-    more: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, Any] = field(default_factory=dict)
+    model_sha256: str = ""
 
     @property
     def judged_row(self) -> dict[str, Any] | None:
@@ -135,15 +135,3 @@ class ScoresFile(JsonFile, frozen=True):
         rows = (row for row in self.models if row.get("name") == self.chosen)
         row = next(rows, None)
         return row if row is not None and row.get("median") is not None else None
-
-    @classmethod
-    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the table with the keys of other versions in `more`."""
-        names = {*cls.__struct_fields__, "format"}
-        return {**table, "more": {key: value for key, value in table.items() if key not in names}}
-
-    def table(self) -> JsonTable:
-        """Return the object that `train --json` prints (`TrainAnswer`), without its key `kept`."""
-        table = to_json(self)
-        more = table.pop("more")
-        return {**table, **more}
