@@ -32,7 +32,6 @@ from fieldlum.core.records import Slot
 from fieldlum.demo import troubles_named
 from fieldlum.learn.models import fit
 from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.models.disc_in_view import disc_lx
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import findings, usable_captures
 from fieldlum.learn.train.notes import seen_skies
@@ -42,6 +41,7 @@ from fieldlum.room.simulate import Troubles, load_troubles
 from fieldlum.session import create_session, open_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
+from fieldlum.sky.sky_view.disc_in_view import disc_lx
 from fieldlum.year.glare import glare_directions, view_azimuths_deg
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"

@@ -15,7 +15,7 @@ from fieldlum.core.records import Panorama, Slot, quiet, slot_id
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import shipped
-from fieldlum.pair.patches import seen_and_patches
+from fieldlum.pair.patches import write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
@@ -58,7 +58,7 @@ def paired_patch(folder: Path) -> Path:
     blank = np.ones((HEIGHT, 2 * HEIGHT), np.float32)
     write_panorama(picture, Panorama(blank, OFFICE.camera.heading_deg, t_utc=LOW))
     items = [(slot_id(LOW), picture, LOW)]
-    seen_and_patches(session, OFFICE, items, low_light().direct_lx, force=False, progress=quiet)
+    write_patches(session, OFFICE, items, low_light().direct_lx, force=False, progress=quiet)
     return session.sunpatch(slot_id(LOW))
 
 

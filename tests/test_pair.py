@@ -34,7 +34,7 @@ from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair import irradiance
 from fieldlum.pair.interval import outside
-from fieldlum.pair.sun_strength import Seen, complete_sun
+from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.clean_csv import CleanIrradiance
@@ -177,43 +177,29 @@ def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:
 @pytest.mark.analytic
 def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
     own = replace(SOUTH, origin="nd-frames")
-    assert complete_sun(picture(own), 90_000.0, Seen(1.0, 0.8, True), None) == (own, "")
+    assert measured_sun(picture(own), 90_000.0, None) == (own, "")
     strong = replace(own, normal_illuminance_lx=60_000.0)
-    assert "brighter than DNI" in complete_sun(picture(strong), 1_000.0, Seen(), None)[1]
-    source, caution = complete_sun(picture(None), 90_000.0, Seen(1.0, 0.8, True), None)
-    assert source is None and "not in the picture" in caution
+    assert "brighter than DNI" in measured_sun(picture(strong), 1_000.0, None)[1]
+    assert measured_sun(picture(None), 90_000.0, None) == (None, "")
 
 
 @pytest.mark.analytic
-def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:
-    source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(0.5, 0.8, True), None)
-    assert source is not None and caution == ""
-    assert (source.origin, source.normal_illuminance_lx, source.visible_fraction) == (
-        "dni",
-        pytest.approx(36_000),
-        0.5,
-    )
-    source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(), None)
-    assert (
-        source is not None
-        and source.normal_illuminance_lx == pytest.approx(90_000)
-        and "no [room]" in caution
-    )
-    assert complete_sun(picture(SOUTH), 2_000.0, Seen(1.0, 0.8, True), None)[0] == SOUTH, (
-        "a lower bound is kept"
-    )
-    assert (
-        "hidden by the room"
-        in complete_sun(picture(SOUTH), 90_000.0, Seen(0.0, 0.0, True), None)[1]
-    )
+def test_a_clipped_sun_comes_from_dni_and_the_sky_view() -> None:
+    assert measured_sun(picture(SOUTH), 90_000.0, None) == (SOUTH, "")
+    source, caution = completed_sun(SOUTH, 90_000.0, 0.4, "sky-view")
+    assert caution == "" and source.origin == "sky-view"
+    assert source.normal_illuminance_lx == pytest.approx(36_000)
+    source, caution = completed_sun(SOUTH, 90_000.0, np.nan, "dni")
+    assert source.normal_illuminance_lx == pytest.approx(90_000) and source.origin == "dni"
+    assert "without the glazing" in caution
+    kept, caution = completed_sun(SOUTH, 2_000.0, 0.8, "dni")
+    assert kept == SOUTH and "weaker sun" in caution, "a lower bound is kept"
 
 
 @pytest.mark.analytic
 def test_a_meter_beside_the_lens_comes_first() -> None:  # uniform 100 cd/m2 gives pi 100 lx
     cosine = np.cos(np.radians(18.9)) * np.cos(np.radians(2.0))
-    source, _ = complete_sun(
-        picture(SOUTH), 90_000.0, Seen(1.0, 0.8, True), 100 * np.pi + 60_000.0 * cosine
-    )
+    source, _ = measured_sun(picture(SOUTH), 90_000.0, 100 * np.pi + 60_000.0 * cosine)
     assert source is not None and source.origin == "meter"
     assert source.normal_illuminance_lx == pytest.approx(60_000.0, rel=2e-3)
 

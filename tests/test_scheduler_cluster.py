@@ -24,7 +24,7 @@ from fieldlum.core.scheduler import (
 from fieldlum.learn import models
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.profiles import save_profile, shipped
-from fieldlum.pair.patches import seen_and_patches
+from fieldlum.pair.patches import write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session, remove_scraps
 from fieldlum.session.site_toml import load_site
@@ -105,7 +105,7 @@ def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
     pictures = [(s.id, session.truth_panorama(s.id), s.t_utc) for s in slots]
     items = [item for item in pictures if item[1].is_file()]
     lx = np.full(len(items), 50_000.0)
-    seen_and_patches(session, setup, items, lx, force=True, scheduler=scheduler, progress=quiet)
+    write_patches(session, setup, items, lx, force=True, scheduler=scheduler, progress=quiet)
     model = root.parent / "nearest"  # one model for both: its config.json has its time
     if not model.is_dir():
         data = load_pairs(session)

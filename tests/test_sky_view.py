@@ -12,7 +12,6 @@ import pytest
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
-from fieldlum.learn.models.disc_in_view import disc_lx, disc_source
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import (
     Captured,
@@ -23,6 +22,7 @@ from fieldlum.sky.sky_view import (
     drawn_shares,
     estimate,
 )
+from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source
 from fieldlum.sky.sky_view.pose import CameraPose
 
 SITE = Site("place", 45.0, 8.0)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def command(
     session_folder: Path, scheduler_text: str = "local", pairs_to: str = "", force: bool = False
 ) -> None:
-    """Match panoramas with irradiance, sun and sun patches.
+    """Match panoramas with irradiance and sun; write the sky view.
 
     \b
     Example:
@@ -35,6 +35,7 @@ def command(
     from fieldlum.pair.irradiance.day_curves import draw_days
     from fieldlum.session import open_session
     from fieldlum.session.bucket import BucketStore, check_url
+    from fieldlum.sky.sky_view import SkyView
 
     if pairs_to:
         check_url(pairs_to, "--pairs-to", "the pairs are in the session without --pairs-to")
@@ -55,6 +56,13 @@ def command(
         f"{session.pairs}: {usable} of {counted(len(pairs), 'panorama')} paired, "
         f"{counted(health.rows, 'row')} of irradiance"
     )
+    if (view := SkyView.find(session.sky_view)) is not None:
+        terminal.say(
+            f"sky view of {counted(view.captures, 'capture')}, which decides when the sun's disc "
+            f"is seen: look at {session.sky_view.with_suffix('.png')}"
+        )
+        for note in view.notes:
+            terminal.say(f"note: {note}")
     for why, count in Counter(p.why for p in pairs if p.why).most_common(5):
         terminal.say(f"refused {count}: {why}")
     for caution, count in Counter(

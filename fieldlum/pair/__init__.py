@@ -1,7 +1,7 @@
 """Pair every panorama with its irradiance, its sun and its sun patch (`fieldlum pair`).
 
 `interval` computes the irradiance during the bracket, `sun_strength` the sun's illuminance at the
-lens, `patches` the sun patches; this file runs the stage.
+lens, `sky_view` where the camera sees the sky, `patches` the sun patches; this file runs the stage.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import numpy as np
+
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, Site, SiteFile, parse_utc, quiet, utc_text
+from fieldlum.core.records import Flag, Progress, Site, SiteFile, parse_utc, quiet, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.optics.images import read_panorama
 from fieldlum.pair.interval import Outside, outside
-from fieldlum.pair.patches import seen_and_patches
-from fieldlum.pair.sun_strength import Seen, complete_sun
-from fieldlum.session import Session, remove_scraps
+from fieldlum.pair.patches import write_patches
+from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
+from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
+from fieldlum.session import Session, marks, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -26,8 +29,8 @@ from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.files.suns_csv import SunRow, write_suns
 from fieldlum.session.simulated_pairs import keep_simulated_pairs
 from fieldlum.sky import sun
+from fieldlum.sky.light import Light
 from fieldlum.sky.light_clock import lit_at_night
-from fieldlum.sky.perez import direct_normal_illuminance_lx
 
 POOR_SUN_PERCENT = 5.0  # larger uncertainty of the sun's illuminance is reported; not measured
 NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cause; not measured
@@ -232,59 +235,73 @@ def _with_suns(
     scheduler: Scheduler,
     progress: Progress,
 ) -> list[Pair]:
-    """Write suns.csv, and the patches of the usable rows if the site has a room."""
+    """Write sky_view.exr and suns.csv, and with a room the patches, of the usable rows."""
     usable = [p for p in pairs if p.ok]
-    full_lx = direct_normal_illuminance_lx(
-        [p.light.dni_wm2 for p in usable],
-        [p.light.dhi_wm2 for p in usable],
-        [p.sun_altitude_deg for p in usable],
-        [p.taken.t_utc for p in usable],
-    )
-    views = seen_and_patches(
+    light = _light(session, usable)
+    shown = [_shown(p.taken, float(lx)) for p, lx in zip(usable, light.direct_lx, strict=True)]
+    view = write_sky_view(session, shown, light, setup.site, force=force, progress=progress)
+    shares, by_view = shares_of_beam(view, setup.room, light)
+    patches = write_patches(
         session,
         setup,
         [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable],
-        full_lx,
+        light.direct_lx,
         force=force,
         scheduler=scheduler,
         progress=progress,
     )
     completed: dict[str, Pair] = {}
     suns: list[SunRow] = []
-    for pair, normal_lx, (glimpse, patch) in zip(usable, full_lx, views, strict=True):
-        row, caution = _complete(session, pair.taken, float(normal_lx), glimpse)
-        suns += [row] if row is not None else []
+    for k, (pair, picture, patch) in enumerate(zip(usable, shown, patches, strict=True)):
+        source, caution = picture.sun, picture.caution
+        if source is not None:
+            if not is_measured(source):
+                origin = SKY_VIEW if by_view[k] else DNI
+                beam_lx, share = float(light.direct_lx[k]), float(shares[k])
+                source, more = completed_sun(source, beam_lx, share, origin)
+                caution = _joined(caution, more)
+            name = pair.taken.panorama.relative_to(session.root).as_posix()
+            suns.append(
+                SunRow(
+                    name,
+                    source.altitude_deg,
+                    source.azimuth_deg,
+                    source.normal_illuminance_lx,
+                    source.visible_fraction,
+                    source.origin,
+                    picture.recorded_lx,
+                )
+            )
         caution = _joined(pair.caution, caution)
         completed[pair.taken.slot] = replace(pair, sunpatch=patch, caution=caution)
     write_suns(session.suns, suns)
     return [completed.get(p.taken.slot, p) for p in pairs]
 
 
-def _complete(
-    session: Session, taken: Taken, full_normal_lx: float, glimpse: Seen
-) -> tuple[SunRow | None, str]:
-    """Return the completed sun as a row of suns.csv, and a caution.
+def _light(session: Session, pairs: Sequence[Pair]) -> Light:
+    """Return the light outside of usable pairs, with the room's states by their marks."""
+    marked = marks(session)
+    states = tuple(marked.get(p.taken.slot, "") for p in pairs)
+    numbers = [
+        (p.light.dni_wm2, p.light.dhi_wm2, p.sun_altitude_deg, p.sun_azimuth_deg) for p in pairs
+    ]
+    dni, dhi, altitude, azimuth = np.array(numbers).reshape(-1, 4).T
+    times = tuple(p.taken.t_utc for p in pairs)
+    return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
 
-    The row is None if the picture shows no sun.
-    """
+
+def _shown(taken: Taken, full_normal_lx: float) -> Shown:
+    """Return what the panorama of a bracket shows; only a caution if it cannot be read."""
     try:
         panorama = read_panorama(taken.panorama)
     except FieldlumError as error:
-        return None, str(error)
-    source, caution = complete_sun(panorama, full_normal_lx, glimpse, taken.meter_lx)
-    if source is None or panorama.sun is None:
-        return None, caution
-    name = taken.panorama.relative_to(session.root).as_posix()
-    bound_lx = panorama.sun.normal_illuminance_lx
-    return SunRow(
-        name,
-        source.altitude_deg,
-        source.azimuth_deg,
-        source.normal_illuminance_lx,
-        source.visible_fraction,
-        source.origin,
-        bound_lx,
-    ), caution
+        return Shown(taken.slot, caution=str(error))
+    sun, caution = measured_sun(panorama, full_normal_lx, taken.meter_lx)
+    seen = np.isfinite(panorama.luminance_cdm2)
+    if panorama.flags is not None:
+        seen &= (panorama.flags & Flag.OUTSIDE_LENS) == 0
+    recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
+    return Shown(taken.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
 
 
 def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:

@@ -1,4 +1,4 @@
-"""Compute sunpatches/<slot>.exr of captured hours, and how much of the disc the lens sees."""
+"""Compute sunpatches/<slot>.exr of captured hours."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import JsonTable, Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.core.records import Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.pair.sun_strength import Seen
 from fieldlum.room.scene import iter_sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, replacing_path
@@ -28,7 +27,7 @@ SLOTS_A_UNIT = 16
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time
 
 
-def seen_and_patches(
+def write_patches(
     session: Session,
     setup: SiteFile,
     items: Sequence[Item],
@@ -37,15 +36,14 @@ def seen_and_patches(
     force: bool,
     scheduler: Scheduler = LOCAL,
     progress: Progress,
-) -> list[tuple[Seen, str]]:
-    """Compute the visible share of the sun and sunpatches/<slot>.exr of slots; return both.
+) -> list[str]:
+    """Compute sunpatches/<slot>.exr of slots; return their paths in the session, "" without a room.
 
-    The path of a patch is relative to the session, or "" without a room. items : slot, panorama and
-    time; full_normal_lx : of the unobstructed sun, [n] lx. Existing patches are used again unless
-    `force`.
+    items : slot, panorama and time; full_normal_lx : of the unobstructed sun, [n] lx. Existing
+    patches are used again unless `force`.
     """
     if setup.room is None or not items:
-        return [(Seen(), "")] * len(items)
+        return [""] * len(items)
     first = read_panorama(items[0][1])
     height, heading = first.luminance_cdm2.shape[0], first.heading_deg
     places = sun.position([t for _, _, t in items], setup.site)
@@ -55,11 +53,12 @@ def seen_and_patches(
         _recipe(setup.room, setup, height, heading, *at, float(lx))
         for at, lx in zip(angles, full_normal_lx, strict=True)
     ]
-    stored = [
-        None if force else _known(session, item[0], r)
-        for item, r in zip(items, recipes, strict=True)
+    owed = [
+        i
+        for i, ((slot, _, _), recipe) in enumerate(zip(items, recipes, strict=True))
+        if force
+        or made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)]) is None
     ]
-    owed = [i for i, view in enumerate(stored) if view is None]
     jobs = [
         _PatchJob(
             tuple(items[i][0] for i in rows),
@@ -74,12 +73,7 @@ def seen_and_patches(
     ]
     units = [_unit(session, job) for job in jobs]
     run_each(units, scheduler, UnitOutcome.result, progress)
-    views = [
-        s or _known(session, item[0], r) or Seen()
-        for s, item, r in zip(stored, items, recipes, strict=True)
-    ]
-    paths = [session.sunpatch(slot).relative_to(session.root).as_posix() for slot, _, _ in items]
-    return list(zip(views, paths, strict=True))
+    return [session.sunpatch(slot).relative_to(session.root).as_posix() for slot, _, _ in items]
 
 
 def _recipe(
@@ -103,20 +97,6 @@ def _recipe(
         f"{normal_lx:.5g}",
     ]
     return digest(text)
-
-
-def _known(session: Session, slot: str, recipe: str) -> Seen | None:
-    """Return the visible sun from a patch's sidecar, if the patch has the same inputs.
-
-    Else None.
-    """
-    table = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])
-    if table is None:
-        return None
-    try:
-        return Seen(float(table["visible_fraction"]), float(table["disc_transmittance"]), True)
-    except (ValueError, KeyError, TypeError):
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,12 +128,8 @@ def trace_patches(root: Path, job: _PatchJob) -> None:
         heading_deg=job.heading_deg,
     ):
         for k in range(len(part.luminance_cdm2)):
-            sight = {
-                "visible_fraction": float(part.visible_fraction[k]),
-                "disc_transmittance": float(part.disc_transmittance[k]),
-            }
             patch = Panorama(part.luminance_cdm2[k], job.heading_deg, t_utc=job.t_utc[finished])
-            _write(session, job.slots[finished], patch, job.recipes[finished], sight)
+            _write(session, job.slots[finished], patch, job.recipes[finished])
             finished += 1
 
 
@@ -170,10 +146,10 @@ def _unit(session: Session, job: _PatchJob) -> WorkUnit:
     )
 
 
-def _write(session: Session, slot: str, patch: Panorama, recipe: str, sight: JsonTable) -> None:
+def _write(session: Session, slot: str, patch: Panorama, recipe: str) -> None:
     picture = session.sunpatch(slot)
     with replacing_path(picture) as path:
         write_panorama(path, patch)
     when = utc_text(patch.t_utc) if patch.t_utc else ""
-    note = {"slot": slot, "t_utc": when, **sight, "inputs": recipe}
+    note = {"slot": slot, "t_utc": when, "inputs": recipe}
     write_object(session.sunpatch_sidecar(slot), note)

@@ -20,6 +20,7 @@ from fieldlum.learn.models.pair_pictures import fill_gaps, read_pictures
 from fieldlum.learn.models.teaching import joined_counts
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.pair.interval import is_doubted
+from fieldlum.pair.sky_view import is_outdated
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.alignment_csv import alignment_path
 from fieldlum.session.files.model_config import UsedScene
@@ -265,6 +266,9 @@ def _assemble(
         notes.append(
             f"{100 * (1 - seen_mask.mean()):.0f} % of the pixels were not seen by the camera"
         )
+    view = SkyView.find(path.parent / SKY_VIEW)
+    if view is not None and is_outdated(Session(path.parent), view):
+        notes.append(f"WARNING: {SKY_VIEW} is of earlier pictures: run fieldlum pair again")
     times = [row.t_utc for row in rows]
     doubted = np.array([is_doubted(row.why) for row in rows])
     data = Dataset(
@@ -289,7 +293,7 @@ def _assemble(
         source=str(path),
         notes=tuple(notes),
         counts=counts,
-        sky_view=SkyView.find(path.parent / SKY_VIEW),
+        sky_view=view,
         doubted=doubted if doubted.any() else None,
     )
     return data if turns.aligned.all() else data.take(turns.aligned)

@@ -22,11 +22,11 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.disc_in_view import disc_lx
 from fieldlum.learn.models.held_out_choice import HeldOutErrors
 from fieldlum.learn.models.hour_weights import choice_weights
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreFigures
+from fieldlum.sky.sky_view.disc_in_view import disc_lx
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.year.glare.contrast import RAMMG_LEVELS, contrast_levels

@@ -2,6 +2,7 @@
 
 from fieldlum.sky.sky_view.disc import DRAWS, DiscOfHours, disc_of_hours, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate, usual_rows
+from fieldlum.sky.sky_view.of_captures import sky_view_of
 from fieldlum.sky.sky_view.picture import (
     LOWEST_ALTITUDE_DEG,
     SUFFIX,

@@ -34,6 +34,9 @@ class MeasuredDiscs:
         return len(self.t_utc)
 
 
+NO_DISCS = MeasuredDiscs(np.zeros(0), np.zeros(0), np.zeros(0), ())
+
+
 def read_discs(session: Session) -> MeasuredDiscs:
     """Return the sun discs in the sidecars (json files) of a session's panoramas, or an empty set.
 

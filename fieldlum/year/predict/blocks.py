@@ -12,13 +12,13 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, SiteFile, quiet
 from fieldlum.learn.models import Fitted, Prediction, seen_of, trusted_hours
-from fieldlum.learn.models.disc_in_view import disc_lx, disc_source
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.room.scene import iter_sun_patches
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view import SkyView
+from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import add_source
 

@@ -14,12 +14,12 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.learn.models import load, read_config
-from fieldlum.learn.models.disc_in_view import drawn_discs_lx
 from fieldlum.session import Session, check_writable
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.sky_view.disc_in_view import drawn_discs_lx
 from fieldlum.weather import Weather, read_weather
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.year.glare.standards import GlareDoubt, disturbed_share

@@ -28,13 +28,13 @@ def disc_lx(view: SkyView | None, setup: SiteFile, light: Light) -> Floats:
     0 where neither is known. Raises InputError for an impossible room.
     """
     if view is None:
-        return _room_shares(setup.room, light.shown_sun_direction) * light.direct_lx
+        return room_shares(setup.room, light.shown_sun_direction) * light.direct_lx
     disc = disc_of_hours(view, light)
     if setup.room is None or not disc.not_seen.any():
         return disc.best_lx
     some = light[disc.not_seen]
     best = disc.best_lx.copy()
-    best[disc.not_seen] = _room_shares(setup.room, some.shown_sun_direction) * some.direct_lx
+    best[disc.not_seen] = room_shares(setup.room, some.shown_sun_direction) * some.direct_lx
     return best
 
 
@@ -63,7 +63,7 @@ def drawn_discs_lx(
         filled = np.repeat(guesses[:, None], len(some), axis=1)
         if setup.room is not None:
             suns = np.stack([_turned(some, *turn) for turn in turns])  # [count, m, 3]
-            filled = _room_shares(setup.room, suns.reshape(-1, 3)).reshape(filled.shape)
+            filled = room_shares(setup.room, suns.reshape(-1, 3)).reshape(filled.shape)
         part = shares[:, open_hours]
         shares[:, open_hours] = np.where(np.isnan(part), filled, part)
     return np.nan_to_num(shares) * light.direct_lx
@@ -87,7 +87,7 @@ def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
     return direction(altitude, light.sun_azimuth_deg + turn)
 
 
-def _room_shares(room: Room | None, suns: Floats) -> Floats:
+def room_shares(room: Room | None, suns: Floats) -> Floats:
     """Return the share of the beam that reaches the camera in a stated room, [m]; 0 without one."""
     if room is None:
         return np.zeros(len(suns))

@@ -1,0 +1,215 @@
+"""Write sky_view.exr of a session, where its camera sees the sky, and a picture of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.plot_style import RED, open_axes, styled
+from fieldlum.core.records import JsonTable, Panorama, Progress, Room, Site, SunSource
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
+from fieldlum.pair.sun_strength import is_measured
+from fieldlum.session import Session, replacing_path, sha256
+from fieldlum.session.provenance import data_digest
+from fieldlum.sky.light import Light
+from fieldlum.sky.sky_view import (
+    Captured,
+    SkyPicture,
+    SkyView,
+    cut_panorama,
+    disc_of_hours,
+    read_sky_picture,
+    sky_view_of,
+)
+from fieldlum.sky.sky_view.disc_in_view import room_shares
+from fieldlum.sky.sky_view.measured_discs import read_discs
+from fieldlum.version import __version__
+
+_LEAST_SEEN = 0.8  # of the captures, in which a pixel has a value that a lens saw; chosen
+_SKY, _NOT_SEEN = (0.12, 0.37, 0.66), (0.93, 0.73, 0.36)  # colours, from 0 to 1
+_MARGIN_DEG = 5.0  # around the view in its picture; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the panorama of one usable bracket shows.
+
+    sun: None without one; recorded_lx: its illuminance in the panorama's file; seen [H, W]: pixels
+    with a value, None for a panorama that cannot be read; heading_deg: azimuth of the middle.
+    """
+
+    slot: str
+    sun: SunSource | None = None
+    recorded_lx: float = 0.0
+    caution: str = ""
+    seen: Mask | None = None
+    heading_deg: float = 0.0
+
+    @property
+    def measured_lx(self) -> float:
+        """Illuminance of the disc normal to the sun: 0 without one, NaN if it is not measured."""
+        if self.sun is None:
+            return 0.0
+        return self.sun.normal_illuminance_lx if is_measured(self.sun) else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class _Pictures:
+    """Merge's sky pictures (`is_cut`) if all captures have one, else the panoramas."""
+
+    files: list[Path]
+    is_cut: bool
+
+    @classmethod
+    def of(cls, session: Session, slots: Sequence[str]) -> _Pictures:
+        cuts = [session.sky_picture(slot) for slot in slots]
+        is_cut = all(file.is_file() for file in cuts)
+        return cls(cuts if is_cut else [session.panorama(slot) for slot in slots], is_cut)
+
+    @property
+    def digest(self) -> str:
+        return data_digest([sha256(file) if file.is_file() else "" for file in self.files])
+
+    def read(self, k: int) -> SkyPicture:
+        file = self.files[k]
+        return read_sky_picture(file) if self.is_cut else cut_panorama(read_panorama(file))
+
+
+def write_sky_view(
+    session: Session,
+    shown: Sequence[Shown],
+    light: Light,
+    site: Site,
+    *,
+    force: bool,
+    progress: Progress,
+) -> SkyView | None:
+    """Estimate the sky view of n usable captures, write it with its picture, and return it.
+
+    A view in the session with the same inputs is returned instead, unless `force`. Without a
+    capture by daylight the result is None, and an earlier view is removed.
+    """
+    rows = [k for k, capture in enumerate(shown) if capture.seen is not None]
+    if not rows:
+        session.sky_view.unlink(missing_ok=True)
+        return None
+    captures, light = [shown[k] for k in rows], light[rows]
+    slots = [capture.slot for capture in captures]
+    pictures, discs = _Pictures.of(session, slots), read_discs(session)
+    shares = np.array([c.measured_lx for c in captures]) / np.maximum(light.direct_lx, 1.0)
+    inputs: JsonTable = {
+        "captures": slots,
+        "pictures": pictures.digest,
+        "others": data_digest(__version__, light, shares, discs),
+    }
+    if not force and (stored := _stored(session.sky_view, inputs)) is not None:
+        return stored
+    captured = Captured(light, pictures.read, shares)
+    in_lens = _in_lens(captures) if pictures.is_cut else None
+    try:
+        view = sky_view_of(captured, discs, site, captures[0].heading_deg, in_lens, progress)
+    except NotEnoughDataError:
+        session.sky_view.unlink(missing_ok=True)
+        return None
+    view = replace(view, inputs=inputs)
+    view.write(session.sky_view)
+    suns = view.pose.in_pictures(light.shown_sun_direction[shares > 0.0])
+    overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
+    picture = session.sky_view.with_suffix(".png")
+    draw(picture, view, read_panorama(session.panorama(overcast)), suns)
+    return view
+
+
+def is_outdated(session: Session, view: SkyView) -> bool:
+    """Return whether merge wrote other pictures since `pair` wrote the session's sky view.
+
+    It is False for a view from elsewhere.
+    """
+    recorded = view.inputs.get("pictures")
+    return bool(recorded) and _Pictures.of(session, view.inputs["captures"]).digest != recorded
+
+
+def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
+    """Return a function that tells whether a lens saw directions [p, 3], [p]."""
+    masks = [capture.seen for capture in captures if capture.seen is not None]
+    height, width = masks[0].shape
+    alike = [mask for mask in masks if mask.shape == masks[0].shape]
+    often = np.add.reduce(alike, dtype=int) > _LEAST_SEEN * len(alike)
+    heading_deg = captures[0].heading_deg
+
+    def in_lens(rays: Floats) -> Mask:
+        row, column = equirect_pixel(*altitude_azimuth_deg(rays), height, width, heading_deg)
+        return often[np.minimum(row.astype(int), height - 1), column.astype(int) % width]
+
+    return in_lens
+
+
+def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tuple[Floats, Mask]:
+    """Return the share of the beam that arrives in n hours, and whether the sky view decides it.
+
+    Elsewhere it is by a stated room, and NaN without one. [n] each.
+    """
+    shares, decided = np.full(len(light), np.nan), np.zeros(len(light), bool)
+    if room is not None:
+        shares = room_shares(room, light.shown_sun_direction)
+    if view is not None:
+        disc = disc_of_hours(view, light)
+        decided = (disc.low_lx > 0.0) & (light.direct_lx > 0.0)
+        shares[decided] = disc.best_lx[decided] / light.direct_lx[decided]
+    return shares, decided
+
+
+def _stored(path: Path, inputs: JsonTable) -> SkyView | None:
+    """Return the view in a file, if it was estimated from the same inputs; else None."""
+    with suppress(InputError):
+        view = SkyView.find(path)
+        return view if view is not None and view.inputs == inputs else None
+    return None
+
+
+def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
+    """Draw openness over a panorama as a PNG.
+
+    suns [n, 3]: directions of captured discs, where the panoramas show them.
+    """
+    from matplotlib.figure import Figure
+
+    grid = view.grid
+    left = grid.heading_deg + (grid.first_azimuth_deg + 180.0) % 360.0 - 180.0
+    right, top = left + grid.width * grid.step_deg, grid.first_altitude_deg
+    bottom = top - grid.height * grid.step_deg
+    blind = np.isnan(view.openness)[..., None]
+    colours = np.where(blind, _NOT_SEEN, _SKY)
+    alpha = 0.7 * np.where(blind, 0.5, np.nan_to_num(view.openness)[..., None])
+    altitude, azimuth = altitude_azimuth_deg(suns)
+    around = panorama.heading_deg
+    with styled():
+        size = (10.0, 1.6 + 9.0 * (top - bottom + 10.0) / (right - left + 10.0))
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.subplots()
+        for turn in (0.0, 360.0):  # a view can cross the panorama's edge
+            extent = (around - 180.0 + turn, around + 180.0 + turn, -90.0, 90.0)
+            light = np.log10(np.maximum(np.nan_to_num(panorama.luminance_cdm2), 1.0))
+            axes.imshow(light, cmap="gray", extent=extent)
+        axes.imshow(np.concatenate([colours, alpha], -1), extent=(left, right, bottom, top))
+        axes.plot(left + (azimuth - left) % 360.0, altitude, "o", mfc="none", mec=RED, ms=5)
+        axes.set_xlim(left - _MARGIN_DEG, right + _MARGIN_DEG)
+        axes.set_ylim(bottom - _MARGIN_DEG, min(top + _MARGIN_DEG, 90.0))
+        axes.set_xlabel("azimuth, clockwise from true north, as the heading states it (degrees)")
+        axes.set_ylabel("altitude (degrees)")
+        axes.set_title(
+            f"Sky view of {view.captures} captures: blue is sky (by openness), yellow no lens saw, "
+            "red circles are captured discs of the sun",
+            fontsize=9,
+        )
+        open_axes(axes)
+        with replacing_path(path) as temporary:
+            figure.savefig(temporary, dpi=100, bbox_inches="tight", format="png")
