@@ -251,7 +251,7 @@ def realise(
         views += _truth(light, shading, true, crop, turn, target)
         mean = _mean_colour(shape, bright, target)
         exposed = (light + flare * mean) * shading[..., None]
-        for i, e in enumerate(bracket_exposures(profile.bracket)):
+        for i, e in enumerate(bracket_exposures(profile.bracket, "nd5")):
             true_s = true_shutter_s(e.shutter_s, profile)[0] * (
                 off[e.shutter_s] if has_ratios else 1.0
             )

@@ -170,7 +170,7 @@ def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, Cam
         taken = SimulatedCamera(OneScene(detailed), profile, clock, heading_deg=heading)
         shots = [
             Shot(taken.expose(e, frames / f"{i:02d}"), e, None)
-            for i, e in enumerate(bracket_exposures(profile.bracket))
+            for i, e in enumerate(bracket_exposures(profile.bracket, "nd5"))
         ]
         sun = float(cloudy.shown_altitude_deg[k]), float(cloudy.sun_azimuth_deg[k])
         yield {

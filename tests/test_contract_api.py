@@ -1,9 +1,12 @@
 """Contract: the names of the Python API, that `import fieldlum` is light, and that examples run."""
 
 import inspect
+import json
+import os
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Callable
 from datetime import UTC, date, datetime
 from pathlib import Path
 
@@ -139,19 +142,59 @@ def test_light_at_takes_one_value_for_all_moments() -> None:
     np.testing.assert_allclose(light.sun_altitude_deg, 65.84, atol=0.05)
 
 
+@pytest.mark.analytic
+def test_moments_are_datetimes_texts_or_a_pandas_index() -> None:
+    import pandas as pd
+
+    noon = datetime(2027, 6, 21, 20, 30, tzinfo=UTC)
+    text = noon.isoformat().replace("+00:00", "Z")
+    index = pd.date_range(noon, periods=2, freq="h").tz_convert("America/Los_Angeles")
+    for times, count in ((noon, 1), (text, 1), ([text, noon], 2), (index, 2), ([index[0]], 1)):
+        light = fieldlum.light_at(times, str(OFFICE), 800.0, 120.0)
+        assert len(light) == count and light.t_utc[0] == noon
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: fieldlum.load_model(3), "a value of type int"),
+        (lambda: fieldlum.load_site(None), "a value of type NoneType"),
+        (lambda: fieldlum.open_session(["a"]), "a value of type list"),
+        (lambda: fieldlum.evaluate_glare(np.ones((4, 8))), "a value of type ndarray"),
+        (lambda: fieldlum.merge_frames([], 3), "a value of type int"),
+        (lambda: fieldlum.predict_year(OFFICE.parent, 3), "a value of type int"),
+        (lambda: fieldlum.light_at(3, OFFICE, 1.0, 1.0), "a datetime with a time zone"),
+        (lambda: fieldlum.light_at("noon", OFFICE, 1.0, 1.0), "'noon'"),
+        (lambda: fieldlum.light_at("2027-01-01T12:00", OFFICE, 1.0, 1.0), "time zone"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, "x", 1.0), "dni_wm2"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, [1.0, 2.0], 1.0), "dni_wm2"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, -1.0, 1.0), "0 W/m2 or more"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", 3, 1.0, 1.0), "a value of type int"),
+    ],
+)
+def test_a_wrong_type_is_an_error_of_fieldlum(call: Callable[[], object], named: str) -> None:
+    with pytest.raises(fieldlum.FieldlumError, match=named):
+        call()
+
+
 @pytest.mark.contract
 @pytest.mark.slow
-@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
-def test_example_runs(example: Path, tmp_path: Path) -> None:
-    """Each prints its figures and writes only into the folder that it is given."""
+@pytest.mark.parametrize("book", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda p: p.stem)
+def test_notebook_runs(book: Path, tmp_path: Path) -> None:
+    """Its code cells, one after the other; it is stored without outputs and writes one folder."""
+    cells = json.loads(book.read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert len(cells) > len(code) > 3 and not any(cell["outputs"] for cell in code)
+    script = tmp_path / "cells.py"
+    script.write_text("\n".join("".join(cell["source"]) for cell in code), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-W", "error", str(example), str(tmp_path / "out")],
+        [sys.executable, "-W", "error", str(script)],
         capture_output=True,
         text=True,
         cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": "agg"},
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "view to 180.0 deg: DGP" in done.stdout
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    cells = example.read_text(encoding="utf-8").split("# %%")
-    assert len(cells) > 5 and cells[1].startswith(" [markdown]")
+    assert {path.name for path in tmp_path.iterdir()} == {"cells.py", "notebook-output"}

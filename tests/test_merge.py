@@ -1,5 +1,6 @@
 """The estimator, one bracket against known luminance, flags, the sun, and bad frames."""
 
+import shutil
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -195,7 +196,7 @@ def photograph(
 ) -> list[Shot]:
     clock = FastClock(datetime(2027, 3, 20, 20, tzinfo=UTC))
     camera = SimulatedCamera(StillWorld(sun, uniform), profile, clock, heading_deg=180.0)
-    exposures = bracket_exposures(profile.bracket)
+    exposures = bracket_exposures(profile.bracket, "nd5")
     return [
         Shot(camera.expose(e, folder / f"{i:02d}_{heading}", heading_deg=heading), e, heading)
         for heading in headings
@@ -326,6 +327,28 @@ def test_a_uniform_room_gives_pi_l(
     assert vertical_illuminance_lx(panorama.luminance_cdm2, 180.0, 30.0) == pytest.approx(
         200 * np.pi, rel=1e-3
     )
+
+
+@pytest.mark.slow
+@pytest.mark.property
+@pytest.mark.parametrize("name", ["sim-dual-fisheye", "sim-dual-fisheye-jpeg"])
+def test_a_filter_that_was_not_there_is_named_and_changes_nothing(bracket, name: str) -> None:
+    """Frames without a filter, of which two carry its name: same map as with the right names."""
+    shots, profile = bracket(name)
+    bare = [shot for shot in shots if not shot.exposure.nd]
+    right, labelled = list(bare), list(bare)
+    for filtered in (shot for shot in shots if shot.exposure.nd):
+        like = min(bare, key=lambda s: abs(s.exposure.shutter_s / filtered.exposure.shutter_s - 1))
+        copy = filtered.path.with_name(f"copy_{like.path.name}")
+        shutil.copy(like.path, copy)
+        right.append(replace(like, path=copy))
+        exposure = replace(like.exposure, nd=filtered.exposure.nd)
+        labelled.append(replace(like, path=copy, exposure=exposure))
+    a, b = merge(right, profile), merge(labelled, profile)
+    assert np.array_equal(a.panorama.luminance_cdm2, b.panorama.luminance_cdm2)
+    assert len(b.report.filter_absent) == 2 and not a.report.filter_absent
+    assert "as bright as without the filter" in b.verdict and "motion" not in b.verdict
+    assert not merge(shots, profile).report.filter_absent
 
 
 @pytest.mark.slow

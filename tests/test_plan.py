@@ -11,9 +11,16 @@ from places import SEATTLE
 
 from fieldlum import plan
 from fieldlum.cli import main
-from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Site, SiteFile
-from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, save_profile
+from fieldlum.optics.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    NeutralDensity,
+    save_profile,
+)
 from fieldlum.plan.texts import summary
 from fieldlum.session import create_session, open_session
 from fieldlum.sky import sun
@@ -29,7 +36,9 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> str:
         5.6, 100.0, (1.0, 0.1, 0.01), nd=("nd3",), nd_shutter_s=(0.001,), megabytes_per_frame=10.0
     )
     body = CameraBody("test", "raw", 100, 100)
-    save_profile(path, CameraProfile(body, (Lens((50.0, 50.0), 45.0, 180.0),), bracket))
+    lenses = (Lens((50.0, 50.0), 45.0, 180.0),)
+    filters = (NeutralDensity("nd3", (1000.0, 1000.0, 1000.0)),)
+    save_profile(path, CameraProfile(body, lenses, bracket, nd=filters))
     return str(path)
 
 
@@ -156,8 +165,15 @@ def test_even_spreads_over_sun_positions_and_is_repeatable(profile: str) -> None
 
 @pytest.mark.analytic
 def test_cost_counts_headings_and_filters(profile: str, tmp_path: Path) -> None:
-    setup = SiteFile(SEATTLE, CameraSetup(profile=profile, headings=(180.0, 0.0)))
-    made = plan.make_plan(setup, plan.Request("4-day", TODAY, year=2027))
+    """Analytic: a filter adds frames only where it is named; its name must be the profile's."""
+    camera = CameraSetup(profile=profile, headings=(180.0, 0.0))
+    request = plan.Request("4-day", TODAY, year=2027)
+    bare = plan.make_plan(SiteFile(SEATTLE, camera), request)
+    assert len(bare.slots[0].exposures) == 3 and bare.megabytes_per_slot == 60.0
+    with pytest.raises(InputError, match="no filter 'nd9'; expected one of its filters"):
+        plan.make_plan(SiteFile(SEATTLE, replace(camera, filter="nd9")), request)
+    setup = SiteFile(SEATTLE, replace(camera, filter="nd3"))
+    made = plan.make_plan(setup, request)
     assert len(made.slots[0].exposures) == 4
     assert made.megabytes_per_slot == 80.0
     assert made.seconds_per_slot == pytest.approx(2 * (8.0 + 1.111), abs=0.1)

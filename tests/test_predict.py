@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_room import dataset
 
+import fieldlum
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room as Room3d
@@ -80,6 +81,26 @@ def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Pa
     assert again.about["protection"] == json.loads(json.dumps(year.about["protection"]))
     assert (year.views["dgp"] >= 0.159).all()
     assert year.occupied.any()
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_python_gives_what_the_command_gives(model: Path, weather: Path, year: Annual) -> None:
+    """Maps, disc, trust and glare of the hours of a year, as xarray with units."""
+    loaded = fieldlum.load_model(model)
+    assert "nearest of" in repr(loaded) and "32 x 16 px" in repr(loaded)
+    light = light_of(read_weather(weather, DATA.setup.site).daylight())
+    maps, glare = loaded.predict(light), loaded.glare(light)
+    store = xr.open_zarr(year.folder / "maps.zarr", consolidated=False)
+    for name in ("luminance_cdm2", "disc_lx", "trusted"):
+        np.testing.assert_allclose(maps[name], store[name], rtol=3e-4)
+    assert maps.luminance_cdm2.attrs["units"] == "cd m-2" and (maps.y == store.y).all()
+    assert "luminance_cdm2" in maps._repr_html_()
+    whole = year.to_xarray()
+    assert whole.ev_lx.attrs == {"units": "lx"} and (whole.azimuth == glare.azimuth).all()
+    for name in ("dgp", "ev_lx", "uniformity", "disc_lx"):
+        np.testing.assert_allclose(glare[name], whole[name], rtol=1e-6)
+    maps.luminance_cdm2.isel(time=0).plot()  # type: ignore[call-arg]
 
 
 @pytest.mark.contract

@@ -335,8 +335,8 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"window": (Window("south", 3.0, 2.0, 1.0, 1.0),)}, "inside the south wall"),
-        ({"window": (Window("south", 1.0, 2.0, 1.0, 2.5),)}, "inside the south wall"),
+        ({"window": (Window("south", 3.0, 2.0, 1.0, 1.0),)}, "inside the S wall"),
+        ({"window": (Window("south", 1.0, 2.0, 1.0, 2.5),)}, "inside the S wall"),
         ({"window": (Window("west", 1, 2, 1, 1), Window("west", 2, 2, 1.5, 1))}, "windows 1 and 2"),
         ({"camera_y_m": 6.0}, "camera at"),
         ({"reflectance_walls": 1.2}, "reflectance_walls"),

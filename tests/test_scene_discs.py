@@ -102,7 +102,7 @@ def test_simulated_frames_give_north_to_a_twentieth_of_a_degree(tmp_path: Path) 
         folder.mkdir()
         shots = [
             Shot(camera.expose(e, folder / f"{i:02d}"), e, None)
-            for i, e in enumerate(bracket_exposures(profile.bracket))
+            for i, e in enumerate(bracket_exposures(profile.bracket, "nd5"))
         ]
         merged = merge_shots(shots, profile, MergeOptions(height=92), sun_deg=(altitude, azimuth))
         assert merged.sun is not None

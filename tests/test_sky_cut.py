@@ -85,7 +85,7 @@ def test_merge_keeps_bars_that_the_panorama_cannot_show(tmp_path: Path) -> None:
     camera = SimulatedCamera(_World(panorama), profile, clock, heading_deg=180.0)
     shots = [
         Shot(camera.expose(e, tmp_path / f"{i:02d}"), e, None)
-        for i, e in enumerate(bracket_exposures(profile.bracket))
+        for i, e in enumerate(bracket_exposures(profile.bracket, "nd5"))
     ]
     sky = merge_shots(shots, profile, MergeOptions(height=46), latitude_deg=47.6).sky
     assert sky is not None and sky.grid.step_deg < 1.05 * sensor_pitch_deg(profile)

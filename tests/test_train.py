@@ -304,6 +304,36 @@ def test_the_budget_bounds_the_complete_command(
 
 @pytest.mark.slow
 @pytest.mark.property
+@pytest.mark.parametrize("trial_s", [50.0, 200.0])
+def test_on_a_busy_machine_the_budget_ends_the_training(
+    trial_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stored fit of transport, or its test, outlasts the budget: the best model so far."""
+    clock = CountedClock()
+
+    def fit(name: str, data: Dataset, *, progress: Any, **options: Any) -> models.Fitted:
+        options.pop("budget_s", None)
+        stored = len(data) == len(DATA)
+        for k in range(10):
+            progress(k, 10, "fitting")
+            clock.now_s += (300.0 if stored else trial_s) / 10 if name == "transport" else 0.0
+        return real("nearest" if name == "transport" else "mean", data, patch="none", seed=0)
+
+    real = models.fit
+    monkeypatch.setattr(models, "fit", fit)
+    monkeypatch.setattr(train, "MODELS", {k: v for k, v in models.MODELS.items() if not v.slow})
+    options: dict[str, Any] = {"budget_min": 5.0, "spent_s": 10.0, "captures": False}
+    answer = run(DATA, "auto", out=tmp_path / "auto", clock=clock, **options)
+    assert clock.now_s + 10.0 <= 320.0  # by one step at most
+    assert answer["chosen"] in ("mean", "nearest")
+    assert any("raise --budget" in note for note in answer["notes"])
+    clock.now_s = 0.0
+    with pytest.raises(NotEnoughDataError, match="transport was not fitted within the time"):
+        run(DATA, "transport", out=tmp_path / "transport", clock=clock, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.property
 def test_a_spent_budget_leaves_the_learning_curve_out_and_reports_it(tmp_path: Path) -> None:
     answer = run(DATA, "mean", budget_min=1e-3, spent_s=60.0, out=tmp_path)
     assert any("no learning curve" in note for note in answer["notes"])

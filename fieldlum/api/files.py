@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
@@ -9,6 +10,16 @@ from fieldlum.core.records import Panorama, Site, SiteFile
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session import Session, replacing_path
 from fieldlum.weather import Weather
+
+
+def path_of(value: object, what: str = "file") -> Path:
+    """Return a path; raises InputError for a value that is neither text nor a path."""
+    if isinstance(value, str | os.PathLike):
+        return Path(value)
+    raise InputError(
+        what, f"a value of type {type(value).__name__}", "a path, as text or Path", "pass its path"
+    )
+
 
 PANORAMA_SUFFIXES = (".exr", ".hdr")
 
@@ -39,7 +50,7 @@ def open_session(folder: str | Path) -> Session:
     """
     from fieldlum import session
 
-    return session.open_session(Path(folder))
+    return session.open_session(path_of(folder, "folder"))
 
 
 def load_site(file: str | Path) -> SiteFile:
@@ -67,7 +78,7 @@ def load_site(file: str | Path) -> SiteFile:
     """
     from fieldlum.session import site_toml
 
-    return site_toml.load_site(Path(file))
+    return site_toml.load_site(path_of(file))
 
 
 def load_camera_profile(name: str | Path) -> CameraProfile:
@@ -95,7 +106,7 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
     """
     from fieldlum.optics import profiles
 
-    return profiles.load_camera_profile(name)
+    return profiles.load_camera_profile(path_of(name, "camera"))
 
 
 def read_panorama(file: str | Path) -> Panorama:
@@ -127,7 +138,7 @@ def read_panorama(file: str | Path) -> Panorama:
     """
     from fieldlum.session.panorama_sun import read_panorama_with_sun
 
-    return read_panorama_with_sun(Path(file))
+    return read_panorama_with_sun(path_of(file))
 
 
 def write_panorama(file: str | Path, panorama: Panorama) -> None:
@@ -153,7 +164,7 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     """
     from fieldlum.optics import images
 
-    path = Path(file)
+    path = path_of(file)
     suffix = path.suffix.lower()
     if suffix not in PANORAMA_SUFFIXES:
         raise InputError(
@@ -216,11 +227,13 @@ def read_weather(
     """
     from fieldlum import weather
 
-    return weather.read_weather(Path(file), place(site), label_shift_min=label_shift_min)
+    return weather.read_weather(path_of(file), place(site), label_shift_min=label_shift_min)
 
 
-def place(site: SiteFile | Site | str | Path) -> Site:
-    """Return the `Site` of a loaded SITE.toml, or of the path of one, which is read."""
-    if isinstance(site, str | Path):
-        site = load_site(site)
+def place(site: SiteFile | Site | Session | str | Path) -> Site:
+    """Return the `Site` of a loaded SITE.toml, of a session, or of the path of a SITE.toml."""
+    if isinstance(site, Session):
+        site = site.site_file()
+    elif not isinstance(site, SiteFile | Site):
+        site = load_site(path_of(site, "site"))
     return site.site if isinstance(site, SiteFile) else site

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime
+from collections.abc import Iterable
+from contextlib import nullcontext
+from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from fieldlum.api.files import place
+from fieldlum.api.files import path_of, place
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Progress, Site, SiteFile, quiet
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models import Fitted, Patch
+    from fieldlum.api.room_model import RoomModel
+    from fieldlum.learn.models import Patch
     from fieldlum.learn.models.data import Dataset
     from fieldlum.session import Session
     from fieldlum.sky.light import Light
@@ -64,8 +68,8 @@ def load_pairs(
     from fieldlum.room.fit.stated_box import training_captures
     from fieldlum.session import Session
 
-    source = pairs.root if isinstance(pairs, Session) else Path(pairs)
-    stated = None if site is None else Path(site)
+    source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
+    stated = None if site is None else path_of(site, "site")
     captures = data.load_pairs(source, stated, progress=progress)
     return training_captures(captures, source, scene, "absolute", progress=progress)[0]
 
@@ -79,7 +83,7 @@ def fit(
     seed: int = 0,
     out: str | Path | None = None,
     progress: Progress = quiet,
-) -> Fitted:
+) -> RoomModel:
     """Fit a model of the room to captured hours.
 
     Parameters
@@ -103,10 +107,8 @@ def fit(
 
     Returns
     -------
-    Fitted
-        `predict(light)` returns maps [n, H, 2H] in cd/m2 with uncertainty; `parameters` is the
-        number of values in the model. The maps have neither the sun's disc nor its images in
-        mirrors, which only `predict_year` adds.
+    RoomModel
+        As from `load_model`; `parameters` is the number of values in the model.
 
     Raises
     ------
@@ -119,18 +121,18 @@ def fit(
     >>> model.name
     'transport'
     """
-    from fieldlum.learn import models, train
+    from fieldlum.api import room_model
+    from fieldlum.learn import train
 
     options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
-    if out is None:
-        return train.fit_and_score(data, model, budget_s=60.0 * budget_min, **options).fitted
-    folder = Path(out)
-    train.run(data, model, budget_min=budget_min, out=folder, captures=False, **options)
-    return models.load(folder)
+    with nullcontext(out) if out is not None else TemporaryDirectory() as where:
+        folder = path_of(where, "out")
+        train.run(data, model, budget_min=budget_min, out=folder, captures=False, **options)
+        return room_model.load(folder)
 
 
-def load_model(folder: str | Path) -> Fitted:
-    """Read a fitted model.
+def load_model(folder: str | Path) -> RoomModel:
+    """Read a fitted model, with its room.
 
     Parameters
     ----------
@@ -139,8 +141,10 @@ def load_model(folder: str | Path) -> Fitted:
 
     Returns
     -------
-    Fitted
-        `predict(light)` returns maps [n, H, 2H] in cd/m2 with uncertainty.
+    RoomModel
+        `predict(light)` returns maps over (time, y, x) in cd/m2 with uncertainty, and the sun's
+        disc; `glare(light)` DGP, Ev and more over (time, azimuth). Both are xarray.Datasets with
+        coordinates and units, and give what `fieldlum predict` gives.
 
     Raises
     ------
@@ -149,30 +153,32 @@ def load_model(folder: str | Path) -> Fitted:
 
     Examples
     --------
-    >>> noon = datetime(2027, 6, 21, 20, 30, tzinfo=UTC)
-    >>> light = fieldlum.light_at([noon], fieldlum.load_site("office.toml"), 800.0, 120.0)
-    >>> fieldlum.load_model("office-2027/models/auto").predict(light).luminance_cdm2.shape
-    (1, 230, 460)
+    >>> model = fieldlum.load_model("office-2027/models/auto")
+    >>> light = fieldlum.light_at("2027-06-21T20:30Z", "office.toml", 800.0, 120.0)
+    >>> model.predict(light).luminance_cdm2.isel(time=0).plot()
+    >>> model.glare(light).dgp.sel(azimuth=180.0).item()
+    0.31
     """
-    from fieldlum.learn import models
+    from fieldlum.api import room_model
 
-    return models.load(Path(folder))
+    return room_model.load(path_of(folder, "folder"))
 
 
 def light_at(
-    times_utc: Sequence[datetime],
-    site: SiteFile | Site | str | Path,
+    times_utc: datetime | str | Iterable[datetime | str],
+    site: SiteFile | Site | Session | str | Path,
     dni_wm2: ArrayLike,
     dhi_wm2: ArrayLike,
 ) -> Light:
-    """Describe the light outside at some moments, for `Fitted.predict`.
+    """Describe the light outside at some moments, for the model's `predict` and `glare`.
 
     Parameters
     ----------
     times_utc
-        n moments with a time zone.
+        One moment or n: datetimes with a time zone, ISO texts such as ``2027-06-21T20:30Z``, or a
+        pandas.DatetimeIndex with a time zone.
     site
-        A loaded site, or the path of a SITE.toml; the sun's position is computed for it.
+        A loaded site, a session, or the path of a SITE.toml; the sun's position is computed for it.
     dni_wm2, dhi_wm2
         Direct normal and diffuse horizontal irradiance, [n] or one value. [W/m2]
 
@@ -183,20 +189,54 @@ def light_at(
 
     Raises
     ------
-    ValueError
-        A time has no time zone.
+    InputError
+        A time is unreadable or has no time zone, or an irradiance is no number or has another
+        length than the times.
 
     Examples
     --------
-    >>> noon = datetime(2027, 6, 21, 20, 30, tzinfo=UTC)
-    >>> fieldlum.light_at([noon], "office.toml", 800.0, 120.0).sun_altitude_deg
+    >>> fieldlum.light_at("2027-06-21T20:30Z", "office.toml", 800.0, 120.0).sun_altitude_deg
     array([65.5])
     """
     import numpy as np
 
     from fieldlum.sky import light
 
-    return light.light_at(times_utc, place(site), np.asarray(dni_wm2), np.asarray(dhi_wm2))
+    if isinstance(times_utc, str | datetime) or not isinstance(times_utc, Iterable):
+        times_utc = [times_utc]
+    times = [_moment(t) for t in times_utc]
+    values = []
+    for name, given in (("dni_wm2", dni_wm2), ("dhi_wm2", dhi_wm2)):
+        with input_errors(name, "numbers in W/m2", "pass one value for each time", *_NO_ARRAY):
+            numbers = np.broadcast_to(np.asarray(given, float), len(times))
+        if not (np.isfinite(numbers).all() and (numbers >= 0).all()):
+            raise InputError(
+                name,
+                f"values {numbers.min():g} to {numbers.max():g}",
+                "0 W/m2 or more",
+                "correct it",
+            )
+        values.append(numbers)
+    return light.light_at(times, place(site), *values)
+
+
+_NO_ARRAY = (TypeError, ValueError)
+
+
+def _moment(t: object) -> datetime:
+    """Return a moment in UTC from a datetime with a zone or an ISO text with one."""
+    try:
+        moment = datetime.fromisoformat(t) if isinstance(t, str) else t
+        if isinstance(moment, datetime) and moment.tzinfo is not None:
+            return moment.astimezone(UTC)
+    except ValueError:
+        pass
+    raise InputError(
+        "times_utc",
+        f"{t!r:.60}",
+        "a datetime with a time zone, or a text such as 2027-06-21T20:30Z",
+        "add the zone, for example tzinfo=UTC",
+    )
 
 
 def predict_year(
@@ -238,8 +278,8 @@ def predict_year(
     Returns
     -------
     Annual
-        `hours` [n each] and `views` [n, d each] by column name, among them `dgp` and `ev_lx`;
-        `about` is predict.json.
+        `to_xarray()` has all columns over time and azimuth, among them `dgp` and `ev_lx`; `about`
+        is predict.json.
 
     Raises
     ------
@@ -251,18 +291,18 @@ def predict_year(
     Examples
     --------
     >>> year = fieldlum.predict_year("office-2027/models/auto", "seattle.epw")
-    >>> year.views["dgp"].shape
-    (4380, 10)
+    >>> year.to_xarray().dgp.sel(azimuth=180.0).max().item()
+    0.62
     """
     from fieldlum.year import predict
 
     return predict.run(
-        Path(model_folder),
-        Path(weather_file),
-        out=None if out is None else Path(out),
+        path_of(model_folder, "model_folder"),
+        path_of(weather_file),
+        out=None if out is None else path_of(out, "out"),
         maps=maps,
         views=views,
-        occupancy_path=None if occupancy_file is None else Path(occupancy_file),
+        occupancy_path=None if occupancy_file is None else path_of(occupancy_file),
         label_shift_min=label_shift_min,
         force=force,
         progress=progress,

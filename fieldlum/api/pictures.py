@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from fieldlum.api.files import load_camera_profile, load_site
+from fieldlum.api.files import load_camera_profile, load_site, path_of
 from fieldlum.core.records import Panorama, Progress, SiteFile, quiet
 from fieldlum.merge import MergeResult
 from fieldlum.optics.profiles import CameraProfile
@@ -72,7 +72,7 @@ def plan_captures(
     request = plan.Request(capture_set, counted_from, start, year, days, count)
     if out is None:
         return plan.make_plan(setup, request, weather)
-    return plan.run(setup, request, Path(out), weather).plan
+    return plan.run(setup, request, path_of(out, "out"), weather).plan
 
 
 def merge_frames(
@@ -124,10 +124,10 @@ def merge_frames(
     """
     from fieldlum import merge
 
-    if isinstance(camera, str | Path):
+    if not isinstance(camera, CameraProfile):
         camera = load_camera_profile(camera)
     return merge.merge_frames(
-        [Path(file) for file in files],
+        [path_of(file) for file in files],
         camera,
         merge.MergeOptions(height=height, fit=fit, drop_moved=drop_moved),
         heading_deg=heading_deg,
@@ -169,4 +169,4 @@ def evaluate_glare(
 
     if isinstance(picture, Panorama):
         return panorama_glare(picture, view_azimuths_deg)
-    return picture_glare(Path(picture), view_azimuths_deg)
+    return picture_glare(path_of(picture, "picture"), view_azimuths_deg)

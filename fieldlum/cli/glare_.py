@@ -16,8 +16,8 @@ from fieldlum.cli.terminal import emit_json, say, write_csv
 if TYPE_CHECKING:
     from fieldlum.year.glare.answers import GlareAnswer
 
-# Columns of --csv, which are a contract: new ones are only added at the end.
-CSV_COLUMNS = (
+# Columns of --csv, which are a contract: further metrics come at the end.
+_CSV_COLUMNS = (
     "file",
     "t_utc",
     "azimuth_deg",
@@ -113,21 +113,28 @@ def command(
         else:
             _table(answer)
     if csv_path is not None:
-        write_csv(csv_path, CSV_COLUMNS, rows)
+        write_csv(csv_path, csv_columns(), rows)
     if bad and len(images) > 1:
         say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
     if bad:
         raise SystemExit(InputError.exit_code)
 
 
+def csv_columns() -> tuple[str, ...]:
+    """Return the columns of --csv."""
+    from fieldlum.year.glare.metrics import METRICS
+
+    return (*_CSV_COLUMNS, *(name for name in METRICS if name not in _CSV_COLUMNS))
+
+
 def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
-    """Return one row for each view direction of a `glare` answer, with the keys `CSV_COLUMNS`."""
+    """Return one row for each view direction of a `glare` answer, by column of --csv."""
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
-    rows = []
+    rows, columns = [], csv_columns()
     for view in answer["views"]:
         reference = {f"reference_{key}": v for key, v in (view.get("reference") or {}).items()}
         cells = {**view, **of_picture, **reference}
-        rows.append({key: cells.get(key) for key in CSV_COLUMNS})
+        rows.append({key: cells.get(key) for key in columns})
     return rows
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,6 +31,7 @@ def command(
     count: Annotated[int | None, click.IntRange(min=1)] = None,
     weather_file: Path | None = None,
     label_shift_min: float = 0.0,
+    filter_: str | None = None,
     out: Path | None = None,
     ics: bool = False,
     html: bool = False,
@@ -56,6 +57,8 @@ def command(
       --days: Number of days of a month (31), or of the period for even and best (365).
       --count: Number of hours, for even (200) and best (50).
       --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.
+      --filter NAME: Add frames of the sun through this neutral-density filter of the profile,
+        which a person puts on for them. [default: filter under [camera] in SITE.toml, or none]
       --out: The session folder to write.
       --ics: Also write plan.ics, one event per day.
       --html: Also write plan.html, one printable sheet per day.
@@ -68,9 +71,10 @@ def command(
         raise click.UsageError("--next and --replan work on a session: omit --set and --out")
     if next_ and (ics or html):
         raise click.UsageError("--next writes no files: omit --ics and --html")
-    if (next_ or replan) and (start or year or days or count):
+    if (next_ or replan) and (start or year or days or count or filter_ is not None):
         raise click.UsageError(
-            "--next and --replan keep the session's dates: omit --start, --year, --days and --count"
+            "--next and --replan keep the session's dates and exposures: omit --start, --year, "
+            "--days, --count and --filter"
         )
     if label_shift_min and weather_file is None:
         raise click.UsageError("--label-shift is for a weather file: name one with --weather")
@@ -87,7 +91,7 @@ def command(
     else:
         _check(set_, start, year, days, count, weather_file)
         asked = (set_, start.date() if start else None, year, days, count)
-        answer, sentences = _planned(target, asked, sky, out, ics, html)
+        answer, sentences = _planned(target, asked, sky, filter_, out, ics, html)
     if as_json:
         terminal.emit_json(answer)
     else:
@@ -120,12 +124,20 @@ def _check(
 
 
 def _planned(
-    target: Path, asked: tuple, sky: WeatherFile, out: Path, ics: bool, html: bool
+    target: Path,
+    asked: tuple,
+    sky: WeatherFile,
+    filter_: str | None,
+    out: Path,
+    ics: bool,
+    html: bool,
 ) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.session.site_toml import load_site
 
     setup = load_site(target)
+    if filter_ is not None:
+        setup = replace(setup, camera=replace(setup.camera, filter=filter_))
     set_, start, year, days, count = asked
     request = plan.Request(
         set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count

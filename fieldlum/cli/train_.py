@@ -34,11 +34,11 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session, a pairs.csv, or a URL to which `pair --pairs-to` wrote. The budget limits
-    the complete command: reading, held-out days, the stored model and the learning curve. Two
-    held-out folds of each model but dense, the scan of north and clock, and the fit of the stored
-    model run even after the budget is used up. If captures, options and fieldlum's version have
-    not changed, the model is trained again only with --force.
+    PAIRS is a session, a pairs.csv, or a URL to which `pair --pairs-to` wrote. The budget is wall
+    time of the complete command: reading, held-out days, the stored model and the learning curve.
+    Where it ends, training stops, stores the best model so far and reports what was left out. If
+    captures, options and fieldlum's version have not changed, the model is trained again only with
+    --force.
 
     \b
     Example:

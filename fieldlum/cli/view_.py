@@ -47,7 +47,7 @@ def command(
     files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):
-        raise click.BadParameter("expected a .png or .html file", param_hint="--out")
+        raise click.BadParameter(f"{out}: expected a .png or .html file", param_hint="--out")
     try:
         regions = [parse_region(text) for text in region_texts]
     except ValueError as error:

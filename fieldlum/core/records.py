@@ -107,7 +107,8 @@ class CameraSetup:
     heading_deg: azimuth of the panorama's centre column, clockwise from true north; headings:
     azimuths to which a head turns a single fisheye for each bracket, empty for a fixed camera;
     height_m: of the lens above the floor; assumed: keys that SITE.toml did not state, although
-    they turn the results.
+    they turn the results; filter: name of the neutral-density filter that a person puts on for the
+    frames of the sun, "" for none.
     """
 
     profile: str = ""
@@ -115,6 +116,7 @@ class CameraSetup:
     headings: tuple[float, ...] = ()
     height_m: float = 1.6
     assumed: tuple[str, ...] = ()
+    filter: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,6 +64,7 @@ def report_of(
         u_ratio_percent=100 * float(np.sqrt(np.mean([p.trust.u_rel**2 for p in parts]))),
         orientation_conflict=orientation_conflict([s for p in parts for s in p.shots], profile),
         dark_rims=tuple(rims),
+        filter_absent=tuple(name for part in parts for name in part.absent),
     )
 
 
@@ -115,6 +116,12 @@ def verdict(report: MergeReport) -> str:
         "bracket, or shutter times need calibration (fieldlum calibrate shutter)"
         for text in report.deviations
     ]
+    if report.filter_absent:
+        notes.append(
+            f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, so "
+            "it counts as a frame without it: put the filter on for these frames, or plan without "
+            "--filter"
+        )
     if report.orientation_conflict:
         notes.append(report.orientation_conflict)
     if abs(report.black_off_dn) > BLACK_WARN_DN:

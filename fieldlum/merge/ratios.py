@@ -20,6 +20,7 @@ _SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame
 # that suffices. Bright pixels are preferred because a black level that is wrong by one count
 # affects dim pixels. Chosen.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
+_ENOUGH_FOR_RATIO = 100  # pixels whose median tells a filter from none; chosen
 _REACH = 3  # number of following frames with which each frame is compared; not measured
 _FREE = 0.3  # relative prior of an exposure that nothing else constrains; chosen
 _LEVELS = 193  # number of luminances at which the ratios' uncertainty is computed; chosen
@@ -102,6 +103,25 @@ def _brightest(well_exposed: Mask, snr: Floats) -> Mask:
         if usable.sum() >= _ENOUGH:
             return usable
     return well_exposed & (snr > _SNR_SHORT[-1])
+
+
+def light_ratio(known: Sample, other: Sample) -> float:
+    """Return the luminance by one frame over that by another, as a median over common pixels.
+
+    known: the frame whose well-exposed pixels count. 0 without at least 100 such pixels that are
+    not saturated in the other.
+    """
+    light, of_other = (
+        (s.counts / np.broadcast_to(s.signal.per_cdm2, s.counts.shape)).astype(np.float32)
+        for s in (known, other)
+    )
+    light = np.maximum(light, 0.0)
+    per = np.broadcast_to(known.signal.per_cdm2, light.shape)
+    snr = light * np.sqrt(known.signal.weight(light) * per)
+    usable = (snr > _SNR_LONG) & ~known.full & ~other.full
+    if usable.sum() < _ENOUGH_FOR_RATIO:
+        return 0.0
+    return float(np.median(of_other[usable] / light[usable]))
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:

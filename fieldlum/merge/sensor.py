@@ -26,14 +26,15 @@ from fieldlum.merge.ratios import (
     beyond,
     bracket_pairs,
     free_fit,
+    light_ratio,
     neighbours,
     ratio_curve,
     take_samples,
     unexplained,
 )
 from fieldlum.merge.shift import Moved, shifts
-from fieldlum.merge.shots import Shot, exposure_covariance, stated_law, times_by_law
-from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
+from fieldlum.merge.shots import Shot, exposure_covariance, sorted_shots, stated_law, times_by_law
+from fieldlum.optics.linear_light import lens_geometry, nd_factors, true_shutter_s
 from fieldlum.optics.photometry import PairRatio, RatioFit, ShutterLaw, fit_ratios, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import LensGeometry
@@ -372,7 +373,8 @@ class Findings:
     law: how nominal shutter times were read; fit: corrections of the exposures; trust: their
     uncertainty; look: saturation and black level; noise: noise over the profile's. moved: turns of
     the camera between frames, only for pairs of frames with enough common edges. dropped: share (0
-    to 1) of its pixels that each frame lost to motion, empty without `drop_moved`.
+    to 1) of its pixels that each frame lost to motion, empty without `drop_moved`. absent: names of
+    frames that were taken without the filter of their label.
     """
 
     shots: tuple[Shot, ...]
@@ -383,6 +385,7 @@ class Findings:
     noise: SeenNoise
     moved: tuple[Moved, ...]
     dropped: tuple[float, ...]
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,6 +433,7 @@ def merge_sensor(
     """
     options = options or MergeOptions()
     fits = options.fits(profile)
+    shots, absent = _without_absent_filters(shots, profile, budget_bytes)
     law = stated_law(shots, profile)
     frames = _open_frames(shots, replace(profile, shutter_law=law.law), budget_bytes)
     moved = shifts([frames.store.small(i) for i in range(len(shots))], frames.lenses)
@@ -451,8 +455,35 @@ def merge_sensor(
         trust.u_curve,
         good_pixels(profile, frames.crop, merged.flags),
     )
-    findings = Findings(tuple(shots), law, fit, trust, frames.look, noise, tuple(moved), dropped)
+    findings = Findings(
+        tuple(shots), law, fit, trust, frames.look, noise, tuple(moved), dropped, absent
+    )
     return image, findings
+
+
+def _without_absent_filters(
+    shots: Sequence[Shot], profile: CameraProfile, budget_bytes: int
+) -> tuple[Sequence[Shot], tuple[str, ...]]:
+    """Return the frames in order of exposure, and the names of those taken without their filter.
+
+    Each frame with a filter in its label is compared with the frame without one whose exposure is
+    nearest. Beyond the middle between the light with and without the filter, on a logarithmic
+    scale, the filter was absent: the frame then counts as one without it.
+    """
+    bare = [shot for shot in shots if not shot.exposure.nd]
+    absent = {}
+    for shot in [shot for shot in shots if shot.exposure.nd and bare]:
+        asked = shot.exposure
+        like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
+        unlabelled = replace(shot, exposure=replace(asked, nd=""))
+        frames = _open_frames([like, unlabelled], profile, budget_bytes)
+        factor = float(np.mean(nd_factors(asked.nd, profile)))
+        if light_ratio(*take_samples(frames.store)) > factor**-0.5:
+            absent[shot.path.name] = unlabelled
+    if not absent:
+        return shots, ()
+    right = [absent.get(shot.path.name, shot) for shot in shots]
+    return sorted_shots(right, profile), tuple(sorted(absent))
 
 
 def _open_frames(shots: Sequence[Shot], profile: CameraProfile, budget_bytes: int) -> _Frames:

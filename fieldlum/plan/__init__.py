@@ -19,6 +19,8 @@ from fieldlum.optics.profiles import (
     bracket_exposures,
     coverage_text,
     load_camera_profile,
+    planned_exposures,
+    sun_text,
     uncalibrated_text,
 )
 from fieldlum.plan import choose
@@ -72,15 +74,16 @@ def make_plan(
             "or --year, or another weather file"
         )
     profile = load_camera_profile(setup.camera.profile)
-    bracket = profile.bracket
+    exposures = planned_exposures(profile, setup.camera)
+    slots = make_slots(chosen, setup, exposures)
     blind = coverage_text(profile, setup.camera)
     variance_left = (
         choose.variance_left(task, choose.features_at(chosen, task)[1]) if task else None
     )
     return Plan(
-        make_slots(chosen, setup, bracket_exposures(bracket)),
+        slots,
         tuple(days),
-        *cost_of(bracket, setup),
+        *_cost_of(profile.bracket, exposures, setup),
         coverage(chosen, site, weather),
         variance_left,
         _months(task, len(days), days[0].year, variance_left)
@@ -88,7 +91,7 @@ def make_plan(
         else None,
         (
             *assumed_texts(setup.camera),
-            *(text for text in (uncalibrated_text(profile), blind) if text),
+            *(text for text in (uncalibrated_text(profile), blind, sun_text(slots)) if text),
             *plan_warnings(days, chosen, site, request),
             *(weather.repairs if weather else ()),
         ),
@@ -177,12 +180,14 @@ def _at_the_window(hours: DaylightHours, setup: SiteFile) -> tuple[Mask, Mask]:
     return sun_enters(*at), sun_in_view(*at)
 
 
-def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
+def _cost_of(
+    bracket: Bracket, exposures: Sequence[Exposure], setup: SiteFile
+) -> tuple[float, float]:
     """Return the seconds and megabytes of one slot, with every exposure at every heading.
 
     The seconds are the profile's time per frame plus the exposure times.
     """
-    exposures, turns = bracket_exposures(bracket), max(len(setup.camera.headings), 1)
+    turns = max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
     return round(turns * seconds, 1), round(turns * len(exposures) * bracket.megabytes_per_frame, 1)
 

@@ -152,11 +152,12 @@ def _facts(
         facts.append(("model", artefacts.config.model))
     if artefacts.annual is not None:
         summary = artefacts.annual.summary
-        trusted = 100 * (1 - summary.occupancy.untrusted_share)
+        unsure = summary.occupancy.unsure_share
+        unsure = summary.occupancy.untrusted_share if unsure is None else unsure
         facts += [
             ("hours predicted", f"{summary.hours}"),
             ("weather", summary.weather.name),
-            ("hours trusted", f"{trusted:.0f} %"),
+            ("occupied hours with a certain DGP", f"{100 * (1 - unsure):.0f} %"),
         ]
     return tuple(facts)
 

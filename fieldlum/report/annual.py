@@ -8,14 +8,13 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core.false_colour import coloured, png_of
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report.figures import (
     exceedance_svg,
-    false_colour,
     fisheyes_png,
     luminance_scale_svg,
-    picture_png,
     polar_svg,
     strip_png,
 )
@@ -73,7 +72,7 @@ def answer(annual: Annual) -> tuple[str, str]:
     )
     limit = (
         "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
-        "in at most 5 % of the occupied hours."
+        "in at most 5 % of the occupied hours. All figures are for the camera's place."
     )
     return first, f"{contrast}{_unseen_words(rows)}{limit}"
 
@@ -289,7 +288,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     shown = []
     for k in single:
         row = int(pictures.rows[k])
-        image = picture_png(false_colour(pictures.luminance_cdm2[k]))
+        image = png_of(coloured(pictures.luminance_cdm2[k]))
         heading = named(pictures.heading_deg)
         caption = (
             f"{_spoken(pictures.kinds[k])}: {_when(annual, row, zone)}. The middle faces {heading}."

@@ -8,16 +8,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
+from fieldlum.core.false_colour import COLOUR_MAP, RANGE_CDM2, coloured
 from fieldlum.core.plot_style import BLUE, GREEN, INK, PALE, RED, styled
 from fieldlum.optics.projection import compass_name
 
-LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)  # range of the colour scale; not measured
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
 POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim; chosen
 CAPTURED, PREDICTED = RED, BLUE
@@ -42,37 +40,18 @@ def _png(figure: Figure, dpi: int = 110) -> bytes:
 # luminance pictures
 
 
-def false_colour(luminance_cdm2: Floats) -> NDArray[np.uint8]:
-    """Return RGB colours [..., H, W, 3] of luminance [..., H, W] cd/m2.
-
-    The scale is logarithmic from 1 to 10 000 cd/m2; values beyond it get the colours of its ends.
-    """
-    low, high = np.log10(LUMINANCE_RANGE_CDM2)
-    position = (np.log10(np.clip(luminance_cdm2, *LUMINANCE_RANGE_CDM2)) - low) / (high - low)
-    return (colormaps["inferno"](position)[..., :3] * 255).astype(np.uint8)
-
-
-def picture_png(rgb: NDArray[np.uint8]) -> bytes:
-    """Return an image [H, W, 3] as PNG bytes."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(rgb).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
-
-
 def luminance_scale_svg() -> str:
     """Return the colour bar of the false-colour pictures, 1 to 10 000 cd/m2, as SVG text."""
     with styled():
         figure = Figure(figsize=(5.0, 0.28))
         axes = figure.add_axes((0, 0, 1, 1))
-        ramp = np.geomspace(*LUMINANCE_RANGE_CDM2, 128)[None, :]
+        ramp = np.geomspace(*RANGE_CDM2, 128)[None, :]
         axes.pcolormesh(
-            np.geomspace(*LUMINANCE_RANGE_CDM2, 129),
+            np.geomspace(*RANGE_CDM2, 129),
             [0, 1],
             ramp,
-            norm=LogNorm(*LUMINANCE_RANGE_CDM2),
-            cmap="inferno",
+            norm=LogNorm(*RANGE_CDM2),
+            cmap=COLOUR_MAP,
             rasterized=True,
         )
         axes.set(xscale="log", yticks=[], xlabel="luminance, cd/m²")
@@ -93,17 +72,15 @@ def comparison_png(measured: Floats, predicted: Floats, labels: Sequence[str]) -
         grid = figure.add_gridspec(
             n + 1, 3, height_ratios=[*[1.0] * n, 0.07], hspace=0.12, wspace=0.09
         )
-        norm, spread = LogNorm(*LUMINANCE_RANGE_CDM2), Normalize(-np.log10(2.0), np.log10(2.0))
+        norm, spread = LogNorm(*RANGE_CDM2), Normalize(-np.log10(2.0), np.log10(2.0))
         shown = error = None
         for i in range(n):
             row = [figure.add_subplot(grid[i, k]) for k in range(3)]
             difference = np.log10(np.maximum(predicted[i], 1.0)) - np.log10(
                 np.maximum(measured[i], 1.0)
             )
-            shown = row[0].imshow(
-                np.clip(measured[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno"
-            )
-            row[1].imshow(np.clip(predicted[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
+            shown = row[0].imshow(np.clip(measured[i], *RANGE_CDM2), norm=norm, cmap=COLOUR_MAP)
+            row[1].imshow(np.clip(predicted[i], *RANGE_CDM2), norm=norm, cmap=COLOUR_MAP)
             error = row[2].imshow(difference, norm=spread, cmap="RdBu_r")
             row[0].set_ylabel(labels[i], fontsize=8)
             for axes, title in zip(
@@ -135,15 +112,10 @@ def fisheyes_png(views: Floats, azimuths_deg: Floats, dgp: Floats) -> bytes:
     with styled():
         figure = Figure(figsize=(2.3 * columns, 2.55 * -(-n // columns)), layout="constrained")
         cells = figure.subplots(-(-n // columns), columns, squeeze=False).ravel()
-        colours = colormaps["inferno"].with_extremes(bad="white")
         for axes in cells:
             axes.axis("off")
         for axes, view, azimuth, value in zip(cells, views, azimuths_deg, dgp, strict=False):
-            axes.imshow(
-                np.clip(view, *LUMINANCE_RANGE_CDM2),
-                norm=LogNorm(*LUMINANCE_RANGE_CDM2),
-                cmap=colours,
-            )
+            axes.imshow(coloured(view, unseen_rgb=(255, 255, 255)))
             axes.set_title(f"{compass_name(azimuth)} {azimuth:.0f}°  DGP {value:.2f}", fontsize=9)
         return _png(figure)
 
@@ -158,7 +130,7 @@ def strip_png(maps: Floats, labels: Sequence[str]) -> bytes:
         for axes in cells:
             axes.axis("off")
         for axes, image, label in zip(cells, maps, labels, strict=False):
-            axes.imshow(false_colour(image))
+            axes.imshow(coloured(image))
             axes.set_title(label, fontsize=9)
         return _png(figure, 90)
 

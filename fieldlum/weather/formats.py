@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -95,27 +95,14 @@ class WeatherTable:
 
 
 def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the content of a weather file by the reader of its format, which is recognised.
+    """Return the content of a weather file by the first of `FORMATS` that recognises it.
 
     lines: of the file; site: for formats that state no place or zone. Raises InputError for a
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
-    first, second = lines[0].lstrip(), lines[1] if len(lines) > 1 else ""
-    if path.suffix.lower() == ".tm2":
-        return _read_tmy2(path, lines)
-    if path.suffix.lower() == ".epw" or first.upper().startswith("LOCATION,"):
-        return _read_epw(path, lines)
-    if first.startswith("Latitude (decimal degrees)"):
-        return _read_pvgis_csv(path, lines)
-    if first.startswith("{"):
-        return _read_pvgis_json(path, lines)
-    if first.startswith("Source,"):
-        return _read_sam(path, lines)
-    if "ObservationTime(LST)" in second:
-        return _read_solaranywhere(path, lines)
-    if second.lstrip('"').startswith("Date (MM/DD/YYYY)"):
-        return _read_tmy3(path, lines)
-    return _read_csv(path, lines, site)
+    start = Start(path.suffix.lower(), lines[0].lstrip(), lines[1] if len(lines) > 1 else "")
+    read = next(form.read for form in FORMATS if form.recognises(start))
+    return read(path, lines, site)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -305,7 +292,7 @@ def _is_typical(rows: Sequence[WeatherRow]) -> bool:
 # the formats
 
 
-def _read_epw(path: Path, lines: list[str]) -> WeatherTable:
+def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of an EPW file: eight header lines, then one row for each hour.
 
     Hour 1 is 00:00 to 01:00 local standard time; the sun of a row is that of the middle, 00:30.
@@ -343,7 +330,7 @@ def _moved(hours: float) -> str:
     return f"rows moved by {60 * hours:+.0f} min, the irradiance time offset that PVGIS states"
 
 
-def _read_tmy3(path: Path, lines: list[str]) -> WeatherTable:
+def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a TMY3 file: a header line, column names, then one row for each hour.
 
     Labels are the ends of hours, 01:00 to 24:00; the sun of a row is that of 30 minutes before.
@@ -356,7 +343,7 @@ def _read_tmy3(path: Path, lines: list[str]) -> WeatherTable:
     return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock)
 
 
-def _read_solaranywhere(path: Path, lines: list[str]) -> WeatherTable:
+def _read_solaranywhere(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a SolarAnywhere file, a TMY3 header with times in one column."""
     expected = "id,name,state,zone,latitude,longitude,altitude"
     place, clock = _header_place(path, lines, (4, 5, 6, 3), expected)
@@ -384,7 +371,7 @@ def _american(path: Path) -> Callable[[int, Sequence[str]], datetime]:
     return when
 
 
-def _read_sam(path: Path, lines: list[str]) -> WeatherTable:
+def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a csv of NSRDB or SAM: two lines on the place, names, then the rows.
 
     Without a column Minute a row is of the middle of its hour (SAM's file format). NSRDB labels
@@ -416,7 +403,7 @@ def _read_sam(path: Path, lines: list[str]) -> WeatherTable:
     return _best_label(table) if {row.when.minute for row in rows} == {0} else table
 
 
-def _read_tmy2(path: Path, lines: list[str]) -> WeatherTable:
+def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a TMY2 file; each is the mean of the hour that ends at its label.
 
     pvlib reads its fixed columns, and returns the start of the hour.
@@ -453,7 +440,7 @@ def _read_tmy2(path: Path, lines: list[str]) -> WeatherTable:
     return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock, _HALF)
 
 
-def _read_pvgis_csv(path: Path, lines: list[str]) -> WeatherTable:
+def _read_pvgis_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a csv of PVGIS, a typical year or an hourly series."""
     header = next((k for k, line in enumerate(lines) if line.startswith("time")), len(lines))
     stated_texts = (line.partition(":") for line in lines[:header])
@@ -470,7 +457,7 @@ def _read_pvgis_csv(path: Path, lines: list[str]) -> WeatherTable:
     return _pvgis(path, names, found, stated, about.get("Irradiance Time Offset (h)", "0"), slope)
 
 
-def _read_pvgis_json(path: Path, lines: list[str]) -> WeatherTable:
+def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a json of PVGIS, a typical year or an hourly series."""
     try:
         answer = json.loads("\n".join(lines))
@@ -615,3 +602,36 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
             expected = "'# place: NAME, LATITUDE, LONGITUDE, UTC-8'"
             return _place(path, [*cells[:2], "0", *zone], expected, name)
     return None, sun.standard_offset(site.timezone, TYPICAL_YEAR)
+
+
+# ----------------------------------------------------------------------------------------------
+# the table
+
+
+class Start(NamedTuple):
+    """By what a format is recognised: the file's suffix in small letters, and its first lines."""
+
+    suffix: str
+    first: str
+    second: str
+
+
+class Format(NamedTuple):
+    """A weather format: how a file of it is recognised, and its reader (CONTRIBUTING.md)."""
+
+    recognises: Callable[[Start], bool]
+    read: Callable[[Path, list[str], Site], WeatherTable]
+
+
+FORMATS = (
+    Format(lambda file: file.suffix == ".tm2", _read_tmy2),
+    Format(
+        lambda file: file.suffix == ".epw" or file.first.upper().startswith("LOCATION,"), _read_epw
+    ),
+    Format(lambda file: file.first.startswith("Latitude (decimal degrees)"), _read_pvgis_csv),
+    Format(lambda file: file.first.startswith("{"), _read_pvgis_json),
+    Format(lambda file: file.first.startswith("Source,"), _read_sam),
+    Format(lambda file: "ObservationTime(LST)" in file.second, _read_solaranywhere),
+    Format(lambda file: file.second.lstrip('"').startswith("Date (MM/DD/YYYY)"), _read_tmy3),
+    Format(lambda file: True, _read_csv),  # the last one: its errors explain the columns
+)

@@ -6,16 +6,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats32
+from fieldlum.core.false_colour import colour_table, coloured, png_of, rounded_scale
 from fieldlum.core.records import Flag
 from fieldlum.optics.images import read_panorama
-from fieldlum.report.view.false_colour import COLOURS
-from fieldlum.report.view.regions import rounded_scale
 
 MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory; chosen
-_UNSEEN_RGB = (120, 120, 120)  # grey is no colour of the scale; chosen
 _KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more; chosen
 
 
@@ -64,25 +61,12 @@ def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
         height = max(1, round(values.shape[0] * width / values.shape[1]))
         shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
         values = np.asarray(shrunk, np.float32)
-    return _encoded(coloured(values, low, high))
-
-
-def coloured(values: Floats32, low: float, high: float) -> NDArray[np.uint8]:
-    """Return RGB [H, W, 3] of luminances, log scale from low to high [cd/m2]; grey if not finite.
-
-    Values outside the scale get the colour of its nearer end.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.log(np.maximum(values, 1e-9) / low) / np.log(high / low)
-    index = np.nan_to_num(np.clip(share * 255.0 + 0.5, 0, 255)).astype(np.uint8)
-    rgb = _colours()[index]
-    rgb[~np.isfinite(values)] = _UNSEEN_RGB
-    return rgb
+    return png_of(coloured(values, low, high))
 
 
 def scale_png() -> bytes:
     """Return the colours of the scale from low to high as a PNG of 256 x 1 pixels."""
-    return _encoded(_colours()[None])
+    return png_of(colour_table()[None])
 
 
 def _seen(path: Path) -> Floats32:
@@ -91,20 +75,3 @@ def _seen(path: Path) -> Floats32:
     if panorama.flags is not None:
         values[(panorama.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
     return values
-
-
-@lru_cache(maxsize=1)
-def _colours() -> NDArray[np.uint8]:
-    import matplotlib
-
-    table = np.asarray(matplotlib.colormaps[COLOURS](np.arange(256)))[:, :3]
-    return np.rint(table * 255).astype(np.uint8)
-
-
-def _encoded(rgb: NDArray[np.uint8]) -> bytes:
-    import cv2
-
-    good, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-    if not good:
-        raise ValueError("the picture could not be encoded")
-    return data.tobytes()

@@ -13,6 +13,7 @@ from fieldlum.optics.profiles import (
     assumed_texts,
     coverage_text,
     load_camera_profile,
+    sun_text,
     uncalibrated_text,
 )
 from fieldlum.session import Session, sha256
@@ -129,17 +130,5 @@ def check_sun(session: Session, now_utc: datetime) -> list[Finding]:
 
     It asks who moves a planned filter, or names the way without one.
     """
-    in_view = [slot for slot in slots_ahead(session, now_utc) if "sun-in-view" in slot.tags]
-    if not in_view:
-        return []
-    filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
-    text = f"the sun is in view of the lens in {len(in_view)} slots"
-    remedy = (
-        "the planned brackets have frames through a filter for it: a person must put the "
-        "filter on and take it off in each bracket, because no driver moves one; without a "
-        "person, remove nd from [bracket] of the profile and plan again"
-        if filtered
-        else "where the sensor cannot reach its disc, its illuminance is computed from DNI; a "
-        "person at the camera can use a filter instead (nd in [bracket] of the profile)"
-    )
-    return [Finding("sun", "warn", f"{text}: {remedy}")]
+    text = sun_text(slots_ahead(session, now_utc))
+    return [Finding("sun", "warn", text)] if text else []

@@ -34,8 +34,8 @@ from fieldlum.learn.train.notes import notes_of, seen_skies
 from fieldlum.learn.train.room_changes import without_changes
 from fieldlum.learn.train.selection import ModelSelection, Trial, choose_model
 from fieldlum.learn.train.setting import scan, settle, with_right_clock
-from fieldlum.learn.train.time_budget import TimeBudget
-from fieldlum.learn.train.trials import dense_folds, evaluate_folds, fit_timed
+from fieldlum.learn.train.time_budget import OutOfTime, TimeBudget
+from fieldlum.learn.train.trials import Spent, dense_folds, evaluate_folds, fit_timed
 from fieldlum.learn.transport.setting_scan import Setting
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -51,6 +51,7 @@ FOLD_SHARE = 0.5
 # speed (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the
 # model suits a room. Chosen.
 MIN_PASSES_TO_JUDGE = 1.0
+_NO_TIME = "not judged: the budget was used up; raise --budget"
 _TOO_SHORT = "not judged: no time to train on every pixel of the captures once; raise --budget"
 
 
@@ -126,9 +127,9 @@ def fit_and_score(
     """Run trials on held-out days, choose a model, and fit it to all data.
 
     model: a name of `MODELS`, or "auto" for all of them. budget: a budget that other steps share;
-    else `budget_s` from now on. The scan of north and clock, two held-out folds of each quick model
-    and the final fit are run even if the budget is used up. Raises NotEnoughDataError for too few
-    hours to hold any out, or to fit `model`.
+    else `budget_s` from now on. Steps that the budget does not permit are left out and listed in
+    the notes; with "auto" the best model so far is stored. Raises NotEnoughDataError for too few
+    hours to hold any out, or to fit `model`, and if the budget ends before `model` is fitted.
     """
     budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
@@ -160,9 +161,12 @@ def fit_and_score(
                     keep_maps=True,
                     least_passes=MIN_PASSES_TO_JUDGE,
                     clock=budget.clock,
-                    progress=progress,
+                    left_s=None if name in baselines() else lambda: budget.left_s,
+                    progress=_watched(name, budget, progress),
                 )
             )
+        except OutOfTime:
+            left_out.append(f"{name}: {_NO_TIME}")
         except NotEnoughDataError as error:
             if model == name:
                 raise
@@ -171,23 +175,28 @@ def fit_and_score(
     trials = [trial for trial in trials if not _is_too_short(trial)]
     left_out += [f"{trial.name}: {_TOO_SHORT}" for trial in not_judged]
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
-    more: dict[str, Any] = {}
-    if checkpoint is not None and MODELS[choice.name].slow:
-        more["checkpoint"] = checkpoint
-    fitted, spent = fit_timed(
-        choice.name,
-        data,
-        patch=patch,
-        seed=seed,
-        budget_s=budget.slow_s,
-        progress=progress,
-        **more,
-    )
+    more: dict[str, Any] = {"patch": patch, "seed": seed}
+    try:
+        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
+    except OutOfTime:
+        name, before = choice.name, "within the time of --budget"
+        if model != "auto":
+            text = f"{data.source}: {name} was not fitted {before}; raise --budget"
+            raise NotEnoughDataError(text) from None
+        choice = choose_model([trial for trial in trials if trial.name in baselines()])
+        left_out.append(
+            f"WARNING: {name} is better on held-out days, but was not fitted {before}: the model "
+            f"is {choice.name}, the best that was; raise --budget and train again"
+        )
+        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
     fitted, doubted = findings(fitted, data, setting)
     skies = seen_skies(fitted, data)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes = (*notes_of(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
-    year = year_of(fitted, data, patch, seed, progress)
+    try:
+        year = year_of(fitted, data, patch, seed, budget.watched(progress))
+    except OutOfTime:
+        year, notes = None, (*notes, "the error of a year was not computed: the budget was used up")
     return Result(
         fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year, mirrors
     )
@@ -208,6 +217,29 @@ def year_of(
     light = light_of_year(data, np.random.default_rng(seed))
     year = expect(fitted, data, light, progress)
     return year if math.isfinite(year.expected_log10_mse) else None
+
+
+def _watched(name: str, budget: TimeBudget, progress: Progress) -> Progress:
+    """Return the progress of a model's fit, which ends with the budget.
+
+    A baseline takes a second and is always fitted; a slow model divides its own time.
+    """
+    ends_itself = MODELS[name].slow or name in baselines()
+    return progress if ends_itself else budget.watched(progress)
+
+
+def _stored_fit(
+    name: str,
+    data: Dataset,
+    budget: TimeBudget,
+    checkpoint: Path | None,
+    progress: Progress,
+    **more: Any,
+) -> tuple[Fitted, Spent]:
+    if checkpoint is not None and MODELS[name].slow:
+        more["checkpoint"] = checkpoint
+    watched = _watched(name, budget, progress)
+    return fit_timed(name, data, budget_s=budget.slow_s, progress=watched, **more)
 
 
 _NO_CURVE = "no learning curve, because the time budget was used up; raise --budget"

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from fieldlum.core.records import Progress
+
 # Shares of the budget. The quick models' held-out days come first. A slow model (the dense network)
 # gets half of the rest for its held-out days and half for the stored model. The reserve is for the
 # scan of north and clock and for the learning curve: together about a fifth of the time of a
@@ -13,6 +15,10 @@ from dataclasses import dataclass
 QUICK_SHARE = 0.4
 KEPT_BACK_SHARE = 0.2
 _LEAST_S = 1e-3  # a slow model without time still takes one step, and is then not judged; chosen
+
+
+class OutOfTime(Exception):
+    """The budget was used up within a step, which therefore has no result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,3 +58,16 @@ class TimeBudget:
         It is never below 0.001 s.
         """
         return max(self.left_s - KEPT_BACK_SHARE * self.total_s, _LEAST_S)
+
+    def watched(self, progress: Progress) -> Progress:
+        """Return `progress` such that it raises OutOfTime once the budget is used up.
+
+        Every long step reports its progress, so that it ends within a part of itself.
+        """
+
+        def report(finished: int, total: int, text: str) -> None:
+            if self.left_s <= 0.0:
+                raise OutOfTime
+            progress(finished, total, text)
+
+        return report

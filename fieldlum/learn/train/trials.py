@@ -19,7 +19,8 @@ from fieldlum.learn.models.scores import Scores, evaluate, join, truth
 from fieldlum.learn.train.folds import MOST_FOLDS, Fold
 from fieldlum.learn.train.selection import Trial
 
-LEAST_FOLDS = 2  # one fold gives no standard error; chosen
+LEAST_FOLDS = 2  # one fold has few days for a standard error; chosen
+_STORED_FIT = 1.5  # time of the fit to all captures over that of a fold; chosen with a margin
 LEAST_FOLD_S = 60.0  # a shorter training of a dense fold is no measure of the network; not measured
 
 
@@ -71,6 +72,7 @@ def evaluate_folds(
     keep_maps: bool = False,
     least_passes: float = 0.0,
     clock: Callable[[], float] = time.monotonic,
+    left_s: Callable[[], float] | None = None,
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
@@ -78,7 +80,8 @@ def evaluate_folds(
 
     The scores of all folds are joined. budget_s: for all folds together [s], None for no limit. A
     slow model divides it among the folds. A quick model skips the remaining folds if the next one
-    would exceed it, but always runs two. glare, keep_maps: as in `truth` and `evaluate`.
+    would exceed it, but runs two, or one if `left_s()` [s] is too short for another one and for the
+    fit of the stored model. glare, keep_maps: as in `truth` and `evaluate`.
     least_passes: a network that saw each training pixel less often than this is compared with one
     hour of each fold only, because its scores will not count; a slow model gets it as an option, so
     that its training can end at once.
@@ -91,9 +94,12 @@ def evaluate_folds(
         more["least_passes"] = least_passes
     started = clock()
     for fold in folds:
-        if budget_s is not None and not MODELS[name].slow and len(parts) >= LEAST_FOLDS:
+        if budget_s is not None and not MODELS[name].slow and parts:
             used = clock() - started
-            if used + used / len(parts) > budget_s:  # with the next fold
+            each_s = used / len(parts)
+            if len(parts) >= LEAST_FOLDS and used + each_s > budget_s:  # with the next fold
+                break
+            if left_s is not None and left_s() < (1.0 + _STORED_FIT) * each_s:
                 break
         fitted, spent = fit_timed(
             name,

@@ -267,7 +267,9 @@ def fit(
             light = physics.luminance(data.light, sunlight, data.seen, sky.luminance_cdm2)
             under_sky = replace(computed_light(arrays, window, light), perez=perez)
     some = None if under_sky is None else under_sky[drawn]
+    progress(12, 100, "choosing by held-out days")
     chosen = choose_model(arrays[drawn], kernel, bounced, sky, some)
+    progress(20, 100, "fitting")
     light = arrays.computed if chosen.sky_field is None else under_sky
     arrays = replace(
         arrays,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import CameraSetup, Exposure
+from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.core.strict_toml import build, plain, read_toml
 from fieldlum.optics.profiles.tables import (
     Bracket,
@@ -138,14 +139,50 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
     temporary.replace(path)
 
 
-def bracket_exposures(bracket: Bracket) -> tuple[Exposure, ...]:
-    """Return exposures without a filter, then with each filter; each group longest time first."""
-    open_frames = [
-        Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)
-    ]
-    filtered = [
-        Exposure(t, bracket.f_number, bracket.iso, name)
-        for name in bracket.nd
-        for t in sorted(bracket.nd_shutter_s, reverse=True)
-    ]
-    return (*open_frames, *filtered)
+def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure, ...]:
+    """Return exposures without a filter, then those with a filter; each longest time first."""
+
+    def group(times_s: Sequence[float], name: str) -> list[Exposure]:
+        exposures = (bracket.f_number, bracket.iso, name)
+        return [Exposure(t, *exposures) for t in sorted(times_s, reverse=True)]
+
+    filtered = group(bracket.nd_shutter_s, filter_name) if filter_name else []
+    return (*group(bracket.shutter_s, ""), *filtered)
+
+
+def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Exposure, ...]:
+    """Return the exposures of each slot; frames through a filter only if `setup` names one.
+
+    Raises InputError for a filter that the profile does not have, or without times for it.
+    """
+    names = [nd.name for nd in profile.nd]
+    if setup.filter and not (setup.filter in names and profile.bracket.nd_shutter_s):
+        found = f"no filter '{setup.filter}'"
+        if setup.filter in names:
+            found = f"no shutter times through '{setup.filter}'"
+        raise InputError(
+            profile.camera.name,
+            found,
+            f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s under [bracket]",
+            "correct --filter or filter under [camera] in SITE.toml, or add [[nd]] to the profile",
+        )
+    return bracket_exposures(profile.bracket, setup.filter)
+
+
+def sun_text(slots: Sequence[Slot]) -> str:
+    """Return how the sun's disc is measured in those slots whose camera sees it; "" for none."""
+    in_view = [slot for slot in slots if "sun-in-view" in slot.tags]
+    if not in_view:
+        return ""
+    text = f"the sun is in view of the lens in {len(in_view)} slots"
+    names = sorted({exposure.nd for slot in in_view for exposure in slot.exposures if exposure.nd})
+    if names:
+        return (
+            f"{text}, with frames through the filter {', '.join(names)}: a person must put it on "
+            "and take it off in each bracket, because no driver moves one; without a person plan "
+            "without a filter"
+        )
+    return (
+        f"{text}, which no exposure reaches: the illuminance of its disc is computed from DNI; "
+        "a person at the camera can use a filter instead (plan --filter NAME)"
+    )

@@ -67,7 +67,8 @@ class Sensor:
 class Bracket:
     """The exposures that a plan uses by default; shutter times are nominal.
 
-    nd: names of filters; for each, the times nd_shutter_s are repeated with the filter.
+    nd_shutter_s: times of the frames through a filter, for plans that name one; nd: names of
+    filters with such times; no plan uses them by itself.
     """
 
     f_number: float

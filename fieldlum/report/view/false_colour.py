@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.false_colour import COLOUR_MAP
 from fieldlum.report.view.measured_picture import MeasuredPicture
 from fieldlum.report.view.regions import Region, region_mask, shared_scale
 
 _INCHES, _DPI = 6.4, 150  # 960 pixels wide
 _MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size; chosen
-COLOURS = "inferno"  # perceptually uniform, and readable without red and green
 
 
 def write_png(
@@ -38,7 +38,7 @@ def write_png(
         values = np.maximum(values[::step, ::step], low * 1e-3)
         height, width = picture.luminance_cdm2.shape
         extent = (0.0, float(width), float(height), 0.0)
-        image = axis.imshow(values, norm=norm, cmap=COLOURS, extent=extent)
+        image = axis.imshow(values, norm=norm, cmap=COLOUR_MAP, extent=extent)
         _draw_marks(axis, picture, regions)
         if isolines:
             levels = 10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.arrays import Floats32
+from fieldlum.core.false_colour import colour_table
 from fieldlum.core.records import JsonTable
-from fieldlum.report.view.false_colour import COLOURS
 from fieldlum.report.view.measured_picture import MeasuredPicture
 from fieldlum.report.view.regions import shared_scale
 
@@ -57,16 +57,13 @@ def encode_uncertainty(picture: MeasuredPicture) -> str:
 
 def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
     """Write one self-contained page: pictures, their figures, and the rows of the regions."""
-    import matplotlib
-
     low, high = shared_scale(pictures)
-    colours = (np.asarray(matplotlib.colormaps[COLOURS](np.arange(256)))[:, :3] * 255).astype(int)
     about = {
         "pictures": [_about(picture) for picture in pictures],
         "rows": list(rows),
         "low": low,
         "high": high,
-        "colours": colours.tolist(),
+        "colours": colour_table().tolist(),
         "log": [LOG_LOW, LOG_SPAN, CODES],
         "uStep": _U_STEP,
         "uPerPercent": _U_PER_PERCENT,

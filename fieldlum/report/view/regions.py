@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldlum.core.arrays import Mask
+from fieldlum.core.false_colour import rounded_scale
 from fieldlum.optics.projection import direction
 from fieldlum.report.view.measured_picture import MeasuredPicture
 
@@ -118,16 +119,3 @@ def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
             lows.append(float(np.percentile(values, 1)))
             highs.append(float(np.percentile(values, 99.9)))
     return rounded_scale(*((min(lows), max(highs)) if lows else (1.0, 1000.0)))
-
-
-def rounded_scale(low: float, high: float) -> tuple[float, float]:
-    """Return low and high (above 0), rounded outwards to one significant digit.
-
-    The high end is at least ten times the low one.
-    """
-    return _one_digit(low, np.floor), _one_digit(max(high, 10.0 * low), np.ceil)
-
-
-def _one_digit(value: float, rounding: np.ufunc) -> float:
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(f"{rounding(value / power) * power:.1g}")

@@ -14,7 +14,7 @@ from fieldlum.room.fit.corrected import with_patches
 from fieldlum.room.fit.evidence import SceneEvidence
 from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.guess import Guess, Solid
-from fieldlum.room.scene.geometry import WALLS
+from fieldlum.room.scene.geometry import WALLS, wall_named
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -106,7 +106,8 @@ def _windows(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> Any:
                 (u[0], z[0]), u[1] - u[0], z[1] - z[0], fill=False, edgecolor=FITTED_COLOUR
             )
             axis.add_patch(outline)
-        axis.set_title(f"window {number + 1} ({rect.wall}): share of sun let through", fontsize=9)
+        wall = wall_named(rect.wall, guess.wall_azimuth_deg)
+        axis.set_title(f"window {number + 1}, {wall}: share of sun let through", fontsize=9)
         axis.set_xlabel("along the wall [m]")
         axis.set_ylabel("height [m]")
     return figure
@@ -126,7 +127,8 @@ def _far_away(guess: Guess) -> list[str]:
             beyond_m = solid.low_m[axis] - guess.size_m[axis] if side else -solid.high_m[axis]
             if beyond_m > PLAN_MARGIN_M:
                 lines.append(
-                    f"outside: {solid.high_m[2]:.1f} m high, {beyond_m:.0f} m from the {wall} wall"
+                    f"outside: {solid.high_m[2]:.1f} m high, {beyond_m:.0f} m from the "
+                    f"{wall_named(wall, guess.wall_azimuth_deg)}"
                 )
     return lines
 

@@ -14,13 +14,11 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicks import ClickGrid
-from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.geometry import WALL_TURN_DEG, build
 
 # Of the plan; the margin has room for the lengths written around it. Not measured.
 _SIZE_PX, _MARGIN_PX = 460.0, 78.0
 _EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
-# Turn of each wall's outward normal from the "south" wall, clockwise [deg].
-_WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
 def wind(azimuth_deg: float) -> str:
@@ -33,7 +31,7 @@ def compass_walls(wall_azimuth_deg: float) -> dict[str, str]:
 
     wall_azimuth_deg: that the "south" wall faces.
     """
-    return {compass_name(wall_azimuth_deg + turn): w for w, turn in _WALL_TURN_DEG.items()}
+    return {compass_name(wall_azimuth_deg + turn): w for w, turn in WALL_TURN_DEG.items()}
 
 
 def room_svg(setup: SiteFile) -> str:
@@ -71,7 +69,7 @@ def room_svg(setup: SiteFile) -> str:
         dx, dy = (-inwards, 4.0) if opening.axis == 0 else (0.0, inwards + 4.0)
         label = f"window {number}, {window.width_m:g} m"
         parts.append(_text((x1 + x2) / 2 + dx, (y1 + y2) / 2 + dy, label, _anchor(opening)))
-    for wall, turn in _WALL_TURN_DEG.items():
+    for wall, turn in WALL_TURN_DEG.items():
         parts.append(
             _wall_label(wall, wind(room.wall_azimuth_deg + turn), left, top, width, height)
         )

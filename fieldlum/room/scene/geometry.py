@@ -17,6 +17,7 @@ from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
 from fieldlum.core.rowwise import turned
+from fieldlum.optics.projection import compass_name
 
 SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, not measured.
 ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
@@ -27,6 +28,8 @@ INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
 
 # name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)
 WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
+# Turn of each wall's outward normal from the "south" wall, clockwise [deg].
+WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
 def transmissivity(transmittance: float) -> float:
@@ -261,6 +264,14 @@ def _check_values(room: Room, where: str) -> None:
             )
 
 
+def wall_named(wall: str, wall_azimuth_deg: float) -> str:
+    """Return a wall by the compass, with the room's own word, such as ``N wall ("south")``.
+
+    wall_azimuth_deg: that the "south" wall faces.
+    """
+    return f'{compass_name(wall_azimuth_deg + WALL_TURN_DEG[wall])} wall ("{wall}")'
+
+
 def _opening(room: Room, window: Window, where: str) -> Opening:
     axis, side = WALLS[window.wall]
     length = room.width_m if axis == 1 else room.depth_m
@@ -276,7 +287,8 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
             f"a window from {window.left_m:g} to {window.left_m + window.width_m:g} m along the "
             "wall, "
             f"{window.sill_m:g} to {top:g} m above the floor",
-            f"a window inside the {window.wall} wall of {length:g} x {room.height_m:g} m",
+            f"a window inside the {wall_named(window.wall, room.wall_azimuth_deg)} of {length:g} x "
+            f"{room.height_m:g} m",
             "correct the window",
         )
     # left_m is measured from the left end as seen from inside: for the south and east walls that is

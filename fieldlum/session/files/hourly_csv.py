@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -51,6 +52,7 @@ VIEW_COLUMNS = {  # name and number of digits written
 # Columns that earlier versions did not write are NaN in their years.
 COLOUR_COLUMNS = ("melanopic_edi_lx", "u_melanopic_edi_lx")
 LATER_COLUMNS = ("dgp_low", "dgp_high", *COLOUR_COLUMNS)
+_OTHER_DIGITS = 3  # of further metrics; chosen
 LATER_HOUR_COLUMNS = ("disturbed_share",)
 
 
@@ -59,8 +61,8 @@ class HourlyFile:
     """The content of one hourly.csv: figures of n hours, and of each hour in d view directions.
 
     azimuths_deg: [d], clockwise from north. hours: each of `HOUR_COLUMNS`, [n]. views: each of
-    `VIEW_COLUMNS`, [n, d]; columns ``metric@azimuth`` in the file. NaN, an empty cell, means
-    undefined.
+    `VIEW_COLUMNS` and further metrics, [n, d]; columns ``metric@azimuth`` in the file. NaN, an
+    empty cell, means undefined.
     """
 
     t_utc: tuple[datetime, ...]
@@ -95,7 +97,7 @@ class HourlyFile:
                     column.setdefault(_view_column(name, a), blank)
             views = {
                 name: np.stack([column[_view_column(name, a)] for a in azimuths_deg], axis=1)
-                for name in VIEW_COLUMNS
+                for name in dict.fromkeys((*VIEW_COLUMNS, *_metrics_of(column)))
             }
             change_of(path)
             return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
@@ -104,8 +106,8 @@ class HourlyFile:
         """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""
         zone = ZoneInfo(timezone)
         columns = {
-            name: digits
-            for name, digits in VIEW_COLUMNS.items()
+            name: VIEW_COLUMNS.get(name, _OTHER_DIGITS)
+            for name in dict.fromkeys((*VIEW_COLUMNS, *self.views))
             if name not in COLOUR_COLUMNS or np.isfinite(self.views[name]).any()
         }
         names = [_view_column(name, a) for a in self.azimuths_deg for name in columns]
@@ -132,6 +134,10 @@ class HourlyFile:
 
 def _view_column(name: str, azimuth_deg: float) -> str:
     return f"{name}@{azimuth_deg:g}"
+
+
+def _metrics_of(columns: Iterable[str]) -> list[str]:
+    return [name.partition("@")[0] for name in columns if "@" in name]
 
 
 def _cell(value: float, digits: int) -> str:

@@ -100,7 +100,7 @@ class MergeReport(Struct, frozen=True):
     for each heading whose exposures differ from the profile's; noise_over_profile: 1 if not larger;
     plateau_dn: saturation of R, G1, G2, B by ISO; black_off_dn: the files' black level minus the
     profile's; u_ratio_percent: standard uncertainty from the exposures; lost: frames that could not
-    be read.
+    be read; filter_absent: frames that were taken without the filter of their label.
     """
 
     frames: tuple[FrameQuality, ...] = ()
@@ -125,10 +125,11 @@ class MergeReport(Struct, frozen=True):
     vertical_illuminance_lx: float | None = None
     lost: tuple[str, ...] = ()
     dark_rims: tuple[DarkRim, ...] = ()
+    filter_absent: tuple[str, ...] = ()
 
     def table(self) -> JsonTable:
         """Return the key `quality` of the sidecar, without optional keys that have no value."""
-        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims")
+        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims", "filter_absent")
         return {key: value for key, value in to_json(self).items() if value or key not in optional}
 
     @classmethod

@@ -52,13 +52,15 @@ class YearOccupancy(Struct, frozen=True):
     """The occupied hours of a year.
 
     text: their rule; hours: their number; lit: number of those with daylight; untrusted_share:
-    share (0 to 1) of the lit hours in which the model does not trust its maps.
+    share (0 to 1) of the lit hours in which the model does not trust its maps; unsure_share: share
+    of those with such a map or with a wide interval of DGP, None in files of earlier versions.
     """
 
     text: str = ""
     hours: int = 0
     lit: int = 0
     untrusted_share: float = 0.0
+    unsure_share: float | None = None
 
 
 class YearWeather(Struct, frozen=True):

@@ -8,7 +8,9 @@ illuminance at the lens and a solid angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +23,6 @@ from fieldlum.year.glare.sources import sources_of
 # What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
 DiscLight = tuple[tuple[Floats, Floats], Floats]
 
-METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
-MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
 _VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
 YOUNG_AGE = 25.0  # age in years for the first of the two veiling luminances; chosen
 OLD_AGE = 70.0  # age in years for the second; chosen: CIE 146:2002 then doubles the luminance
@@ -108,6 +108,48 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
     return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
 
 
+# ----------------------------------------------------------------------------------------------
+# the registry
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSums:
+    """What a metric is computed from: sums over a view, sun and its images included, [n, d] each.
+
+    ev_lx : vertical illuminance; source_ev_lx : its part from glare sources; background_cdm2 : the
+    rest of the map over pi. contrast : sum of L^2 omega / P^2 over sources; dgi_sum, veiling_sum :
+    third and fourth row of `sums_of_sources`.
+    """
+
+    ev_lx: Floats
+    source_ev_lx: Floats
+    background_cdm2: Floats
+    contrast: Floats
+    dgi_sum: Floats
+    veiling_sum: Floats
+
+
+class Metric(NamedTuple):
+    """A glare metric. formula : its value [n, d]; in_year : whether hourly.csv has it."""
+
+    formula: Callable[[ViewSums], Floats]
+    in_year: bool = False
+
+
+METRICS: dict[str, Metric] = {
+    "ev_lx": Metric(lambda view: view.ev_lx, True),
+    "dgp": Metric(lambda view: dgp(view.ev_lx, view.contrast), True),
+    "dgps": Metric(lambda view: dgps(view.ev_lx), True),
+    "ugr": Metric(lambda view: ugr(view.contrast, view.background_cdm2), True),
+    "dgi": Metric(lambda view: dgi(view.dgi_sum), True),
+    "ugp": Metric(lambda view: ugp(view.contrast, view.background_cdm2)),
+    "cgi": Metric(lambda view: cgi(view.contrast, view.ev_lx, view.source_ev_lx)),
+    "veiling_cdm2": Metric(lambda view: veiling_cdm2(view.veiling_sum, YOUNG_AGE)),
+    "veiling_age70_cdm2": Metric(lambda view: veiling_cdm2(view.veiling_sum, OLD_AGE)),
+}
+"""All metrics by their name in `glare --json`, `glare --csv` and Python (CONTRIBUTING.md)."""
+
+
 def glare_directions(
     luminance_cdm2: Floats,
     heading_deg: float,
@@ -128,8 +170,7 @@ def glare_directions(
     views : weights from `panorama_views`, which then replace heading_deg and azimuths_deg; pass
     them if you call this for many blocks of hours.
 
-    Keys: ev_lx, dgp, dgps, ugr, dgi, ugp, cgi, veiling_cdm2 (for an age of 25 years),
-    veiling_age70_cdm2 (70 years), and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
+    Keys: those of `METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
     sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,
     dgi, ugp and cgi are NaN without a source.
     """
@@ -270,26 +311,19 @@ def combine(
     def total(of_suns: Floats) -> Floats:
         return np.asarray(of_suns, float).reshape(-1, *map_ev.shape).sum(axis=0)
 
-    all_ev = total(sun_ev)
-    ev = map_ev + all_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)
     sun_index = position_index(sun_right, sun_up)
     sun_contrast = total(sun_cdm2**2 * omega / sun_index**2)
-    contrast = sums[:, 0] + sun_contrast
+    all_ev = total(sun_ev)
     # CIE 117: the background is the part of Ev that is not from the sources.
     background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
-    veiling = sums[:, 3] + total(sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2)
-    return {
-        "ev_lx": ev,
-        "contrast": contrast,
-        "sun_contrast": sun_contrast,
-        "sun_ev_lx": np.asarray(all_ev, float),
-        "dgp": dgp(ev, contrast),
-        "dgps": dgps(ev),
-        "ugr": ugr(contrast, background),
-        "dgi": dgi(sums[:, 2] + total(_dgi_terms(sun_cdm2, omega, sun_index, background))),
-        "ugp": ugp(contrast, background),
-        "cgi": cgi(contrast, ev, sums[:, 1] + all_ev),
-        "veiling_cdm2": veiling_cdm2(veiling, YOUNG_AGE),
-        "veiling_age70_cdm2": veiling_cdm2(veiling, OLD_AGE),
-    }
+    view = ViewSums(
+        map_ev + all_ev,
+        sums[:, 1] + all_ev,
+        background,
+        sums[:, 0] + sun_contrast,
+        sums[:, 2] + total(_dgi_terms(sun_cdm2, omega, sun_index, background)),
+        sums[:, 3] + total(sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2),
+    )
+    parts = {"contrast": view.contrast, "sun_contrast": sun_contrast, "sun_ev_lx": all_ev}
+    return parts | {name: metric.formula(view) for name, metric in METRICS.items()}

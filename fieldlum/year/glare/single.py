@@ -29,7 +29,7 @@ from fieldlum.year.glare.answers import (
 from fieldlum.year.glare.contrast import ViewRegions, rammg, rammg_lightness
 from fieldlum.year.glare.fisheye import panorama_to_fisheye
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
-from fieldlum.year.glare.metrics import METRICS, MORE_METRICS, glare_directions
+from fieldlum.year.glare.metrics import METRICS, glare_directions
 from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.reference import reference_glare
 from fieldlum.year.glare.single_fisheye import single_picture_glare
@@ -143,7 +143,7 @@ def _view_rows(
     grid = panorama_views(height, width, heading_deg, azimuths)
     coverage = view_coverage(seen_mask, grid)
     parts = glare_directions(maps[None], heading_deg, azimuths, rays, disc, views=grid)
-    figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
+    figures = {name: parts[name] for name in METRICS}
     figures |= ViewRegions(height, width, heading_deg, azimuths, seen_mask).ratios(maps[None])
     most = np.zeros(1) if seen_mask is None else brightest_cdm2(maps[None], seen_mask)
     low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)

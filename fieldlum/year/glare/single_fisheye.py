@@ -24,7 +24,7 @@ from fieldlum.year.glare.answers import (
     valid_pixels,
     verdict,
 )
-from fieldlum.year.glare.metrics import METRICS, MORE_METRICS
+from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels, region_ratios
 from fieldlum.year.glare.picture_grid import PictureGrid, picture_grid
 from fieldlum.year.glare.pictures import Picture
@@ -62,7 +62,7 @@ def single_picture_glare(
     sun = scaled_sun(picture.panorama.sun, factor)
     grid = _seen_grid(picture, *pixels.shape)
     parts, sources = glare_of_pixels(pixels, grid, sun)
-    figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
+    figures = {name: parts[name] for name in METRICS}
     figures |= region_ratios(pixels, grid)
     row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
     row |= {name: plain(value) for name, value in figures.items()}

@@ -10,9 +10,11 @@ annual/<name>/hourly.csv      one row per daylight hour: t_utc, t_local, light, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,50 @@ from fieldlum.session import replacing
 from fieldlum.session.files.arrays_npz import NPZ_ERRORS
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Units by the end of a name, as CF writes them; other figures have no unit.
+_UNITS = {"_wm2": "W m-2", "_lx": "lx", "_cdm2": "cd m-2", "_deg": "degree"}
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a column by its name; "1" for a figure without one."""
+    name = name.removesuffix("_estimate")
+    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
+
+
+def time_coordinate(t_utc: Sequence[datetime]) -> tuple[str, Any, dict[str, str]]:
+    """Return the coordinate `time` of an xarray.Dataset, which has no time zone: UTC."""
+    times = np.array([t.astimezone(UTC).replace(tzinfo=None) for t in t_utc], "datetime64[ns]")
+    return "time", times, {"long_name": "UTC"}
+
+
+def dataset_of(
+    t_utc: Sequence[datetime],
+    azimuths_deg: Floats,
+    hours: Mapping[str, Any],
+    views: Mapping[str, Any],
+) -> xr.Dataset:
+    """Return figures of n hours in d directions: `hours` over time, `views` over time and azimuth.
+
+    hours: [n] each; views: [n, d] each. Each variable has its unit as an attribute.
+    """
+    import xarray as xr
+
+    about = {"units": "degree", "long_name": "view direction, clockwise from true north"}
+    return xr.Dataset(
+        {name: ("time", values, {"units": unit_of(name)}) for name, values in hours.items()}
+        | {
+            name: (("time", "azimuth"), values, {"units": unit_of(name)})
+            for name, values in views.items()
+        },
+        coords={
+            "time": time_coordinate(t_utc),
+            "azimuth": ("azimuth", np.asarray(azimuths_deg, float), about),
+        },
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +90,10 @@ class Annual:
 
     def __len__(self) -> int:
         return len(self.t_utc)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return all columns with their units, over time and azimuth."""
+        return dataset_of(self.t_utc, self.azimuths_deg, self.hours, self.views)
 
     @property
     def about(self) -> JsonTable:

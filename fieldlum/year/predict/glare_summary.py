@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import utc_text
 from fieldlum.learn.models import POOR_WORDS
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN, SEEN, compass_name, seen_shares
@@ -46,7 +46,6 @@ NOISY_TRUST = 0.05
 HOURS_NAMED = 12  # one row of the report's table for each month
 WHOLE_YEAR_DAYS = 360  # a year may lack some days in a weather file; chosen
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
-_SUNNY_WM2 = 100.0  # direct normal irradiance that casts a clear shadow; WMO's limit is 120
 
 
 def judge(
@@ -117,7 +116,8 @@ def summary_of_year(
     number of days in the weather file.
     """
     used = annual.occupied
-    untrusted = float((annual.hours["trusted"][used] < 1).mean()) if used.any() else 0.0
+    count = max(int(used.sum()), 1)
+    untrusted, wide = (float(hours.sum()) / count for hours in unsure_hours(annual))
     return PredictFile(
         software={"fieldlum": __version__},
         inputs=inputs,
@@ -133,15 +133,18 @@ def summary_of_year(
         first=utc_text(annual.t_utc[0]),
         last=utc_text(annual.t_utc[-1]),
         occupancy=YearOccupancy(
-            occupancy.text, protection.occupied_hours, int(used.sum()), untrusted
+            occupancy.text,
+            protection.occupied_hours,
+            int(used.sum()),
+            untrusted,
+            untrusted + wide,
         ),
         disc_from=room.disc_from,
         seen_share=() if room.seen is None else tuple(_shares(room, annual)),
         model_warnings=tuple(config.state.get("warnings", ())),
         notes=(
-            *_notes(weather, room, untrusted, days),
+            *_notes(weather, room, untrusted, wide, days),
             *_unseen_notes(protection),
-            *_disc_note(annual),
         ),
         protection=protection_of(protection),
         capture_next=tuple(hours_to_settle(annual, protection, room.setup.site.timezone)),
@@ -187,28 +190,21 @@ def _unseen_notes(protection: Protection) -> list[str]:
     return notes
 
 
-def _disc_note(annual: Annual) -> list[str]:
-    """Return a note if it is often undecided whether the sun is seen.
+def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
+    """Return the lit occupied hours with an untrusted map, and the others with a wide interval.
 
-    The list is empty if this is rare.
+    An interval of DGP is wide if its 95 % are wider than 0.2 in a direction that was seen. Masks
+    over all hours of `annual`, [n].
     """
-    gap = annual.views["dgp_high"] - annual.views["dgp_low"]
-    lit = annual.occupied & (annual.hours["dni_wm2"] > _SUNNY_WM2)
-    if not lit.any() or not annual.judged.any():
-        return []
-    widest = np.nanmax(gap[lit][:, annual.judged], axis=1)
-    open_share = float((widest > _WIDE_DGP).mean())
-    if open_share < NOISY_TRUST:
-        return []
-    return [
-        f"In {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
-        f"wider than {_WIDE_DGP:g} in some direction: often the sky view does not decide whether "
-        f"the sun's disc is seen; capture clear hours with the sun in a window, which also "
-        f"give the camera's heading."
-    ]
+    untrusted = annual.occupied & (annual.hours["trusted"] < 1)
+    gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, annual.judged]
+    widest = np.nan_to_num(gap).max(axis=1, initial=0.0)
+    return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
 
 
-def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> list[str]:
+def _notes(
+    weather: Weather, room: ModelRoom, untrusted: float, wide: float, days: int
+) -> list[str]:
     notes = [HOURLY_MEANS]
     if days < WHOLE_YEAR_DAYS:
         notes.append(
@@ -217,11 +213,15 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
     if weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
     notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
-    if untrusted > NOISY_TRUST:
+    if untrusted + wide > NOISY_TRUST:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         notes.append(
-            f"{100 * untrusted:.0f} % of the predictions for occupied hours with daylight are not "
-            f"trusted: no similar light was captured, {mirror}or the model expects a large error"
+            f"DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied hours with "
+            f"daylight. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or the "
+            f"model expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
+            f"{_WIDE_DGP:g} in some direction: often the sky view does not decide whether the "
+            "sun's disc is seen; capture clear hours with the sun in a window, which also give the "
+            "camera's heading"
         )
     return notes
 

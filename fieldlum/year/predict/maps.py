@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import column_azimuths_deg, row_altitudes_deg
-from fieldlum.year.predict.annual import rounded
+from fieldlum.year.predict.annual import rounded, time_coordinate
 from fieldlum.year.predict.blocks import BLOCK, ModelRoom
 
 CHUNK = 8  # hours that must be decompressed to read one hour; not measured
@@ -75,6 +75,18 @@ class FolderMapStore:
         self._work.rename(self._path)
 
 
+def map_coordinates(
+    t_utc: Sequence[datetime], height: int, heading_deg: float
+) -> dict[str, tuple[str, Any, dict[str, str]]]:
+    """Return the coordinates time, y (altitude) and x (azimuth) of maps [n, height, 2 height]."""
+    azimuths = column_azimuths_deg(2 * height, heading_deg)
+    return {
+        "time": time_coordinate(t_utc),
+        "y": ("y", row_altitudes_deg(height), {"units": "degree", "long_name": "altitude"}),
+        "x": ("x", azimuths, {"units": "degree", "long_name": "azimuth"}),
+    }
+
+
 def describe(folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: JsonTable) -> None:
     """Write a store in `folder`: time, altitude and azimuth, and an array of maps without values.
 
@@ -83,23 +95,15 @@ def describe(folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: Js
     import xarray as xr
     import zarr
 
-    times = np.array([t.replace(tzinfo=None) for t in t_utc], "datetime64[ns]")
     height, width = room.height, room.width
-    altitudes, azimuths = row_altitudes_deg(height), column_azimuths_deg(width, room.heading_deg)
-    frame = xr.Dataset(
-        coords={
-            "time": ("time", times, {"long_name": "UTC, middle of the hour"}),
-            "y": ("y", altitudes, {"units": "degree", "long_name": "altitude"}),
-            "x": ("x", azimuths, {"units": "degree", "long_name": "azimuth"}),
-        },
-        attrs={"heading_deg": room.heading_deg, **about},
-    )
+    coordinates = map_coordinates(t_utc, height, room.heading_deg)
+    frame = xr.Dataset(coords=coordinates, attrs={"heading_deg": room.heading_deg, **about})
     time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
     frame.to_zarr(folder, mode="w", zarr_format=3, consolidated=False, encoding=time)
     group: Any = zarr.open_group(folder, mode="r+", zarr_format=3)
     group.create_array(
         MAPS,
-        shape=(len(times), height, width),
+        shape=(len(t_utc), height, width),
         dtype="float32",
         chunks=(CHUNK, height, width),
         shards=(BLOCK, height, width),  # one file, or one object in a bucket, for each unit

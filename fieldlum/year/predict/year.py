@@ -22,6 +22,7 @@ from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view.disc_in_view import drawn_discs_lx
 from fieldlum.weather import Weather, read_weather
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.standards import GlareDoubt, disturbed_share
 from fieldlum.year.glare.unseen import view_coverage
 from fieldlum.year.predict.annual import Annual, write_pictures
@@ -199,7 +200,9 @@ def measure(
     if coloured_pairs is not None:
         melanopic = year_of_captures(coloured_pairs, load(model_folder), room, grid)
     hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
-    figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
+    in_year = [name for name, metric in METRICS.items() if metric.in_year]
+    columns = dict.fromkeys((*VIEW_COLUMNS, *in_year))
+    figures = {name: np.full((count, d), np.nan) for name in columns}
     rng = np.random.default_rng([seed, 2])
     discs_lx = drawn_discs_lx(room.sky_view, room.setup, light, rng)  # [k, n]
     drawn = np.empty((len(discs_lx), count, d), np.float32)
@@ -218,7 +221,7 @@ def measure(
         rows = slice(*block.rows)
         for name, values in block.hours.items():
             hours[name][rows] = values
-        for name in VIEW_COLUMNS.keys() & block.views.keys():
+        for name in columns.keys() & block.views.keys():
             figures[name][rows] = block.views[name]
         least[rows], most[rows], drawn[:, rows] = block.least, block.most, block.drawn
 

@@ -1,0 +1,151 @@
+"""Wrong usages of a new user: none is a traceback, and each names what was found and what to do."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from tiny_field import make_session
+
+from fieldlum.cli import main
+from fieldlum.core.records import Panorama
+from fieldlum.optics.images import write_panorama, write_radiance_hdr
+
+pytestmark = pytest.mark.contract
+
+SITE = """[site]
+name = "Desk"
+latitude_deg = {latitude}
+longitude_deg = -122.3
+timezone = "America/Los_Angeles"
+{more}"""
+VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with files of which each is wrong in one way, and a few that are right."""
+    folder = tmp_path_factory.mktemp("desk")
+    sites = {
+        "good": (47.6, ""),
+        "north": (147.6, ""),
+        "sign": (-47.6, ""),
+        "key": (47.6, "lattitude = 3\n"),
+        "camera": (47.6, '[camera]\nprofile = "nikon-d9"\n'),
+        "filter": (47.6, '[camera]\nprofile = "sim-fisheye"\nfilter = "nd9"\n'),
+        "heading": (47.6, '[camera]\nheading_deg = "south"\n'),
+        "wall": (
+            47.6,
+            '[room]\nkind = "box"\nwidth_m = 4\ndepth_m = 4\nheight_m = 3\n'
+            '[[room.window]]\nwall = "up"\nleft_m = 1\nwidth_m = 1\nsill_m = 1\nheight_m = 1\n',
+        ),
+        "zone": (47.6, ""),
+    }
+    for name, (latitude, more) in sites.items():
+        text = SITE.format(latitude=latitude, more=more)
+        if name == "zone":
+            text = text.replace("America/Los_Angeles", "Pacific")
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    (folder / "broken.toml").write_text("[site\nname = ", encoding="utf-8")
+    (folder / "empty").mkdir()
+    (folder / "empty.csv").write_text("", encoding="utf-8")
+    (folder / "text.hdr").write_text("no picture", encoding="utf-8")
+    (folder / "text.exr").write_text("no picture", encoding="utf-8")
+    (folder / "photo.JPG").write_text("no picture", encoding="utf-8")
+    (folder / "weather.epw").write_text("LOCATION,a,b\n", encoding="utf-8")
+    (folder / "sky.csv").write_text("t_utc,dni_wm2\n2027-01-01T00:30:00Z,1\n", encoding="utf-8")
+    write_radiance_hdr(folder / "fish.hdr", np.full((40, 40), 100.0), view=VIEW)
+    write_panorama(folder / "good.exr", Panorama(np.full((8, 16), 10.0, np.float32), 0.0))
+    make_session(folder / "session")
+    return folder
+
+
+# Words of the command line, what the answer names, and the exit code. @ stands for the folder.
+CASES = [
+    ("plan", "Missing argument", 2),
+    ("plan @/none.toml --set 9-day --out @/s1", "none.toml", 2),
+    ("plan @/good.toml", "--set and --out", 2),
+    ("plan @/good.toml --set 9day --out @/s1", "9-day", 2),
+    ("plan @/good.toml --set 9-day --out @/s1 --start 2027-13-01", "2027-13-01", 2),
+    ("plan @/good.toml --set 9-day --out @/s1 --start tomorrow", "YYYY-MM-DD|%Y-%m-%d", 2),
+    ("plan @/good.toml --set best --out @/s1", "--weather", 2),
+    ("plan @/good.toml --set 9-day --count 5 --out @/s1", "--count needs", 2),
+    ("plan @/good.toml --set 9-day --days 5 --out @/s1", "--days needs", 2),
+    ("plan @/good.toml --set 9-day --year 2027 --start 2027-01-01 --out @/s1", "exclude", 2),
+    ("plan @/good.toml --set 9-day --out @/session", "session", 3),
+    ("plan @/good.toml --set 9-day --out @/good.toml", "good.toml", 3),
+    ("plan @/good.toml --set 9-day --out /proc/nope", "nope", 3),
+    ("plan @/good.toml --set 9-day --weather @/empty.csv --out @/s1", "empty file", 3),
+    ("plan @/good.toml --set 9-day --weather @/weather.epw --out @/s1", "LOCATION,city", 3),
+    ("plan @/good.toml --set 9-day --weather @/sky.csv --out @/s1", "dhi_wm2", 3),
+    ("plan @/good.toml --set 9-day --weather @/text.hdr --out @/s1", "csv|columns", 3),
+    ("plan @/good.toml --set 9-day --label-shift 30 --out @/s1", "--weather", 2),
+    ("plan @/good.toml --set 9-day --filter nd9 --out @/s1", "nd9", 3),
+    ("plan @/north.toml --set 9-day --out @/s1", "147.6.*-90 to 90", 3),
+    ("plan @/sign.toml --set 9-day --out @/s1", "other sign", 3),
+    ("plan @/key.toml --set 9-day --out @/s1", "lattitude", 3),
+    ("plan @/camera.toml --set 9-day --out @/s1", "nikon-d9.*one of", 3),
+    ("plan @/filter.toml --set 9-day --out @/s1", "nd9.*nd5", 3),
+    ("plan @/heading.toml --set 9-day --out @/s1", "heading_deg", 3),
+    ("plan @/wall.toml --set 9-day --out @/s1", "south", 3),
+    ("plan @/zone.toml --set 9-day --out @/s1", "Pacific.*America/Los_Angeles", 3),
+    ("plan @/broken.toml --set 9-day --out @/s1", "broken.toml", 3),
+    ("plan @/empty --replan", "session", 3),
+    ("plan @/session --next --replan", "exclude", 2),
+    ("doctor @/empty", "session", 3),
+    ("doctor @/session --camera gohoto:", "gohoto.*one of gphoto", 4),
+    ("doctor @/session --pyranometer serial:", "no port; expected a URI", 4),
+    ("capture @/session", "--camera", 2),
+    ("capture @/empty --camera sim:office", "session", 3),
+    ("status @/good.toml", "session", 3),
+    ("status @/session --mark 2027 lamp=on", "2027", 3),
+    ("import @/session @/none", "no such folder", 3),
+    ("merge @/empty", "session", 3),
+    ("merge --frames @/photo.JPG --camera sim-fisheye --out @/o.exr", "photo.JPG", 3),
+    ("merge --frames @/none.JPG --camera sim-fisheye --out @/o.exr", "none.JPG", 3),
+    ("merge --frames @/photo.JPG --camera nikon-d9 --out @/o.exr", "nikon-d9", 3),
+    ("merge --frames @/photo.JPG --out @/o.exr", "--camera", 2),
+    ("pair @/empty", "session", 3),
+    ("train @/empty", "no session.toml", 3),
+    ("train @/none", "none", 3),
+    ("train @/session --model transprt", "transport", 2),
+    ("train @/session --budget 0", "budget", 2),
+    ("predict @/empty --weather synthetic", "model", 3),
+    ("predict @/none --weather synthetic", "none", 3),
+    ("report @/empty", "session", 3),
+    ("glare @/text.hdr", "text.hdr", 3),
+    ("glare @/text.exr", "text.exr", 3),
+    ("glare @/photo.JPG", "photo.JPG", 3),
+    ("glare @/none.hdr", "none.hdr", 3),
+    ("glare @/fish.hdr --view -vtx", "vtx; expected -vta", 3),
+    ("glare @/fish.hdr --calibrate-ev -5", "-5|range", 2),
+    ("view @/empty", "session", 3),
+    ("view @/fish.hdr --region square:1,2", "rect:x,y,w,h", 2),
+    ("view @/fish.hdr --out @/o.gif", "gif", 2),
+    ("info @/none", "no such file", 3),
+    ("info @/text.exr", "text.exr", 3),
+    ("new @/good.toml", "good.toml", 3),
+    ("calibrate lens", "Missing|missing", 2),
+    ("scene fit @/empty", "session|pairs", 3),
+    ("watch @/empty", "session", 3),
+    ("campaign status @/good.toml", "good.toml", 3),
+    ("simulate @/good.toml --out @/s2", "room|plan|session", 3),
+    ("mrege @/session", "merge", 2),
+    ("merge @/session --hieght 100", "No such option", 2),
+]
+
+
+@pytest.mark.parametrize(("words", "named", "code"), CASES, ids=[case[0] for case in CASES])
+def test_a_wrong_usage_is_answered_in_words(desk: Path, words: str, named: str, code: int) -> None:
+    if "/proc/" in words and os.name == "nt":
+        pytest.skip("no /proc here")
+    shown = CliRunner().invoke(main, words.replace("@", str(desk)).split(), input="")
+    assert isinstance(shown.exception, SystemExit), f"traceback: {shown.exception!r}"
+    assert shown.exit_code == code, shown.output
+    assert "Traceback" not in shown.output
+    text = " ".join(shown.output.replace(str(desk), "@").split())
+    assert re.search(named, text), text
