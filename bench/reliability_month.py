@@ -39,7 +39,7 @@ from fieldlum import capture
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.devices import CameraInfo, open_pyranometer, spn1
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.driver_process import Child
+from fieldlum.devices.gphoto_child import Child
 from fieldlum.devices.simulated.spn1 import PtyInstrument
 from fieldlum.session import Session, day_files, open_session, read_day, read_journal, sha256
 from fieldlum.session.ledger import fold

@@ -17,8 +17,7 @@ from places import SEATTLE
 
 from fieldlum.capture import import_card
 from fieldlum.capture.card import of_the_session, without_copies
-from fieldlum.capture.card_clock import clock_parts, doubt
-from fieldlum.capture.match_card import CardFrame, Group, Offset, in_order
+from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, doubt, in_order
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.optics.profiles import load_camera_profile, save_profile

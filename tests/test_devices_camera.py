@@ -9,9 +9,8 @@ import pytest
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Exposure, Panorama, SunSource
-from fieldlum.devices import open_camera
+from fieldlum.devices import nearest, open_camera
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.sensor import camera_from_scene

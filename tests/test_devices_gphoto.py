@@ -20,9 +20,8 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import not_offered, open_camera
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.driver_process import Child
 from fieldlum.devices.gphoto import GphotoCamera, choose, setting_value
-from fieldlum.devices.gphoto_child import serve
+from fieldlum.devices.gphoto_child import Child, serve
 
 pytest.importorskip("gphoto2", reason="the gphoto2 extra is not installed")
 CLOCK = FastClock(datetime(2027, 3, 20, 15, tzinfo=UTC))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, SunSource
-from fieldlum.devices.settings import nearest
+from fieldlum.devices import nearest
 from fieldlum.optics.photometry import (
     check_vignetting,
     dark_floor,

@@ -10,8 +10,7 @@ from shutil import disk_usage
 from typing import Any
 
 from fieldlum.capture.alerts import MissedHook
-from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks
-from fieldlum.capture.frame_requests import shots
+from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
 from fieldlum.capture.live import Live, Watch, no_display
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.options import DEFAULTS, Options

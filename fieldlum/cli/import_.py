@@ -156,6 +156,6 @@ def _summary(report: Report) -> list[str]:
 
 
 def _clock(offset: Offset) -> str:
-    from fieldlum.capture.card_clock import hms, hms_list
+    from fieldlum.capture.match_card import hms, hms_list
 
     return hms_list(offset.exif_s) if offset.exif_s else hms(offset.seconds)

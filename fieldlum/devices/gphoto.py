@@ -11,11 +11,10 @@ from typing import Any
 
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, refuse_turning
+from fieldlum.devices import CameraInfo, nearest, refuse_turning
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.driver_process import Child, Serve
+from fieldlum.devices.gphoto_child import Child, Serve, serve
 from fieldlum.devices.serial_port import closed_on_error
-from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.session import Session
 
@@ -149,6 +148,4 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
         raise DeviceError(
             f"{uri.text}: the package gphoto2 is missing; {install_text('gphoto')} (Linux, macOS)"
         )
-    from fieldlum.devices.gphoto_child import serve
-
     return GphotoCamera(serve, uri.place, delete=bool(options.get("delete", 0)))

@@ -18,9 +18,8 @@ from urllib.parse import urlsplit
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, refuse_turning, store_frame
+from fieldlum.devices import CameraInfo, nearest, refuse_turning, store_frame
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, integer_option
 from fieldlum.session import Session
 

@@ -24,10 +24,9 @@ from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured
 from fieldlum.session import Session, marks, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
-from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile, keep_simulated_pairs
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.files.suns_csv import SunRow, write_suns
-from fieldlum.session.simulated_pairs import keep_simulated_pairs
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 from fieldlum.sky.light_clock import lit_at_night

@@ -12,9 +12,8 @@ import numpy as np
 from fieldlum.core.arrays import Floats32
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
-from fieldlum.devices import CameraInfo
+from fieldlum.devices import CameraInfo, nearest
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics, sensor
 from fieldlum.devices.simulated.world import World, detail_of
 from fieldlum.optics.linear_light import lens_geometry, true_shutter_s, vignetting_of

@@ -26,10 +26,9 @@ from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_ir
 from fieldlum.room.simulate.truth import GroundTruth, ground_truth
 from fieldlum.session import Session, create_session, remove_scraps, update_session
 from fieldlum.session.codec import write_object
-from fieldlum.session.files.pairs_csv import PairRow
+from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.provenance import made_from
-from fieldlum.session.simulated_pairs import write_simulated_pairs
 from fieldlum.session.tables import PlanTable
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
