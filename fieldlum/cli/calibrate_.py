@@ -73,7 +73,9 @@ def _run(
         return
     figures = {n: list(v) if isinstance(v, tuple) else v for n, v in new.figures.items()}
     shown = [f"{name}: {value}" for name, value in figures.items()]
-    click.echo("\n".join([*new.rows, *new.lines, *shown, f"wrote {out}"]))
+    if new.rows:
+        terminal.print_table(new.rows, new.columns, "  ")
+    click.echo("\n".join([*new.lines, *shown, f"wrote {out}"]))
 
 
 def _part(function: Callable[..., None]) -> click.Command:

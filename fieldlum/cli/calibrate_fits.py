@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Paths = tuple[Path, ...]
+_READINGS = {
+    "reading": ("reading", "<"),
+    "meter": ("meter", ".4g"),
+    "picture": ("picture", ".4g"),
+    "off_percent": ("meter less picture [%]", "+.2f"),
+}
+_TIMES = {
+    "nominal_s": ("nominal [s]", ".6g"),
+    "true_s": ("true [s]", ".6g"),
+    "off_percent": ("from the profile [%]", "+.2f"),
+    "u_rel": ("u (relative)", ".2g"),
+    "brackets": ("brackets", "d"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +60,8 @@ class FittedPart:
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
     files whose sha256 is stored. figures : printed, in the order; only_json : printed only with
-    --json. figure : draws the fit. notes : for the user, on stderr. rows : a table, printed first.
-    profile : to start from, if it is not the one of --camera.
+    --json. figure : draws the fit. notes : for the user, on stderr. rows, columns : a table that is
+    printed first. profile : to start from, if it is not the one of --camera.
     """
 
     changed: dict[str, Any]
@@ -57,7 +70,8 @@ class FittedPart:
     figures: JsonTable
     figure: Callable[[], Figure] | None = None
     notes: Sequence[str] = ()
-    rows: Sequence[str] = ()
+    rows: Sequence[JsonTable] = ()
+    columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     only_json: JsonTable = field(default_factory=dict)
     profile: CameraProfile | None = None
 
@@ -270,12 +284,11 @@ def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> FittedPa
     fit = scale.fit(readings, meter_u, sources)
     doubt = scale.check_level(fit, profile, sources)
     points: list[JsonTable] = []
-    rows, gates = [], []
+    gates = []
     for r, off in zip(readings, fit.residual, strict=True):
-        shown, percent = r.image * fit.factor, round(100 * float(off), 2)
+        shown = r.image * fit.factor
         points.append({"reading": r.label, "meter": r.meter, "picture": shown})
-        points[-1]["off_percent"] = percent
-        rows.append(f"  {r.label:32} meter {r.meter:9.4g}  picture {shown:9.4g}  {percent:+6.2f} %")
+        points[-1]["off_percent"] = round(100 * float(off), 2)
         gates += [illuminance_verdict(shown, r.meter)] if r.kind == "illuminance" else []
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
     figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
@@ -285,7 +298,8 @@ def fit_scale(profile: CameraProfile, sources: Path, meter_u: float) -> FittedPa
     changed = {"scale": replace(profile.scale, k=k, u_rel=u)}
     frames, drawn = [sources, *frames], partial(pictures.of_scale, readings, fit)
     notes = [*notes, *scale.slips(readings, fit), *([doubt] if doubt else [])]
-    return FittedPart(changed, [line], frames, figures, drawn, notes, rows, {"points": points})
+    part = FittedPart(changed, [line], frames, figures, drawn, notes, points, _READINGS)
+    return replace(part, only_json={"points": points})
 
 
 def fit_stray(profile: CameraProfile, sources: Path) -> FittedPart:
@@ -313,21 +327,14 @@ def fit_shutter(profile: CameraProfile, sources: Paths, camera: str) -> FittedPa
     fit = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
     notes = [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out]
     times: list[JsonTable] = []
-    rows = []
     for t, assumed_s, n in zip(fit.times, fit.assumed_s, fit.brackets, strict=True):
-        table = {"nominal_s": t.nominal_s, "true_s": t.true_s, "u_rel": t.u_rel}
-        times.append({**table, "assumed_s": assumed_s, "brackets": n})
-        rows.append(
-            f"  {t.nominal_s:<10.6g} s is {t.true_s:<10.6g} s: "
-            f"{100 * (t.true_s / assumed_s - 1):+6.2f} % from the profile, "
-            f"u {100 * t.u_rel:.2f} %, {n} brackets"
-        )
-    changed, drawn = (
-        {"shutter": shutter.with_times(profile, fit)},
-        partial(pictures.of_shutter, fit),
-    )
-    figures, table = {"times": len(times)}, {"times": times}
-    return FittedPart(changed, [fit.line], files, figures, drawn, notes, rows, table, profile)
+        times.append(_figures(t, "nominal_s", "true_s", "u_rel"))
+        off_percent = round(100 * (t.true_s / assumed_s - 1), 3)
+        times[-1] |= {"assumed_s": assumed_s, "brackets": n, "off_percent": off_percent}
+    changed: dict[str, Any] = {"shutter": shutter.with_times(profile, fit)}
+    figures, drawn = {"times": len(times)}, partial(pictures.of_shutter, fit)
+    part = FittedPart(changed, [fit.line], files, figures, drawn, notes, times, _TIMES)
+    return replace(part, only_json={"times": times}, profile=profile)
 
 
 def fit_pixels(profile: CameraProfile, sources: Paths, dark: bool) -> FittedPart:

@@ -11,7 +11,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import emit_json, say, write_csv
+from fieldlum.cli.terminal import emit_json, print_table, say, write_csv
 
 if TYPE_CHECKING:
     from fieldlum.year.glare.answers import GlareAnswer
@@ -47,6 +47,21 @@ _CSV_COLUMNS = (
     "dgp_high",
     "u_melanopic_edi_lx",
 )
+
+
+_COLUMNS = {
+    "azimuth_deg": ("view [°]", ".1f"),
+    "dgp": ("DGP", ".3f"),
+    "dgps": ("DGPs", ".3f"),
+    "ev_lx": ("Ev", ".0f"),
+}
+_LAST_COLUMNS = {
+    "u_melanopic_edi_lx": ("±u", ".0f"),
+    "ugr": ("UGR", ".1f"),
+    "dgi": ("DGI", ".1f"),
+    "window_to_task": ("window:task", ".1f"),
+    "text": ("verdict", "<"),
+}
 
 
 @command_of("glare")
@@ -143,26 +158,17 @@ def _table(answer: GlareAnswer) -> None:
     if "calibration_factor" in answer:
         click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
     estimate = answer["melanopic_der"] != "colour"
-    edi = "  m-EDI*" if estimate else "  m-EDI   ±u"
-    click.echo(f"  view     DGP   DGPs     Ev {edi}  UGR    DGI   window:task  verdict")
+    rows = []
     for view in answer["views"]:
-        if view["dgp"] is None:
-            click.echo(f"  {view['azimuth_deg']:5.1f}°  {view['verdict']}")
-            continue
-        bounds = (
-            f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}"
-            if "dgp_low" in view and "dgp_high" in view
-            else ""
-        )
-        click.echo(
-            f"  {view['azimuth_deg']:5.1f}°  {view['dgp']:.3f}  {view['dgps']:.3f}  "
-            f"{view['ev_lx']:6.0f}"
-            f"  {view['melanopic_edi_lx']:6.0f}{_plus_minus(view['u_melanopic_edi_lx'])}"
-            f"  {_figure(view['ugr'])}  {_figure(view['dgi'])}"
-            f"  {_figure(view['window_to_task'])}        {view['verdict']}{bounds}"
-        )
+        bounds = ""
+        if "dgp_low" in view and "dgp_high" in view:
+            bounds = f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}"
+        rows.append({**view, "text": f"{view['verdict']}{bounds}"})
+    edi = ("m-EDI*" if estimate else "m-EDI", ".0f")
+    print_table(rows, {**_COLUMNS, "melanopic_edi_lx": edi, **_LAST_COLUMNS}, "  ")
+    for view in answer["views"]:
         if "reference" in view:
-            _reference_line(view["reference"])
+            _reference_line(view["azimuth_deg"], view["reference"])
     share = answer["disturbed_share"]
     if share is not None and len(answer["views"]) > 1:
         click.echo(f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions")
@@ -172,17 +178,9 @@ def _table(answer: GlareAnswer) -> None:
         click.echo("  m-EDI by the camera's colour, with its standard uncertainty")
 
 
-def _reference_line(answer: Mapping[str, Any]) -> None:
+def _reference_line(azimuth_deg: float, answer: Mapping[str, Any]) -> None:
     click.echo(
-        f"     evalglare: DGP {answer['dgp']:.3f}, Ev {answer['ev_lx']:.0f} lx, "
+        f"  {azimuth_deg:.1f}° evalglare: DGP {answer['dgp']:.3f}, Ev {answer['ev_lx']:.0f} lx, "
         f"UGR {answer['ugr']:.1f}, DGI {answer['dgi']:.1f}, {answer['sources']} sources "
         f"({answer['version']}; {answer['flags']})"
     )
-
-
-def _plus_minus(u: float | None) -> str:
-    return "" if u is None else f" {u:4.0f}"
-
-
-def _figure(value: float | None) -> str:
-    return "    -" if value is None else f"{value:5.1f}"

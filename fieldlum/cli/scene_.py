@@ -9,7 +9,7 @@ import click
 
 from fieldlum.cli.options import command_of
 from fieldlum.cli.scene_click import command as click_command
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import emit_json, print_table, progress, say
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
 @click.group("scene")
 def command() -> None:
     """Find the room's geometry, north and clock error from captures."""
+
+
+_COLUMNS = {
+    "name": ("", "<"),
+    "stated": ("stated", ".3f"),
+    "fitted": ("fitted", ".3f"),
+    "u": ("uncertainty", ".3f"),
+}
 
 
 @command_of("fit", command)
@@ -85,11 +93,12 @@ def answer_of(scene: Scene) -> JsonTable:
 
 
 def _show(scene: Scene) -> None:
-    click.echo(f"{'':20} {'stated':>9} {'fitted':>9}  uncertainty")
-    for name, value in scene.after.items():
-        click.echo(f"{name:20} {scene.before[name]:9.3f} {value:9.3f}  +- {scene.u[name]:.3f}")
-    bars_and_solids = len(scene.room.obstruction)
-    click.echo(f"bars and furniture   {bars_and_solids:9d}")
+    rows = [
+        {"name": name, "stated": scene.before[name], "fitted": value, "u": scene.u[name]}
+        for name, value in scene.after.items()
+    ]
+    print_table(rows, _COLUMNS)
+    click.echo(f"bars and furniture: {len(scene.room.obstruction)}")
     click.echo(scene.verdict)
     if scene.expected_log10_mse is not None:
         doubt = "" if scene.trusted else " (not trusted)"

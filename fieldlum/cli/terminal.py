@@ -38,6 +38,27 @@ def emit_json(answer: Any) -> None:
     click.echo(json.dumps(_finite(answer), ensure_ascii=False, default=str))
 
 
+def print_table(
+    rows: Iterable[Mapping[str, Any]], columns: Mapping[str, tuple[str, str]], indent: str = ""
+) -> None:
+    """Print rows as an aligned table on stdout: numbers to the right, "-" for None.
+
+    columns: heading and format of each key, such as {"dgp": ("DGP", ".3f")}; a text has the format
+    "<", and is to the left. A column without any value is omitted.
+    """
+    table = [dict(row) for row in rows]
+    used = {n: c for n, c in columns.items() if any(row.get(n) is not None for row in table)}
+    lines = [[heading for heading, _ in used.values()]]
+    for row in table:
+        values = [(row.get(name), spec) for name, (_, spec) in used.items()]
+        lines.append(["-" if value is None else format(value, spec) for value, spec in values])
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    signs = [spec if spec == "<" else ">" for _, spec in used.values()]
+    for line in lines:
+        cells = [f"{c:{sign}{w}}" for c, sign, w in zip(line, signs, widths, strict=True)]
+        click.echo(indent + "  ".join(cells).rstrip())
+
+
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
     """Write `columns` of the rows as a csv with a header; None is an empty cell."""
     with path.open("w", newline="", encoding="utf-8") as file:

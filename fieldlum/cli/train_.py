@@ -11,11 +11,25 @@ import click
 from fieldlum.cli.declared import PATH_OR_URL
 from fieldlum.cli.estimates import estimate_text, train_s
 from fieldlum.cli.options import Above0, command_of
-from fieldlum.cli.terminal import emit_json, progress, say, say_if
+from fieldlum.cli.terminal import emit_json, print_table, progress, say, say_if
 from fieldlum.learn.model_registry import MODELS
 
 if TYPE_CHECKING:
     from fieldlum.session.files.scores_json import TrainAnswer
+
+
+_COLUMNS = {
+    "name": ("model", "<"),
+    "judged_dgp_error": ("DGP error*", ".2e"),
+    "judged_ev_error": ("ln Ev error*", ".2e"),
+    "judged_log10_mse": ("log10 MSE*", ".2e"),
+    "n_judged": ("hours*", "d"),
+    "dgp_mae": ("DGP error", ".2e"),
+    "log10_mse_weighted": ("log10 MSE", ".2e"),
+    "worst": ("worst", ".2e"),
+    "fit_s": ("fit [s]", ".1f"),
+    "n_test": ("maps", "d"),
+}
 
 
 @command_of("train")
@@ -103,24 +117,11 @@ def command(
 
 def _show(answer: TrainAnswer) -> None:
     """Print the scores on which the choice is based."""
-    click.echo(
-        "             judged hours, without 5 % with the largest errors     all held-out hours"
-    )
-    click.echo(
-        "model        DGP error  ln Ev error  log10 MSE  hours  "
-        "DGP error  log10 MSE    worst  fit [s]  maps"
-    )
+    print_table([row for row in answer["models"] if not row["not_judged_because"]], _COLUMNS)
+    click.echo("* over judged hours, without the 5 % with the largest errors")
     for row in answer["models"]:
         if row["not_judged_because"]:
-            click.echo(f"{row['name']:12} {row['not_judged_because']}")
-            continue
-        click.echo(
-            f"{row['name']:12} {_short(row.get('judged_dgp_error'))}    "
-            f"{_short(row.get('judged_ev_error'))}  {_short(row.get('judged_log10_mse'))} "
-            f"{row.get('n_judged', 0):6d}  {_short(row['dgp_mae'])}  "
-            f"{_short(row['log10_mse_weighted'])}{_short(row['worst'])}"
-            f"{row['fit_s']:9.1f} {row['n_test']:5d}"
-        )
+            click.echo(f"{row['name']}: {row['not_judged_because']}")
     click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")
     click.echo(f"parameters: {answer['parameters']:,}")
     captures = answer["captures"]
@@ -137,7 +138,3 @@ def _show(answer: TrainAnswer) -> None:
         )
     for note in answer["notes"]:
         say(note)
-
-
-def _short(value: float | None) -> str:
-    return f"{value:9.2e}" if value is not None else "        -"
