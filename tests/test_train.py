@@ -202,7 +202,7 @@ def test_a_network_without_time_for_a_pass_ends_at_once(
     few = DATA.take(range(0, len(DATA), 6))
     teach, _ = validation_split(len(few), 0)
     per_s = passes * len(teach) * few.luminance_cdm2[0].size / 600.0
-    monkeypatch.setattr(dense_training, "_pixels_per_second", lambda *_: per_s)
+    monkeypatch.setattr(dense_training.Trainer, "pixels_per_s", lambda *_: per_s)
     record = dense_training.train(
         few, Shape(), budget_s=600.0, least_passes=1.0, stop_after_epochs=1
     ).record
