@@ -1,17 +1,17 @@
 """Estimate the sky view from captures: what follows the sky, by pane, and the captured discs.
 
-`regression` gives the factor of the sky in each direction. This module decides what it means:
-open sky, partly open, shut, or undecided, and checks the result with the discs in the captures.
+`ratio` tells which directions follow the sky. This module decides what they mean: open sky, partly
+open, shut, or undecided, and checks the result with the discs in the captures.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.core.room_states import parse_state
@@ -20,32 +20,33 @@ from fieldlum.sky.sky_view.disc import disc_of_hours
 from fieldlum.sky.sky_view.panes import pane_transmittance
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose
-from fieldlum.sky.sky_view.regression import SkyFactor, seen_sky, sky_factor
+from fieldlum.sky.sky_view.ratio import (
+    FOLLOWS,
+    FOLLOWS_NOT,
+    follow,
+    sky_reference,
+    unmixed,
+)
 from fieldlum.sky.sky_view.view import SkyView
 
 # Sunlight inside a room also follows the sky a little: interior surfaces reach 1.2 % of the sky's
 # luminance in the rooms of docs/sky-view.md. Less counts as shut.
 LEAST_THROUGH = 0.02
-# Behind dark glass (1 to 2 %) nearly all light is the sky's; on an interior surface at most 0.6.
-_PURE_SHARE = 0.8
-_SIGMAS = 3.0  # of a factor that counts as sky: 1 in 700 by chance; chosen
 # Luminous efficacy (5 %), camera scale (5 %), pyranometer (5 %) and the mean of real skies against
 # Perez's (12 %), together; this scale is common to all directions.
-SCALE_SD = 0.15
-# Least share of the typical luminance that follows the sky: below it, what is there is a surface
-# with a glint of sky. Interior surfaces reach 0.35, slats that are 5 % open have more (rooms of
-# docs/sky-view.md).
-_LEAST_SHARE = 1.0 / 3.0
-# Step of the first directions: half of the disc, at most 9 pixels; only for speed.
-_THIN_DEG, _MOST_THIN = 0.6, 9
-# Share of the light in sunny hours that shines through from behind, above which a pane scatters,
-# and the least ratio to the sky of such a pane in nine of ten hours: an interior surface is as
-# bright only while the sun is in the room. Chosen.
-_SCATTERS, _SCATTER_RATIO = 0.1, 0.1
-# Luminance over the sky's, from which a direction may be sky behind glass: a tinted pane of 0.25.
-# Facades reach it too, so that it only leaves open what nothing else decides. Chosen.
-_BRIGHT_RATIO = 0.25
-LEAST_CAPTURES = 6  # fewer do not separate the sky from seven kinds of light; chosen
+SCALE_SD = 0.2
+# Least ratio to the sky of a pane, as a share of the room's brightest: interior surfaces of the
+# rooms of docs/sky-view.md reach 0.2, but do not follow the sky; a darker pane has bounds. Chosen.
+_LEAST_SHARE = 0.05
+_OPEN_U = 0.05  # of a pane's own transmittance, from direction to direction; chosen
+_OPEN, _LEAST_OPEN = 0.9, 0.02  # openness that counts as all open, and as shut; chosen
+_DISC_DEG2 = 0.223  # solid angle of the sun's disc
+# What scatters (curtain, fabric) is this bright, as a share of the brightest ratio, and brighter by
+# this logarithm with the sun behind it: a curtain by 1.1, a facade by less than 0.6.
+_SCATTER_SHARE, _SCATTER_GLOW = 0.15, 0.6
+# Share of the brightest ratio from which a direction may be sky behind glass; chosen.
+_BRIGHT_SHARE, _BRIGHT_RATIO = 0.3, 0.25
+LEAST_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 _MOST_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 # What merge left out as too dark is between 0 and `SkyPicture.dark_cdm2`; its mean. Chosen.
 _DARK_SHARE = 0.5
@@ -101,13 +102,10 @@ def estimate(
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
     used = captured.take(lit.tolist())
     stack = _stack(used, shut, progress)
-    used = used.take(stack.rows)
     pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
-    view = _decided(stack, _factor(stack, used.light, pose), len(used.light))
+    view, scatters = _decided(stack, used.light[stack.rows], pose)
     view = replace(view, pose=pose, notes=view.notes + pose.notes)
-    if shut is not None:
-        view = _with_dark(view, stack, shut)
-    return _checked(view, captured)
+    return _checked(view, captured, scatters)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -116,36 +114,51 @@ def estimate(
 
 @dataclass(frozen=True, slots=True)
 class _Stack:
-    """Pictures of the captures `rows` on one grid, only pixels `kept` that have a value, [n, p]."""
+    """Pictures of the captures `rows` on one grid, only pixels `kept` that have a value.
+
+    luminance_cdm2 [n, p]: NaN where clipped or not seen. dark [h, w]: pixels that a lens saw, but
+    that no picture has.
+    """
 
     grid: SkyGrid
     rows: list[int]
-    kept: Mask  # [h * w]
+    kept: Mask  # [h, w]
+    dark: Mask
     luminance_cdm2: Floats32
-    usable: Mask
+
+    def placed(self, values: Array) -> Floats:
+        """Return values [p] on the grid, [h, w], NaN for other pixels."""
+        out = np.full(self.kept.shape, np.nan)
+        out[self.kept] = values
+        return out
+
+    def columns(self, pixels: Indices | None = None) -> Indices:
+        """Return the column in the pictures of flat indices of pixels; None: of all, [h, w]."""
+        columns = np.maximum(np.cumsum(self.kept) - 1, 0)
+        return columns.reshape(self.kept.shape) if pixels is None else columns[pixels]
 
 
 def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: Progress) -> _Stack:
     count = len(captured.light)
-    grids = [captured.read(k).grid for k in {0, count // 2, count - 1}]
-    grid = _common(grids)
-    kept = np.zeros(grid.height * grid.width, bool)
-    for k in {0, count // 2, count - 1}:
-        kept |= np.isfinite(_placed(captured.read(k), grid)[0]).ravel()
+    some = sorted({0, count // 2, count - 1})
+    grid = _common([captured.read(k).grid for k in some])
+    kept = np.zeros((grid.height, grid.width), bool)
+    for k in some:
+        kept |= np.isfinite(_placed(captured.read(k), grid))
     most = max(LEAST_CAPTURES, _MOST_VALUES // max(int(kept.sum()), 1))
     rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    in_lens = np.zeros(kept.shape, bool)
+    if seen is not None:
+        in_lens = seen(grid.rays().reshape(-1, 3)).reshape(kept.shape)
     light = np.empty((len(rows), int(kept.sum())), np.float32)
-    in_lens = None if seen is None else seen(grid.rays().reshape(-1, 3)[kept])
-    usable = np.empty(light.shape, bool)
     for n, k in enumerate(rows):
         progress(n, len(rows), "sky view")
         picture = captured.read(k)
-        values, clipped = _placed(picture, grid)
-        light[n] = values.ravel()[kept]
-        if picture.dark_cdm2 is not None and in_lens is not None:
-            light[n][np.isnan(light[n]) & in_lens] = _DARK_SHARE * picture.dark_cdm2
-        usable[n] = np.isfinite(light[n]) & ~clipped.ravel()[kept]
-    return _Stack(grid, rows, kept, light, usable)
+        values = _placed(picture, grid)
+        if picture.dark_cdm2 is not None:
+            values = np.where(np.isnan(values) & in_lens, _DARK_SHARE * picture.dark_cdm2, values)
+        light[n] = np.where(np.isinf(values), np.nan, values)[kept]
+    return _Stack(grid, rows, kept, in_lens & ~kept, light)
 
 
 def _common(grids: Sequence[SkyGrid]) -> SkyGrid:
@@ -165,110 +178,98 @@ def _common(grids: Sequence[SkyGrid]) -> SkyGrid:
     )
 
 
-def _placed(picture: SkyPicture, grid: SkyGrid) -> tuple[Floats32, Mask]:
-    """Return luminance and clipped pixels of a picture on a grid of the same step."""
+def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
+    """Return a picture's luminance on a grid of the same step: NaN not seen, infinite clipped."""
     own = picture.grid
+    shown = np.where(picture.clipped, np.float32(np.inf), picture.luminance_cdm2)
     if own == grid:
-        return picture.luminance_cdm2, picture.clipped
+        return shown
     light = np.full((grid.height, grid.width), np.nan, np.float32)
-    clipped = np.zeros(light.shape, bool)
     i = round((grid.first_altitude_deg - own.first_altitude_deg) / grid.step_deg)
     j = round((own.first_azimuth_deg - grid.first_azimuth_deg) / grid.step_deg)
     top, left = max(i, 0), max(j, 0)
     bottom, right = min(i + own.height, grid.height), min(j + own.width, grid.width)
     if bottom > top and right > left:
         source = (slice(top - i, bottom - i), slice(left - j, right - j))
-        light[top:bottom, left:right] = picture.luminance_cdm2[source]
-        clipped[top:bottom, left:right] = picture.clipped[source]
-    return light, clipped
+        light[top:bottom, left:right] = shown[source]
+    return light
 
 
 # ----------------------------------------------------------------------------------------------
 # decisions
 
 
-def _factor(stack: _Stack, light: Light, pose: CameraPose) -> SkyFactor:
-    """Return the factor of the sky in all kept directions.
+def _decided(stack: _Stack, light: Light, pose: CameraPose) -> tuple[SkyView, Mask]:
+    """Return openness, transmittance and bounds in each direction, and what scatters, [h, w]."""
+    rays = pose.true_directions(stack.grid.rays()[stack.kept])
+    reference = sky_reference(stack.luminance_cdm2, light, rays)
+    seen = follow(stack.luminance_cdm2, light, rays, reference)
+    ratio, spread = stack.placed(seen.ratio), stack.placed(seen.spread)
+    relative = ratio / reference.brightest  # NaN if nothing follows the sky
+    sky = (spread < FOLLOWS) & (relative > _LEAST_SHARE) & (ratio > LEAST_THROUGH)
+    pane = pane_transmittance(ratio, sky, stack.grid.step_deg)  # [h, w]
+    openness = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0)
+    u = np.where(sky, _OPEN_U, 0.0)
+    mixed = _near(sky) & ~np.isnan(ratio) & (openness < _OPEN)
+    shut = stack.kept & ~_near(sky)
+    if mixed.any() and shut.any():
+        at, front = (stack.columns(pixels)[mixed] for pixels in (None, _nearest(shut)))
+        luminance = stack.luminance_cdm2
+        open_sky = reference.sky(light, rays[at])
+        openness[mixed], u[mixed] = unmixed(
+            luminance[:, at], open_sky, luminance[:, front], pane[mixed]
+        )
+    openness[openness < _LEAST_OPEN] = 0.0
+    low, high = _bounds(openness, u, mixed, pane, stack.grid.step_deg)
+    apart = ~sky & ~mixed
+    scatters = apart & (stack.placed(seen.glow) > _SCATTER_GLOW) & (relative > _SCATTER_SHARE)
+    bright = apart & (relative > _BRIGHT_SHARE) & (spread < FOLLOWS_NOT)
+    bright |= np.isnan(relative) & (ratio > _BRIGHT_RATIO)
+    few = len(light) < LEAST_CAPTURES
+    low = np.zeros_like(low) if few else low
+    high = np.where(scatters | bright | few, np.clip(1.3 * ratio, high, 1.0), high)
+    u = np.minimum(np.hypot(u, SCALE_SD * openness), 1.0)
+    count = np.where(stack.dark, len(light), stack.placed(seen.count))
+    channels = openness, u, count, np.where(stack.dark, 0.0, pane), low, high
+    blind = np.isnan(ratio) & ~stack.dark
+    arrays = (np.where(blind, np.nan, values).astype(np.float32) for values in channels)
+    notes = _notes(stack.grid, sky, bright, scatters, len(light))
+    return SkyView(stack.grid, *arrays, captures=len(light), notes=notes), scatters
 
-    In fine pictures every ninth direction is fitted first, and then only those near a direction
-    that follows the sky a little; the others are shut.
-    """
+
+def _near(sky: Mask) -> Mask:
+    """Return the pixels that are sky or touch it."""
     from scipy.ndimage import binary_dilation
 
-    grid, width = stack.grid, stack.grid.width
-    rays = pose.true_directions(grid.rays().reshape(-1, 3)[stack.kept])
-    place = np.flatnonzero(stack.kept)
-    thin = int(np.clip(_THIN_DEG / grid.step_deg, 1, _MOST_THIN))
-    is_first = ((place // width) % thin == thin // 2) & ((place % width) % thin == thin // 2)
-    first = np.flatnonzero(is_first)
-    light_first, usable_first = stack.luminance_cdm2[:, first], stack.usable[:, first]
-    seen = seen_sky(light_first, usable_first, light, rays[first])
-    factor = sky_factor(light_first, usable_first, light, rays[first], seen)
-    if thin == 1:
-        return factor
-    follows = np.zeros(grid.height * width, bool)
-    follows[place[first]] = (factor.through > 0.25 * LEAST_THROUGH) & (
-        factor.through > 0.5 * _LEAST_SHARE * factor.ratio
-    )
-    size = 4 * thin + 1
-    near = binary_dilation(follows.reshape(grid.height, width), np.ones((size, size)))
-    some = np.flatnonzero(near.ravel()[stack.kept])
-    fine = sky_factor(stack.luminance_cdm2[:, some], stack.usable[:, some], light, rays[some], seen)
-    shut = SkyFactor(*np.zeros((len(fields(SkyFactor)), len(rays))))
-    shut.count[:] = stack.usable.sum(axis=0)
-    for part in fields(SkyFactor):
-        getattr(shut, part.name)[some] = getattr(fine, part.name)
-    shut.through[shut.count == 0] = np.nan
-    return shut
+    return np.asarray(binary_dilation(sky, np.ones((3, 3))), bool)
 
 
-def _decided(stack: _Stack, factor: SkyFactor, captures: int) -> SkyView:
-    """Return openness, transmittance and bounds from the sky's factor in each direction."""
-    grid = stack.grid
+def _nearest(marked: Mask) -> Indices:
+    """Return the flat index of the nearest marked pixel, [h, w]."""
+    from scipy.ndimage import distance_transform_edt
 
-    def placed(values: Floats) -> Floats:
-        out = np.full(grid.height * grid.width, np.nan)
-        out[stack.kept] = values
-        return out.reshape(grid.height, grid.width)
+    found = np.empty((2, *marked.shape), np.int32)
+    distance_transform_edt(~marked, return_distances=False, return_indices=True, indices=found)
+    return found[0] * marked.shape[1] + found[1]
 
-    through, u = placed(factor.through), placed(factor.u)
-    ratio, behind = placed(factor.ratio), placed(factor.behind)
-    least_ratio = placed(factor.least_ratio)
-    u = np.hypot(u, SCALE_SD * through)
-    sky = (through > _SIGMAS * u) & (through > _LEAST_SHARE * ratio)
-    sky &= (through > LEAST_THROUGH) | (through > _PURE_SHARE * ratio)
-    pane = pane_transmittance(through, sky, grid.step_deg)  # [h, w]
-    low = np.where(sky, np.maximum(through - 2.0 * u, 0.0), 0.0)
-    high = np.where(sky | (through + 2.0 * u > LEAST_THROUGH), through + 2.0 * u, 0.0)
-    scatters = (behind > _SCATTERS) & (least_ratio > _SCATTER_RATIO)
-    scatters &= through < _PURE_SHARE * ratio
-    low = np.where(scatters, 0.0, low)
-    high = np.where(scatters, np.maximum(high, ratio), high)
-    high = np.minimum(high, 1.0)
-    few = captures < LEAST_CAPTURES
-    if few:
-        low, high = np.zeros_like(low), np.minimum(np.maximum(high, ratio), 1.0)
-    bright = np.nan_to_num(ratio) > _BRIGHT_RATIO
-    if not sky.any():  # nothing follows the sky clearly: what is as bright as sky is not decided
-        high = np.where(bright, np.minimum(np.maximum(high, 1.3 * ratio), 1.0), high)
-    blind = np.isnan(through)
-    openness = np.where(sky, np.clip(through / pane, 0.0, 1.0), 0.0)
 
-    def channel(values: Floats) -> Floats32:
-        return np.where(blind, np.nan, values).astype(np.float32)
+def _bounds(
+    openness: Floats, u: Floats, mixed: Mask, pane: Floats, step_deg: float
+) -> tuple[Floats, Floats]:
+    """Return 95 % bounds of the beam's share, [h, w] each.
 
-    notes = _notes(grid, sky, bright, scatters, captures)
-    return SkyView(
-        grid,
-        channel(openness),
-        channel(np.minimum(u / pane, 1.0)),
-        placed(factor.count).astype(np.float32),
-        channel(pane),
-        channel(low),
-        channel(high),
-        captures,
-        notes=notes,
-    )
+    A mixed pixel blurs what its neighbours show, and one that is larger than the sun's disc may
+    show all of it or none.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    larger = np.where(mixed, max(1.0, step_deg**2 / _DISC_DEG2), 1.0)
+    around = np.where(mixed, maximum_filter(openness, 3), openness)
+    within = np.where(mixed, minimum_filter(openness, 3), openness)
+    most = np.where(around > 0.0, np.clip((around + 2.0 * u) * larger, 0.0, 1.0), 0.0)
+    least = 1.0 - np.clip((1.0 - within + 2.0 * u) * larger, 0.0, 1.0)
+    high = np.minimum(most * pane * (1.0 + 2.0 * SCALE_SD), 1.0)
+    return least * pane * (1.0 - 2.0 * SCALE_SD), high
 
 
 def _notes(
@@ -292,39 +293,18 @@ def _notes(
     share = (scatters * weight).sum() / max(((sky | scatters) * weight).sum(), 1e-9)
     if share > 0.05:
         notes.append(
-            f"{100 * share:.0f} % of the glazing scatters (a curtain, fabric, leaves): how much of "
+            f"{100 * share:.0f} % of the glazing scatters (a curtain, fabric): how much of "
             "the disc passes is between 0 and its brightness; a capture with the sun behind it "
             "settles it"
         )
     return tuple(notes)
 
 
-def _with_dark(view: SkyView, stack: _Stack, seen: Callable[[Floats], Mask]) -> SkyView:
-    """Return the view with pixels shut that a lens saw but merge did not store as possible sky."""
-    absent = ~stack.kept.reshape(view.grid.height, view.grid.width)
-    rays = view.grid.rays()[absent]
-    dark = absent.copy()
-    dark[absent] = seen(rays) if len(rays) else False
-
-    def shut(values: Floats32, value: float) -> Floats32:
-        return np.where(dark, np.float32(value), values)
-
-    return replace(
-        view,
-        openness=shut(view.openness, 0.0),
-        u=shut(view.u, 0.0),
-        count=shut(view.count, view.captures),
-        transmittance=shut(view.transmittance, 0.0),
-        low=shut(view.low, 0.0),
-        high=shut(view.high, 0.0),
-    )
-
-
 # ----------------------------------------------------------------------------------------------
 # captured discs
 
 
-def _checked(view: SkyView, captured: Captured) -> SkyView:
+def _checked(view: SkyView, captured: Captured, scatters: Mask) -> SkyView:
     """Return the view, corrected where captures show a disc or none; contradictions are named."""
     light, share = captured.light, captured.disc_share
     strong = np.flatnonzero((light.direct_lx > _DISC_LX) & ~np.isnan(share))
@@ -340,7 +320,7 @@ def _checked(view: SkyView, captured: Captured) -> SkyView:
     both = (measured > _SHOWN) & (expected > _SHOWN) & (inside[0] > 0.5 * expected)
     arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
     suns = view.pose.in_pictures(some.shown_sun_direction)
-    without = _panes_without_disc(view, suns, measured)
+    without = _panes_without_disc(view, scatters, suns, measured)
     for values in arrays.values():
         values[without] = 0.0
     if both.sum() >= 3:
@@ -367,16 +347,15 @@ def _checked(view: SkyView, captured: Captured) -> SkyView:
     return replace(view, **arrays, notes=view.notes + (note if named else ()))
 
 
-def _panes_without_disc(view: SkyView, suns: Floats, measured: Floats) -> Mask:
+def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: Floats) -> Mask:
     """Return the scattering panes in which three captures show no disc and none shows one, [h, w].
 
-    suns [n, 3]; measured [n]: share of the beam. A pane that scatters has bounds from 0 on.
+    suns [n, 3]; measured [n]: share of the beam.
     """
     from scipy.ndimage import label
 
-    undecided = (view.low <= 0.0) & (view.high > 0.0)
-    panes = np.empty(undecided.shape, np.int32)
-    label(undecided, output=panes)
+    panes = np.empty(scatters.shape, np.int32)
+    label(scatters, output=panes)
     row, column = view.grid.pixels(suns)
     inside = (row >= 0) & (row < view.grid.height) & (column < view.grid.width)
     at = panes[row[inside].astype(int), column[inside].astype(int)]

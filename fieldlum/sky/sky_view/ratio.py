@@ -1,0 +1,185 @@
+"""Find the directions whose luminance follows the sky's, and how much of it passes.
+
+Open sky behind glass keeps its ratio to the sky's luminance in that direction over the hours. All
+else keeps its ratio to the diffuse or to the total illuminance better: a white facade can exceed
+the sky, but it does not follow it. Real skies differ from Perez's model by a third, in broad
+clouds; so the sky itself is the reference: directions that follow Perez's sky and are as bright as
+the brightest of these show how each hour's sky differs, and correct it in the directions around.
+
+A pixel at an edge, between slats or leaves is a sum of the sky's light and of a foreground, which
+looks as the nearest opaque pixel does in the same hour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.sky.light import Light
+
+# Directions this close to the sun are not used: circumsolar brightness and a lens's flare are not
+# modelled well there (Perez's gradation is steep within 10 degrees).
+_NEAR_SUN_DEG = 10.0
+_SUN_LX = 1000.0  # a weaker beam has no circumsolar region that exceeds the sky; chosen
+# Spread of the logarithm of a real sky over Perez's (Perez et al. 1993: 10 to 40 % by type of sky).
+_MOST_SKY_SPREAD = 0.45
+# Spread relative to that against other light, below which a direction follows the sky, and above
+# which it does not. Sky reaches 0.3, sunlit facades 1.0 (rooms of docs/sky-view.md).
+FOLLOWS, FOLLOWS_NOT = 0.5, 1.0
+# First reference: at least this share of the brightest ratio; then tinted panes too.
+_REFERENCE_FOLLOWS = 0.8
+_FIRST_SHARE, _REFERENCE_SHARE = 0.5, 0.15
+_ROUNDS = 6  # of adding what follows the sky that was found; chosen
+_BRIGHTEST = 0.98  # quantile of the ratio that counts as the brightest; chosen
+_THIN_DIRECTIONS = 5000  # among which the reference is found; only for speed
+_SKY_DIRECTIONS = 500  # at most, of the reference; only for speed
+# Clouds are alike within this angle; farther away the sky's mean deviation counts, with this weight
+# relative to one direction nearby. Chosen.
+_CLOUD_DEG, _FAR_WEIGHT = 5.0, 0.3
+_CHUNK_VALUES = 4_000_000  # captures times directions at a time: 100 MB; chosen
+_LEAST_CDM2 = 0.01  # of a logarithm
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """How p directions follow the sky.
+
+    ratio [p]: median of luminance over the sky's; spread [p]: of its logarithm, over that against
+    the illuminance that it follows best; count [p]: captures behind them; glow [p]: logarithm of
+    the luminance's increase with the sun in front of the camera, relative to the diffuse light.
+    """
+
+    ratio: Floats
+    spread: Floats
+    count: Floats
+    glow: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class SkyReference:
+    """The sky in m directions that show it: logarithm of its luminance over Perez's, [n, m].
+
+    rays [m, 3]. It is NaN where not usable; each direction's median is 0. brightest: ratio to the
+    sky's luminance of the brightest directions that follow it, NaN if none does.
+    """
+
+    rays: Floats
+    log_ratio: Floats
+    brightest: float
+
+    def sky(self, light: Light, rays: Floats) -> Floats32:
+        """Return the sky's luminance in directions [p, 3], corrected by the reference, [n, p]."""
+        perez = np.maximum(light.sky_at(rays), 1e-3).astype(np.float32)
+        if not len(self.rays):
+            return perez
+        cosine = np.clip(rays @ self.rays.T, -1.0, 1.0)  # [p, m]
+        near = np.exp((cosine - 1.0) / np.radians(_CLOUD_DEG) ** 2) + _FAR_WEIGHT / len(self.rays)
+        weight = (~np.isnan(self.log_ratio)).astype(float) @ near.T
+        total = np.nan_to_num(self.log_ratio) @ near.T
+        return perez * np.exp(total / np.maximum(weight, 1e-12)).astype(np.float32)
+
+
+def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReference:
+    """Return the directions of `rays` [p, 3] that show the sky. luminance: [n, p], NaN if unusable.
+
+    Those that follow Perez's sky better than other light and are bright come first; what follows
+    the sky that they show is added.
+    """
+    thin = max(1, len(rays) // _THIN_DIRECTIONS)
+    luminance, rays = luminance[:, ::thin], rays[::thin]
+    measured = _usable_log(luminance, light, rays)
+    reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
+    level, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
+    rest = _rest_spread(measured, light)
+    plausible = (spread < _MOST_SKY_SPREAD) & (spread < rest)
+    if not plausible.any():
+        return reference
+    brightest = float(np.quantile(level[plausible], _BRIGHTEST))
+    follows, share, count = plausible, _FIRST_SHARE, 0
+    for _ in range(_ROUNDS):
+        index = np.flatnonzero(plausible & follows & (level > brightest + np.log(share)))
+        if len(index) == count:
+            break
+        count = len(index)
+        index = index[:: max(1, len(index) // _SKY_DIRECTIONS)]
+        off = measured[:, index] - np.log(light.sky_at(rays[index])) - level[index]
+        reference = SkyReference(rays[index], off, float(np.exp(brightest)))
+        spread = _level_spread(measured - np.log(reference.sky(light, rays)))[1]
+        follows, share = spread < _REFERENCE_FOLLOWS * rest, _REFERENCE_SHARE
+    return reference
+
+
+def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyReference) -> Followed:
+    """Return how p directions `rays` [p, 3] follow the sky. luminance: [n, p], NaN if unusable."""
+    step = max(1, _CHUNK_VALUES // max(len(light), 1))
+    parts = []
+    for k in range(0, max(len(rays), 1), step):
+        some = slice(k, k + step)
+        measured = _usable_log(luminance[:, some], light, rays[some])
+        level, spread = _level_spread(measured - np.log(reference.sky(light, rays[some])))
+        rest = np.maximum(_rest_spread(measured, light), 1e-3)
+        count = (~np.isnan(measured)).sum(axis=0)
+        parts.append((np.exp(level), spread / rest, count, _glow(measured, light, rays[some])))
+    return Followed(*(np.concatenate(values).astype(float) for values in zip(*parts, strict=True)))
+
+
+def unmixed(
+    luminance: Floats32, sky: Floats32, front: Floats32, pane: Floats
+) -> tuple[Floats, Floats]:
+    """Return the share of the sky in p mixed pixels and its standard uncertainty, [p] each.
+
+    luminance, sky, front [n, p]: of the pixel, of the sky there, of the foreground; pane [p]:
+    transmittance. NaN is ignored.
+    """
+    open_ = sky * pane
+    scale = np.maximum(open_, front)
+    x = np.nan_to_num((open_ - front) / scale)
+    y = (luminance - front) / scale
+    usable = np.isfinite(y)
+    x, y = np.where(usable, x, 0.0), np.where(usable, y, 0.0)
+    size = np.maximum((x**2).sum(axis=0), 1e-9)
+    share = (x * y).sum(axis=0) / size
+    left = np.where(usable, y - share * x, 0.0)
+    variance = (left**2).sum(axis=0) / np.maximum(usable.sum(axis=0) - 1, 1) / size
+    # what is in front may be as much brighter or darker than the nearest opaque pixel
+    other = 0.5 * np.abs((x * np.where(usable, front / scale, 0.0)).sum(axis=0)) / size
+    share = np.clip(share, 0.0, 1.0)
+    return share, np.sqrt(variance + (other * (1.0 - share)) ** 2)
+
+
+def _usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
+    """Return the logarithm of luminance [n, p], NaN near the sun and where luminance is."""
+    near = light.shown_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
+    near &= (light.direct_lx > _SUN_LX)[:, None]
+    return np.where(near, np.nan, np.log(np.maximum(luminance, _LEAST_CDM2))).astype(np.float32)
+
+
+def _rest_spread(measured: Floats32, light: Light) -> Floats:
+    """Return the spread against diffuse or total illuminance, the smaller, [p]."""
+    upwards = np.maximum(light.sun_direction[:, 2], 0.0)
+    lit = (light.diffuse_lx, light.diffuse_lx + light.direct_lx * upwards)
+    spreads = [_level_spread(measured - np.log(lx)[:, None])[1] for lx in lit]
+    return np.minimum(*spreads)
+
+
+def _glow(measured: Floats32, light: Light, rays: Floats) -> Floats:
+    """Return how much luminance over diffuse light is increased by the sun behind, [p]: log."""
+    over = measured - np.log(light.diffuse_lx)[:, None]
+    level = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]
+    behind = light.sun_direction[:, :2] @ level.T > 0.3
+    behind &= (light.direct_lx > 10.0 * _SUN_LX)[:, None]
+    lit = _level_spread(np.where(behind, over, np.nan))[0]
+    return lit - _level_spread(np.where(behind, np.nan, over))[0]
+
+
+def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:
+    """Return median, and half the range from the 16th to the 84th percentile, of each column."""
+    ordered = np.sort(values, axis=0)
+    most = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)
+
+    def quantile(share: float) -> Floats:
+        return np.take_along_axis(ordered, np.round(share * most).astype(int)[None], axis=0)[0]
+
+    return quantile(0.5), 0.5 * (quantile(0.84) - quantile(0.16))
