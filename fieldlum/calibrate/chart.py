@@ -9,7 +9,6 @@ picture always gives the same result.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -37,8 +36,8 @@ _MAX_AREA = 1 / 30  # largest area of a patch, over that of the picture
 _CORNER_REL = (0.04, 0.08, 0.12)
 _FILLED = 0.75  # area of an outline over that of its four corners
 _SAME = 0.3  # sides: closer centres are one patch, found by two thresholds
-_STEP = (1.0, 1.7)  # distance of a neighbour along an edge, in sides
-_ASIDE = 0.3  # distance of a neighbour across an edge, in sides
+_STEPS = (1.05, 1.15, 1.25, 1.35, 1.45, 1.55, 1.65)  # of a lattice, in sides: gaps are narrow
+_OFF_STEP = 0.2  # distance of a neighbour from its place by a tried step, in steps
 _LIKE = (0.45, 2.2)  # ratio of the areas of neighbours
 _OFF_PLACE = 0.15  # distance of a patch from its place, in steps
 _SIDE = (0.5, 1.1)  # side of a patch, in steps
@@ -55,11 +54,8 @@ def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads
     lattice with most detected patches comes first; mirror images are omitted. The caller must check
     that the colours are those of a chart.
     """
-    quads = _quads(picture)
-    fits = (_fitted(quads, members, places) for members, places in _components(quads))
-    for lattice, places in sorted(
-        (fit for fit in fits if fit is not None), key=lambda fit: -len(fit[1])
-    ):
+    fits = _lattices(_quads(picture))
+    for lattice, places in sorted(fits, key=lambda fit: -len(fit[1])):
         yield from _laid_on(lattice, places, rows, columns)
 
 
@@ -135,39 +131,35 @@ def _apart(quads: Quads) -> Quads:
 # lattices
 
 
-def _components(quads: Quads) -> list[tuple[list[int], Places]]:
-    """Return groups of neighbouring quadrilaterals: indices, and places on a lattice."""
+def _lattices(quads: Quads) -> Iterator[tuple[Floats, Places]]:
+    """Yield homographies [3, 3] from places to pixels, and the places [n, 2] with a patch.
+
+    The edges of each quadrilateral give the directions of a lattice, whose step is tried. The
+    quadrilaterals around it that fit determine a homography, and this finds those further away.
+    """
     centres, edges, areas = quads.mean(axis=1), _edges(quads), _areas(quads)
-    inverse = np.linalg.inv(edges) if len(quads) else edges
-    components, taken = [], np.zeros(len(quads), bool)
+    is_taken = np.zeros(len(quads), bool)
     for seed in range(len(quads)):
-        if taken[seed]:
-            continue
-        place = {seed: ((0, 0), np.eye(2, dtype=np.int64))}
-        queue = deque([seed])
-        while queue:
-            i = queue.popleft()
-            at, turned = place[i]
-            along = (centres - centres[i]) @ inverse[i]  # in sides of this one
-            like = (areas > _LIKE[0] * areas[i]) & (areas < _LIKE[1] * areas[i])
-            for axis in (0, 1):
-                step, aside = along[:, axis], np.abs(along[:, 1 - axis])
-                near = (
-                    like & (np.abs(step) > _STEP[0]) & (np.abs(step) < _STEP[1]) & (aside < _ASIDE)
-                )
-                for j in np.flatnonzero(near).tolist():
-                    if j in place:
-                        continue
-                    move = int(np.sign(step[j])) * turned[axis]
-                    place[j] = (
-                        (at[0] + int(move[0]), at[1] + int(move[1])),
-                        _turned(inverse[i], edges[j]) @ turned,
-                    )
-                    queue.append(j)
-        members = list(place)
-        taken[members] = True
-        components.append((members, np.array([place[m][0] for m in members])))
-    return components
+        alike = (areas > _LIKE[0] * areas[seed]) & (areas < _LIKE[1] * areas[seed])
+        at = (centres - centres[seed]) @ np.linalg.inv(edges[seed])  # in sides of this one
+        best, members = np.full((3, 3), np.nan), np.zeros(len(quads), bool)
+        for step in () if is_taken[seed] else _STEPS:
+            place = np.rint(at / step)
+            off = np.abs(at / step - place).max(axis=1)
+            fits = alike & (off < _OFF_STEP) & (np.abs(place).max(axis=1) <= 2)
+            if fits.sum() < _MIN_NEIGHBOURS or (np.ptp(place[fits], axis=0) == 0).any():
+                continue
+            h = _homography(place[fits], centres[fits], _OFF_PLACE * np.sqrt(areas[seed]))
+            for _ in range(3):  # further patches are found as the homography improves
+                place, fits = _on_places(h, quads)
+                if fits.sum() < _MIN_FOUND:
+                    break
+                h = _homography(place[fits], centres[fits])
+            if fits.sum() > max(members.sum(), _MIN_FOUND - 1):
+                best, members = h, fits
+        if members.any():
+            is_taken |= members
+            yield best, np.unique(_on_places(best, quads)[0][members].astype(np.int64), axis=0)
 
 
 def _edges(quads: Quads) -> Floats:
@@ -178,31 +170,6 @@ def _edges(quads: Quads) -> Floats:
     along = quads[:, 1] - quads[:, 0] + quads[:, 2] - quads[:, 3]
     down = quads[:, 3] - quads[:, 0] + quads[:, 2] - quads[:, 1]
     return 0.5 * np.stack([along, down], axis=1)
-
-
-def _turned(inverse: Floats, edges: Floats) -> NDArray[np.int64]:
-    """Return the rotation [2, 2] by quarter turns between two quadrilaterals' own directions."""
-    c, s = (edges @ inverse)[0]
-    quarter = round(float(np.arctan2(s, c)) / (np.pi / 2)) % 4
-    return np.linalg.matrix_power(_QUARTER, quarter)
-
-
-def _fitted(quads: Quads, members: list[int], places: Places) -> tuple[Floats, Places] | None:
-    """Return the homography [3, 3] from places to pixels, and the places [n, 2] with a patch."""
-    if len(members) < _MIN_NEIGHBOURS or (np.ptp(places, axis=0) == 0).any():
-        return None
-    centres, side = quads.mean(axis=1), float(np.sqrt(np.median(_areas(quads[members]))))
-    h = _homography(places, centres[members], _OFF_PLACE * side)
-    place, there = _on_places(h, quads)
-    if there.sum() < _MIN_FOUND:
-        return None
-    # Fit again with the patches across a gap.
-    place, there = _on_places(_homography(place[there], centres[there]), quads)
-    if there.sum() < _MIN_FOUND:
-        return None
-    return _homography(place[there], centres[there]), np.unique(
-        place[there].astype(np.int64), axis=0
-    )
 
 
 def _homography(

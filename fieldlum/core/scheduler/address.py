@@ -117,22 +117,14 @@ def _tls(path: Path, table: Any) -> tuple[tuple[str, str], ...]:
         return ()
     names = {"ca": "tls_ca_file", "certificate": "tls_client_cert", "key": "tls_client_key"}
     if not isinstance(table, dict) or table.keys() != names.keys():
-        raise InputError(
-            path,
-            f'the table "tls" is {table!r}',
-            "the keys ca, certificate and key, each with the path of a file",
-            "correct the table",
-        )
+        expected = "the keys ca, certificate and key, each with the path of a file"
+        raise InputError(path, f'the table "tls" is {table!r}', expected, "correct the table")
     files = {name: path.parent / str(table[name]) for name in names}
     for file in files.values():
         if not file.is_file():
             expected = f"a certificate or key file, as the table tls of {path.name} names it"
             raise InputError(file, "no such file", expected, "check the path in the table tls")
     if files["key"].stat().st_mode & 0o077:
-        raise InputError(
-            files["key"],
-            "a private key that other users can read",
-            "a key that only its owner can read",
-            "run chmod 600 on it",
-        )
+        found, expected = "a private key that other users can read", "a key for its owner only"
+        raise InputError(files["key"], found, expected, "run chmod 600 on it")
     return tuple((names[name], str(file)) for name, file in files.items())

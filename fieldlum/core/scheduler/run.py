@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import dataclass
@@ -31,37 +31,16 @@ class _Attempt:
     started_s: float = 0.0
 
 
-class _Pace:
-    """The times that units took, for the time limit and for the progress line."""
+def _limit_s(scheduler: Scheduler, took_s: Sequence[float]) -> float:
+    """Return the time after which a unit counts as hanging [s].
 
-    def __init__(self, scheduler: Scheduler, total: int) -> None:
-        self._limit_s, self._total = scheduler.unit_limit_s, total
-        self._start_s = time.monotonic()
-        self._took_s: deque[float] = deque(maxlen=200)
-        self.done = 0
-
-    def count(self, took_s: float) -> None:
-        """Add the time of one unit [s]."""
-        self._took_s.append(took_s)
-        self.done += 1
-
-    def limit_s(self) -> float:
-        """Return the time after which a unit counts as hanging [s].
-
-        It is the stated one, or a multiple of the median time of the units done so far.
-        """
-        if self._limit_s is not None:
-            return self._limit_s
-        if len(self._took_s) < FEW:
-            return FIRST_LIMIT_S
-        return max(MIN_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(self._took_s))
-
-    def text(self) -> str:
-        """Return units per second and the remaining time, for the progress line."""
-        rate = self.done / max(time.monotonic() - self._start_s, 1e-3)
-        left_s = (self._total - self.done) / rate if rate else 0.0
-        minutes, seconds = divmod(round(left_s), 60)
-        return f"{rate:.3g} units/s, {minutes}:{seconds:02d} left"
+    It is the scheduler's, or a multiple of the median of took_s: the times of completed units.
+    """
+    if scheduler.unit_limit_s is not None:
+        return scheduler.unit_limit_s
+    if len(took_s) < FEW:
+        return FIRST_LIMIT_S
+    return max(MIN_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(took_s))
 
 
 def run_units(
@@ -79,7 +58,7 @@ def run_units(
     if not total:
         return
     running: dict[Future[Any], _Attempt] = {}
-    pace = _Pace(scheduler, total)
+    took_s: list[float] = []
     with _workers(scheduler, total) as workers:
         while waiting or running:
             for _ in range(min(workers.free(len(running)), len(waiting))):
@@ -87,7 +66,7 @@ def run_units(
                 future = workers.submit(attempt.unit)
                 attempt.started_s = time.monotonic()
                 running[future] = attempt
-            for future, ended in _ended(workers, running, pace):
+            for future, ended in _ended(workers, running, _limit_s(scheduler, took_s)):
                 attempt = running.pop(future)
                 if isinstance(ended, str):
                     attempt.tries += 1
@@ -96,16 +75,13 @@ def run_units(
                         continue
                     trouble = f"given up after {attempt.tries} tries, the last: {ended}"
                     ended = UnitOutcome(attempt.unit, trouble=trouble)
-                pace.count(time.monotonic() - attempt.started_s)
-                status = workers.status()
-                progress(
-                    pace.done, total, f"{status}, {pace.text()}" if status else attempt.unit.name
-                )
+                took_s.append(time.monotonic() - attempt.started_s)
+                progress(len(took_s), total, workers.status() or attempt.unit.name)
                 yield ended
 
 
 def _ended(
-    workers: Here, running: dict[Future[Any], _Attempt], pace: _Pace
+    workers: Here, running: dict[Future[Any], _Attempt], limit_s: float
 ) -> Iterator[tuple[Future[Any], UnitOutcome | str]]:
     """Wait up to 0.5 s; yield futures that ended, were lost or hang, with outcome or trouble."""
     done = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED).done
@@ -113,7 +89,6 @@ def _ended(
         time.sleep(POLL_S)  # no worker is free yet
     for future in done:
         yield future, workers.settle(running[future].unit, future)
-    limit_s = pace.limit_s()
     oldest_s = time.monotonic() - limit_s
     for future in [f for f in workers.lost() if f in running]:
         yield future, workers.give_up(future)

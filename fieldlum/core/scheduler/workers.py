@@ -184,9 +184,6 @@ class Cluster(Here):
         self._running: dict[Future[Any], tuple[str, frozenset[str]]] = {}  # key, allowed workers
         self._looked_s, self._worked_s = 0.0, time.monotonic()
         self._count = 0
-        info = self._client.scheduler_info(n_workers=0)
-        if info.get("services", {}).get("dashboard"):
-            scheduler.say(f"dashboard: {self._client.dashboard_link}")
 
     def __exit__(self, *error: object) -> None:
         for future in self._running:
@@ -207,11 +204,9 @@ class Cluster(Here):
             self._worked_s = now_s
         refused = [name for name in self._threads if name in self._avoided]
         if refused and now_s - self._worked_s > REPLACED_S:
-            raise InputError(
-                self._scheduler.address,
-                f"no usable worker is left (worker {refused[0]}: {self._avoided[refused[0]]})",
-                remedy="finished units are stored; start the command again",
-            )
+            found = f"no usable worker is left (worker {refused[0]}: {self._avoided[refused[0]]})"
+            remedy = "finished units are stored; start the command again"
+            raise InputError(self._scheduler.address, found, remedy=remedy)
         if now_s - self._worked_s > PATIENCE_S:
             raise NotEnoughDataError(
                 f"{self._scheduler.address}: no worker for {PATIENCE_S:.0f} s; start a worker: "
@@ -302,11 +297,9 @@ def _connect(scheduler: Scheduler) -> Any:
             name="fieldlum",
         )
     except (OSError, TimeoutError) as error:
-        raise InputError(
-            scheduler.address,
-            f"no scheduler answers ({type(error).__name__})",
-            remedy="start one with: dask scheduler --host 127.0.0.1, or check the certificates",
-        ) from None
+        found = f"no scheduler answers ({type(error).__name__})"
+        remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
+        raise InputError(scheduler.address, found, remedy=remedy) from None
 
 
 def _await_files(unit: WorkUnit) -> str:
