@@ -37,10 +37,11 @@ from fieldlum.merge.stage import merge_slot
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw import write_dng
 from fieldlum.room.scene import window_fraction
-from fieldlum.session import Session, create_session, decode_line, open_session
+from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.journal import Journal
+from fieldlum.session.lines import decode_line
 
 KINDS = ("journal", "capture.json", "outbox", "session.toml", "pairs.csv")
 START = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)

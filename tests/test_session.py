@@ -19,16 +19,12 @@ from fieldlum.session import (
     Journal,
     Session,
     create_session,
-    cut_torn_tail,
     day_files,
-    decode_line,
     decode_sample,
-    encode_line,
     encode_sample,
     exposure_text,
     marks,
     open_session,
-    parse_exposure,
     read_day,
     read_journal,
     read_plan,
@@ -36,6 +32,8 @@ from fieldlum.session import (
 )
 from fieldlum.session.journal import damaged_lines, decode_event
 from fieldlum.session.ledger import fold
+from fieldlum.session.lines import cut_torn_tail, decode_line, encode_line
+from fieldlum.session.plan_file import parse_exposure
 from fieldlum.session.tables import JournalEvent
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)

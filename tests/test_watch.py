@@ -31,8 +31,9 @@ from fieldlum.cli import watch_
 from fieldlum.core.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
 from fieldlum.optics.images import write_panorama
-from fieldlum.session import DayFiles, Journal, Session, create_session, encode_line, read_journal
+from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.lines import encode_line
 from fieldlum.web.access import Access
 from fieldlum.web.answer import Moment, Worker, answer_table
 from fieldlum.web.follow import DayBins, JournalFollower

@@ -27,7 +27,6 @@ from fieldlum.core.records import SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
 from fieldlum.plan.extra import EXTRA, add_extra
 from fieldlum.session import (
-    MAX_PAUSE,
     Journal,
     Session,
     create_session,
@@ -37,6 +36,7 @@ from fieldlum.session import (
     read_journal,
     resume,
 )
+from fieldlum.session.pause import MAX_PAUSE
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 JSON = "application/json"

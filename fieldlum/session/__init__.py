@@ -23,13 +23,11 @@ from fieldlum.session.folder import (
     update_session,
 )
 from fieldlum.session.journal import Journal, read_journal
-from fieldlum.session.lines import cut_torn_tail, decode_line, encode_line
-from fieldlum.session.marks import BY_PEOPLE, add_note, mark_slot, marks
-from fieldlum.session.pause import MAX_PAUSE, pause, paused_until, resume
+from fieldlum.session.marks import add_note, mark_slot, marks
+from fieldlum.session.pause import pause, paused_until, resume
 from fieldlum.session.plan_file import (
     PLAN_COLUMNS,
     exposure_text,
-    parse_exposure,
     read_plan,
     write_plan,
 )
@@ -41,5 +39,4 @@ from fieldlum.session.writing import (
     replacing_path,
     sha256,
     sync_folder,
-    write_table,
 )
