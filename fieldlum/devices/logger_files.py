@@ -250,19 +250,16 @@ def _read_netcdf(
         with xr.open_dataset(path, engine="scipy") as opened:
             frame = opened.load()
         times = frame["time"].to_numpy().astype("M8[us]").tolist()
-    names = [str(name) for name, values in frame.items() if values.dims == ("time",)]
-    units = [str(frame[name].attrs.get("units", "")) for name in names]
+    along = {str(name): v for name, v in frame.items() if v.dims == ("time",)}
+    names = ["time", *along]
+    units = ["", *(str(values.attrs.get("units", "")) for values in along.values())]
     at = _usual_columns(names, columns, path)
     chosen = scaled(path, names, units, at, sensitivities)
-    samples: list[IrradianceSample] = []
-    left_out: list[str] = []
-    values = zip(*(frame[name].to_numpy().tolist() for name in names), strict=True)
-    for time, numbers in zip(times, values, strict=True):
-        row = [str(number) for number in numbers]
-        try:
-            samples.append(sample_of(time.replace(tzinfo=UTC), chosen.values(row), chosen.raw(row)))
-        except ValueError as error:
-            left_out.append(f"{time:%Y-%m-%d %H:%M:%S}: {error}")
+    rows = zip(times, *(values.to_numpy().tolist() for values in along.values()), strict=True)
+    lines = ((number, ",".join(map(str, row))) for number, row in enumerate(rows, start=1))
+    samples, _, left_out = _read_rows(
+        lines, names, chosen, lambda row: datetime.fromisoformat(row[0]).replace(tzinfo=UTC)
+    )
     unused = "quality flags of the file are not used, because fieldlum checks the values itself"
     return LoggerFile(tuple(samples), tuple(left_out), "netCDF", (*chosen.notes, unused))
 
