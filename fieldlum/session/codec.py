@@ -258,21 +258,24 @@ def read_row(kind: type[T], path: Path, line: int, cells: Mapping[str, str], rem
     wrong or missing value and for a number that is not finite.
     """
     values: dict[str, object] = {}
-    hints = _hints(kind)
-    for field in fields(kind):  # type: ignore[arg-type]
-        text, hint = cells.get(field.name, "").strip(), hints[field.name]
-        if not text and field.default is not MISSING:
+    for name, hint, has_default in _columns_of(kind):
+        text = cells.get(name, "").strip()
+        if not text and has_default:
             continue
         try:
-            values[field.name] = _value(hint, text)
+            values[name] = _value(hint, text)
         except ValueError as error:
-            found = str(error) if hint is datetime else f"{field.name} is {text[:60]!r}"
+            found = str(error) if hint is datetime else f"{name} is {text[:60]!r}"
             expected = _CELLS.get(hint, "a finite number")
             raise InputError(path, f"line {line}: {found}", expected, remedy) from None
     return kind(**values)
 
 
-_hints = cache(get_type_hints)
+@cache
+def _columns_of(kind: type[Any]) -> list[tuple[str, Any, bool]]:
+    """Return name, type, and whether there is a default, of each field."""
+    hints = get_type_hints(kind)
+    return [(f.name, hints[f.name], f.default is not MISSING) for f in fields(kind)]
 
 
 def _value(hint: Any, text: str) -> object:
