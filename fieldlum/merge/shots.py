@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -99,12 +99,8 @@ def frame_files(folder: Path) -> list[Path]:
     """
     files = possible_frames(folder)
     if not files:
-        raise InputError(
-            folder,
-            "no frames in this folder",
-            "raw or JPEG frames",
-            "capture or import the slot again",
-        )
+        remedy = "capture or import the slot again"
+        raise InputError(folder, "no frames in this folder", "raw or JPEG frames", remedy)
     return files
 
 
@@ -116,28 +112,19 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
     or a copy of another one, and for a file without exposure time, f-number or ISO.
     """
     if not files:
-        raise InputError(
-            "merge", "no frames", "at least one raw or JPEG file", "name the frames of one bracket"
-        )
+        remedy = "name the frames of one bracket"
+        raise InputError("merge", "no frames", "at least one raw or JPEG file", remedy)
     shots, resolved = [], set()
     for path in files:
         if not path.is_file():
             raise InputError(path, "no such file", "a raw or JPEG frame", "check the path")
         if (real := path.resolve()) in resolved:
-            raise InputError(
-                path,
-                "this frame is listed twice and would count twice",
-                "each frame once",
-                "remove the repetition",
-            )
+            found = "this frame is listed twice and would count twice"
+            raise InputError(path, found, "each frame once", "remove the repetition")
         resolved.add(real)
         if (first := _same_content(path, [shot.path for shot in shots])) is not None:
-            raise InputError(
-                path,
-                f"the same content as {first.name}: this frame would count twice",
-                "each frame once",
-                "leave the copy out",
-            )
+            found = f"the same content as {first.name}: this frame would count twice"
+            raise InputError(path, found, "each frame once", "leave the copy out")
         shots.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
     return shots
 
@@ -155,51 +142,49 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     the frames have different apertures.
     """
     factors = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
-    for shot in shots:
-        if shot.exposure.nd and shot.exposure.nd not in factors:
-            raise InputError(
-                shot.path,
-                f"the filter '{shot.exposure.nd}' is not in the profile",
-                f"one of its filters: {', '.join(factors) or 'none'}",
-                "add the filter as [[nd]] to the profile, or correct its name",
-            )
-    kinds = {is_jpeg(s.path) for s in shots}
-    if kinds != {profile.camera.kind == "jpeg"}:
-        got = "JPEG" if True in kinds else "raw"
-        odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
-        raise InputError(
-            odd,
-            f"a {got} frame",
-            f"{profile.camera.kind} frames, for which the profile {profile.camera.name} is",
-            "remove this frame, or name the profile of its camera",
-        )
-    apertures = profile.scale.f_numbers
-    for shot in shots:
-        if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
-            valid = ", ".join(f"f/{n:g}" for n in apertures)
-            raise InputError(
-                shot.path,
-                f"a frame with f/{shot.exposure.f_number:g}",
-                f"{valid}, because the profile's k is not calibrated for other apertures",
-                "calibrate this aperture (fieldlum calibrate scale), or capture with one of these",
-            )
-
-    first = shots[0].exposure.f_number
-    for shot in shots:
-        if abs(shot.exposure.f_number / first - 1) > _ONE_APERTURE:
-            raise InputError(
-                shot.path,
-                f"a frame with f/{shot.exposure.f_number:g} in a bracket with f/{first:g}",
-                "one aperture in a bracket",
-                "merge the frames of each aperture separately, because their light and vignetting "
-                "differ",
-            )
+    for problem in _problems(shots, profile, factors):
+        raise InputError(*problem)
 
     def collected(shot: Shot) -> float:
         e = shot.exposure
         return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (factors[e.nd] if e.nd else 1.0)
 
     return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
+
+
+def _problems(
+    shots: Sequence[Shot], profile: CameraProfile, factors: Mapping[str, float]
+) -> Iterator[tuple[Path, str, str, str]]:
+    """Yield file, finding, expectation and remedy of each frame that cannot be in the bracket."""
+    is_jpeg_profile, apertures = profile.camera.kind == "jpeg", profile.scale.f_numbers
+    first = shots[0].exposure.f_number
+    for shot in shots:
+        nd, f_number = shot.exposure.nd, shot.exposure.f_number
+        if nd and nd not in factors:
+            expected = f"one of its filters: {', '.join(factors) or 'none'}"
+            remedy = "add the filter as [[nd]] to the profile, or correct its name"
+            yield shot.path, f"the filter '{nd}' is not in the profile", expected, remedy
+        if is_jpeg(shot.path) != is_jpeg_profile:
+            found = "a raw frame" if is_jpeg_profile else "a JPEG frame"
+            expected = (
+                f"{profile.camera.kind} frames, for which the profile {profile.camera.name} is"
+            )
+            remedy = "remove this frame, or name the profile of its camera"
+            yield shot.path, found, expected, remedy
+        if apertures and min(abs(f_number / n - 1) for n in apertures) > _ONE_APERTURE:
+            valid = ", ".join(f"f/{n:g}" for n in apertures)
+            expected = f"{valid}, because the profile's k is not calibrated for other apertures"
+            remedy = (
+                "calibrate this aperture (fieldlum calibrate scale), or capture with one of these"
+            )
+            yield shot.path, f"a frame with f/{f_number:g}", expected, remedy
+        if abs(f_number / first - 1) > _ONE_APERTURE:
+            found = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
+            remedy = (
+                "merge the frames of each aperture separately, because their light and vignetting "
+                "differ"
+            )
+            yield shot.path, found, "one aperture in a bracket", remedy
 
 
 def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:

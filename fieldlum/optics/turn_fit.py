@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.statistics import MAD_TO_SIGMA
+from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights
 
 _ROUNDS = 4  # of robust weights; not measured
 _MAX_CONDITION = 1e6  # of the scaled normal matrix: beyond, edges do not determine the unknowns
@@ -60,7 +60,7 @@ def fit_turn(
             return None
         size = np.abs(solved.rest) * np.sqrt(base)
         sigma = MAD_TO_SIGMA * float(np.median(size)) + 1e-30
-        robust = base / (1.0 + (size / (2.0 * sigma)) ** 2)
+        robust = base * cauchy_weights(size, 2.0 * sigma)
     assert solved is not None
     scores = np.stack([np.bincount(block, solved.pull * c) for c in solved.columns.T])
     half = solved.inverse @ scores / scale[:, None]  # [k, blocks]
