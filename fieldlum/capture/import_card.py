@@ -16,7 +16,7 @@ from fieldlum.capture.card import (
     without_copies,
     without_edited,
 )
-from fieldlum.capture.logger_rows import adopt_rows, check_rows
+from fieldlum.capture.logger_rows import adopt_rows, logger_table, read_as
 from fieldlum.capture.match_card import (
     Group,
     Match,
@@ -111,7 +111,7 @@ def run(
             # check before the card is read, so that both are imported or none
             if logger_utc_offset_s is None:
                 logger_utc_offset_s = utc_offset_s
-            check_rows(logger, logger_utc_offset_s, columns, sensitivities)
+            read_as(logger, logger_table(logger, logger_utc_offset_s, columns, sensitivities))
         report = (
             Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
         )

@@ -59,8 +59,8 @@ def adopt_rows(
     column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read, or if
     another process logs into the session.
     """
-    table = _logger_table(path, utc_offset_s, columns, sensitivities)
-    logger_file = _read(path, table)
+    table = logger_table(path, utc_offset_s, columns, sensitivities)
+    logger_file = read_as(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
@@ -76,17 +76,7 @@ def adopt_rows(
     return Adopted(added, withdrawn, *about)
 
 
-def check_rows(
-    path: Path,
-    utc_offset_s: float | None,
-    columns: Mapping[str, str] | None = None,
-    sensitivities: Mapping[str, float] | None = None,
-) -> None:
-    """Raise InputError for a file that `adopt_rows` could not read."""
-    _read(path, _logger_table(path, utc_offset_s, columns, sensitivities))
-
-
-def _logger_table(
+def logger_table(
     path: Path,
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None,
@@ -103,7 +93,8 @@ def _logger_table(
     return table
 
 
-def _read(path: Path, table: LoggerFileTable) -> LoggerFile:
+def read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
+    """Read a logger's file in a stated way. Raises InputError for a file that cannot be read."""
     offset_s = table.get("utc_offset_s")
     return read_logger_file(
         path,
@@ -119,7 +110,7 @@ def _readable(path: Path, table: LoggerFileTable) -> Sequence[IrradianceSample]:
     Empty if the file cannot be read now.
     """
     try:
-        return _read(path, table).samples
+        return read_as(path, table).samples
     except InputError:
         return ()
 
