@@ -22,6 +22,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room as Room3d
 from fieldlum.core.records import Site
 from fieldlum.learn import models
+from fieldlum.sky.sky_view import SkyGrid, SkyView
 from fieldlum.weather import read_weather
 from fieldlum.year.glare import standards
 from fieldlum.year.predict import Annual, read_annual, read_pictures, run
@@ -128,6 +129,25 @@ def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Pat
         store.luminance_cdm2[3], found[0].prediction.luminance_cdm2[0], rtol=3e-4
     )
     assert np.datetime64(year.t_utc[3].replace(tzinfo=None)) == store.time[3].values
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_sky_view_from_elsewhere_decides_the_disc(
+    year: Annual, model: Path, weather: Path, tmp_path: Path
+) -> None:
+    """Half of the beam arrives from everywhere; workers predict with the same disc."""
+    grid = SkyGrid(90.0, -180.0, 5.0, 0.0, 18, 72)
+    full = np.ones((18, 72), np.float32)
+    view = SkyView(grid, full, 0 * full, 9 * full, 0.5 * full, 0.4 * full, 0.6 * full, 9)
+    view.write(tmp_path / "hall.exr")
+    asked = {"out": tmp_path / "y", "sky_view": tmp_path / "hall.exr"}
+    other, new = run(model, weather, **asked)
+    assert new and not run(model, weather, **asked)[1]
+    assert other.summary.disc_from == "the sky view in hall.exr"
+    assert year.summary.disc_from != other.summary.disc_from
+    light = light_of(read_weather(weather, DATA.setup.site).daylight())
+    np.testing.assert_allclose(other.hours["disc_lx"], 0.5 * light.direct_lx, rtol=1e-3, atol=1.0)
 
 
 @pytest.mark.slow

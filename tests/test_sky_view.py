@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from fieldlum.core.arrays import Floats, Indices
@@ -24,6 +26,7 @@ from fieldlum.sky.sky_view import (
 )
 from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source
 from fieldlum.sky.sky_view.pose import CameraPose
+from fieldlum.sky.sky_view.view import CHANNELS
 
 SITE = Site("place", 45.0, 8.0)
 GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south
@@ -245,6 +248,37 @@ def test_sixteen_captures_without_a_disc_show_the_sky() -> None:
     view = _view(_pictures(openness), rows=rows)
     assert (view.openness[openness == 0] == 0.0).all()
     assert (view.openness[openness == 1] > 0.9).mean() > 0.99
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("channel", "value", "about", "found"),
+    [
+        ("u", 0.1, {}, ""),
+        ("openness", 87.0, {}, "openness of 87, which is no share"),
+        ("low", 0.9, {}, "low above high"),
+        ("u", 0.1, {"frame": "camera"}, "azimuths from 'camera' instead of 'true north'"),
+        ("u", 0.1, {"height": 16}, "channels that are not 32 x 16 pixels"),
+        ("u", 0.1, {"step_deg": 12.0}, "a grid from -352 to 32 degrees"),
+        ("u", 0.1, {"format": 2}, "format 2"),
+    ],
+)
+def test_a_view_from_elsewhere_needs_frame_units_and_size(
+    tmp_path: Path, channel: str, value: float, about: dict[str, object], found: str
+) -> None:
+    """Written by OpenEXR, with format and grid alone."""
+    channels = dict.fromkeys(CHANNELS, np.full((32, 32), 0.5, np.float32))
+    channels[channel] = np.full((32, 32), value, np.float32)
+    grid = asdict(GRID) | {k: v for k, v in about.items() if k in asdict(GRID)}
+    text = json.dumps({"format": 1, **about, "grid": grid})
+    OpenEXR.File({"fieldlum:sky_view": text}, channels).write(str(tmp_path / "v.exr"))
+    if found:
+        with pytest.raises(InputError, match=f"{found}.*docs/sky-view.md"):
+            SkyView.read(tmp_path / "v.exr")
+    else:
+        view = SkyView.read(tmp_path / "v.exr")
+        assert view.captures == 0 and (view.through == 0.25).all()
+        assert disc_source(view, SiteFile(SITE), "v.exr") == "the sky view in v.exr"
 
 
 @pytest.mark.property

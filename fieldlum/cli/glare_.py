@@ -12,6 +12,7 @@ import click
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, print_table, say, write_csv
+from fieldlum.session.panorama_sun import SUN_FROM
 
 if TYPE_CHECKING:
     from fieldlum.year.glare.answers import GlareAnswer
@@ -76,9 +77,9 @@ def command(
     reference: bool = False,
     lamps: bool = False,
 ) -> None:
-    """Compute glare of panoramas and fisheyes (.exr, .hdr).
+    """Compute glare of pictures (.exr, .hdr) or of a session's captures.
 
-    A panorama is judged in ten directions unless --view-azimuth names some. A fisheye is judged in
+    A panorama is judged in ten directions unless --view-azimuth names some, a fisheye in
     its own direction, on its own pixels. If a picture cannot be read, it is reported, the others
     are judged, and the exit code is 3.
 
@@ -101,8 +102,14 @@ def command(
     if not all(math.isfinite(azimuth) for azimuth in view_azimuths):
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
     from fieldlum.core.errors import InputError
+    from fieldlum.session import open_session
     from fieldlum.year.glare.single import picture_glare
 
+    images = tuple(
+        picture
+        for path in images
+        for picture in (open_session(path).panorama_files() if path.is_dir() else [path])
+    )
     rows: list[dict[str, Any]] = []
     bad = 0
     for path in images:
@@ -157,6 +164,11 @@ def _table(answer: GlareAnswer) -> None:
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
     if "calibration_factor" in answer:
         click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
+    if (sun := answer["sun"]) is not None:
+        source = SUN_FROM.get(str(sun["origin"]), str(sun["origin"]))
+        click.echo(
+            f"  the sun's disc: {sun['normal_illuminance_lx']:.0f} lx normal to it, {source}"
+        )
     estimate = answer["melanopic_der"] != "colour"
     rows = []
     for view in answer["views"]:

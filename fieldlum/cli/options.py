@@ -68,7 +68,7 @@ SHARED: dict[str, click.Parameter] = {
         type=FILE_PATH,
         metavar="FILE",
         help="sky_view.exr that decides when the sun's disc is seen. [default: that of the "
-        "session, else estimated from the panoramas]",
+        "session or the model, else estimated from the panoramas]",
     ),
     "scheduler_text": click.Option(
         ["scheduler_text", "--scheduler", "--workers"],

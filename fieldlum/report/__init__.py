@@ -158,6 +158,7 @@ def _facts(
             ("hours predicted", f"{summary.hours}"),
             ("weather", summary.weather.name),
             ("occupied hours with a certain DGP", f"{100 * (1 - unsure):.0f} %"),
+            ("sun's disc by", summary.disc_from),
         ]
     return tuple(facts)
 

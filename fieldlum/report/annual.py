@@ -74,7 +74,11 @@ def answer(annual: Annual) -> tuple[str, str]:
         "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
         "in at most 5 % of the occupied hours. All figures are for the camera's place."
     )
-    return first, f"{contrast}{_unseen_words(rows)}{limit}"
+    place = (
+        " All of it holds for the camera's place: half a metre away, the window's edges are "
+        "elsewhere."
+    )
+    return first, f"{contrast}{_unseen_words(rows)}{limit}{place}"
 
 
 def _unseen_words(rows: Sequence[DirectionYear]) -> str:

@@ -16,6 +16,7 @@ from fieldlum.session import Session, read_journal
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.quality_csv import read_quality
 from fieldlum.session.files.suns_csv import read_suns
+from fieldlum.session.panorama_sun import SUN_FROM
 from fieldlum.sky import sun
 
 
@@ -91,21 +92,12 @@ def _sentence(session: Session, site: Site, pairs: PairsFile) -> str:
     return f"{text} Direct and diffuse irradiance were {kind}.{_sun_sentence(session)}"
 
 
-_SUN_FROM = {
-    "nd-frames": "measured through a filter",
-    "merge": "measured",
-    "meter": "computed from the illuminance meter",
-    "dni": "computed from DNI, because no exposure reached it",
-    "clipped": "only a lower bound, because no exposure reached it",
-}
-
-
 def _sun_sentence(session: Session) -> str:
     """Return where the illuminance of the sun's disc comes from; "" if no picture shows it."""
     origins = Counter(row.origin for row in read_suns(session.suns).values())
     if not origins:
         return ""
-    parts = [f"{_SUN_FROM.get(origin, origin)} in {n}" for origin, n in origins.most_common()]
+    parts = [f"{SUN_FROM.get(origin, origin)} in {n}" for origin, n in origins.most_common()]
     count = counted(origins.total(), "picture")
     return f" {count} show the sun's disc, whose illuminance was {', '.join(parts)}."
 

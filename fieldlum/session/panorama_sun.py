@@ -11,6 +11,17 @@ from fieldlum.session.files.suns_csv import SunRow, read_suns
 
 # origins with which the picture itself measured the disc
 MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")
+SUN_FROM = {
+    "nd-frames": "measured through a filter",
+    "merge": "measured",
+    "rendering": "as rendered",
+    "picture": "found in the pixels",
+    "meter": "computed from the illuminance meter",
+    "sky-view": "computed from DNI and the sky view, because no exposure reached it",
+    "dni": "computed from DNI, because no exposure reached it",
+    CLIPPED_SUN: "only a lower bound, because no exposure reached it",
+}
+"""How the illuminance of a picture's sun is known, in words, by its origin."""
 _SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
 
 

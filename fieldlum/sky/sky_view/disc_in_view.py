@@ -69,15 +69,19 @@ def drawn_discs_lx(
     return np.nan_to_num(shares) * light.direct_lx
 
 
-def disc_source(view: SkyView | None, setup: SiteFile) -> str:
-    """Return how the visibility of the sun's disc is known, as predict.json states it."""
+def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
+    """Return how the visibility of the sun's disc is known, as predict.json states it.
+
+    file: name of a sky view from elsewhere, or "".
+    """
     if view is None:
         if setup.room is None:
             return "unknown: the model has no sky view and its site no [room]; train it again"
         return "the stated room: the model has no sky view; train it again"
     filled = "; the stated room where no lens saw" if setup.room is not None else ""
     unseen = np.isnan(view.openness).any()
-    return f"the sky view of {view.captures} captures{filled if unseen else ''}"
+    source = f"in {file}" if file else f"of {view.captures} captures"
+    return f"the sky view {source}{filled if unseen else ''}"
 
 
 def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:

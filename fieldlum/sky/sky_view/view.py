@@ -27,7 +27,10 @@ CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
 # Sharp edges of coarse pictures are drawn at this size: half of the disc. Chosen.
 _FINE_DEG = 0.13
 _SHUT, _OPEN = 0.2, 0.8  # neighbours of an edge between no sky and open sky; chosen
-_EXPECTED, _REMEDY = "a sky view that fieldlum wrote", "run fieldlum pair, or fieldlum train, again"
+FRAME = "true north"  # of the grid's azimuths
+_EXPECTED = "a sky view as docs/sky-view.md describes it"
+_REMEDY = "run fieldlum pair, or fieldlum train, again"
+_ROUNDING = 1e-4  # by which shares may be outside 0 to 1; chosen
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ class SkyView:
 
         about = {
             "format": FORMAT,
+            "frame": FRAME,
             "grid": asdict(self.grid),
             "captures": self.captures,
             "pose": asdict(self.pose),
@@ -88,7 +92,10 @@ class SkyView:
 
     @classmethod
     def read(cls, path: Path) -> SkyView:
-        """Read a view. Raises InputError for a missing file or other content."""
+        """Read a view; only format, grid and the channels are needed.
+
+        Raises InputError for a missing file or other content, such as another frame or unit.
+        """
         if not path.is_file():
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
         try:
@@ -97,16 +104,17 @@ class SkyView:
                 raise ValueError(f"format {about['format']}, this fieldlum reads 1 to {FORMAT}")
             grid = SkyGrid(**about["grid"])
             arrays = {name: channels[name] for name in CHANNELS}
-            if any(array.shape != (grid.height, grid.width) for array in arrays.values()):
-                raise ValueError(f"channels that are not {grid.width} x {grid.height} pixels")
+            _check(grid, arrays, about.get("frame", FRAME))
+            stated = about.get("pose")
+            pose = CameraPose.from_table(stated) if stated else CameraPose()
             return cls(
                 grid,
                 **arrays,
-                captures=about["captures"],
-                pose=CameraPose.from_table(about["pose"]),
-                state=about["state"],
-                notes=tuple(about["notes"]),
-                inputs=about["inputs"],
+                captures=about.get("captures", 0),
+                pose=pose,
+                state=about.get("state", ""),
+                notes=tuple(about.get("notes", ())),
+                inputs=about.get("inputs", {}),
             )
         except Exception as error:  # OpenEXR raises RuntimeError, UnicodeDecodeError and others
             raise InputError(path, reason_of(error), _EXPECTED, _REMEDY) from None
@@ -157,6 +165,28 @@ class SharpView:
             for values in (self.best, self.low, self.high)
         )
         return best, low, high
+
+
+def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
+    """Raise ValueError for another frame, an impossible grid, or shares outside 0 to 1."""
+    if frame != FRAME:
+        raise ValueError(f"azimuths from {frame!r} instead of {FRAME!r}")
+    if any(array.shape != (grid.height, grid.width) for array in arrays.values()):
+        raise ValueError(f"channels that are not {grid.width} x {grid.height} pixels")
+    bottom_deg = grid.first_altitude_deg - grid.height * grid.step_deg
+    around_deg = grid.width * grid.step_deg
+    if not -91.0 < bottom_deg < grid.first_altitude_deg < 91.0 or not 0.0 < around_deg < 361.0:
+        raise ValueError(
+            f"a grid from {bottom_deg:g} to {grid.first_altitude_deg:g} degrees of altitude and "
+            f"{around_deg:g} degrees around"
+        )
+    for name in ("openness", "transmittance", "low", "high"):
+        values = arrays[name][~np.isnan(arrays[name])]
+        wrong = values[(values < -_ROUNDING) | (values > 1.0 + _ROUNDING)]
+        if len(wrong):
+            raise ValueError(f"{name} of {wrong[0]:g}, which is no share from 0 to 1")
+    if (arrays["low"] > arrays["high"] + _ROUNDING).any():
+        raise ValueError("low above high in some pixels")
 
 
 def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:

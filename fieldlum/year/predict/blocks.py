@@ -82,11 +82,12 @@ class ModelRoom:
     seen: Mask | None = None
     mirrors: tuple[Mirror, ...] = ()
     sky_view: SkyView | None = None  # None for a model of an earlier version
+    sky_view_file: str = ""  # name of a sky view in place of the model's
 
     @property
     def disc_from(self) -> str:
         """Text on how the disc's visibility is known."""
-        return disc_source(self.sky_view, self.setup)
+        return disc_source(self.sky_view, self.setup, self.sky_view_file)
 
 
 def wants_patch(config: ModelConfig) -> bool:
@@ -135,15 +136,21 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
 
 
 def blocks(
-    fitted: Fitted, room: ModelRoom, light: Light, *, progress: Progress = quiet
+    fitted: Fitted,
+    room: ModelRoom,
+    light: Light,
+    disc: Floats | None = None,
+    *,
+    progress: Progress = quiet,
 ) -> Iterator[HourBlock]:
     """Predict all hours of `light`, and yield them in blocks of 64; the last may be shorter.
 
+    disc: illuminance of the sun's disc, normal to it [n] lx; None to compute it for the room.
     Raises InputError if the size of the maps differs from that in config.json, FloatingPointError
     for luminances that are not finite.
     """
     count = len(light)
-    disc = disc_lx(room.sky_view, room.setup, light)  # [n]
+    disc = disc_lx(room.sky_view, room.setup, light) if disc is None else disc  # [n]
     for patch, rows in _patches(room, light):
         part = light[np.arange(rows.start, rows.stop)]
         prediction = fitted.predict(part, patch if room.needs_patch else None)

@@ -15,7 +15,6 @@ from fieldlum.core.scheduler import WorkUnit
 from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.session import sha256
 from fieldlum.sky.light import Light
-from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import Views, panorama_views
 from fieldlum.year.glare.metrics import DiscLight, dgp_with_disc, sun_per_lx
@@ -43,6 +42,7 @@ class _HoursJob:
     start: int
     light: Light  # of the block
     azimuths_deg: tuple[float, ...]
+    disc_lx: Floats  # [n]
     discs_lx: Floats  # [k, n]
     maps: str
     melanopic: MelanopicYear | None
@@ -79,14 +79,15 @@ def hour_units(
     model_folder: Path,
     light: Light,
     azimuths_deg: Sequence[float] | Floats,
+    disc_lx: Floats,
     discs_lx: Floats,
     maps: str,
     melanopic: MelanopicYear | None = None,
 ) -> list[WorkUnit]:
     """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
 
-    azimuths_deg: view directions, clockwise from true north; discs_lx: illuminance of the sun's
-    disc in k random draws of its visibility [k, n]; maps: folder or URL of the Zarr
+    azimuths_deg: view directions, clockwise from true north; disc_lx: illuminance of the sun's
+    disc [n]; discs_lx: in k random draws of its visibility [k, n]; maps: folder or URL of the Zarr
     store of maps, "" to write none; melanopic: colours by the captures, None without any.
     """
     model = model_folder.resolve()
@@ -94,9 +95,7 @@ def hour_units(
     folder = model if local is None else Path(os.path.commonpath([model, local]))
     name = model.relative_to(folder).as_posix()
     files = tuple(
-        f"{name}/{file}"
-        for file in ("config.json", "weights.npz", SKY_VIEW)
-        if (model / file).is_file()
+        f"{name}/{file}" for file in ("config.json", "weights.npz") if (model / file).is_file()
     )
     digest = " ".join(sha256(folder / file) for file in files)
     where = maps if local is None else local.relative_to(folder).as_posix()
@@ -104,8 +103,8 @@ def hour_units(
     units = []
     for start in range(0, len(light), BLOCK):
         rows = slice(start, min(start + BLOCK, len(light)))
-        discs = discs_lx[:, rows]
-        job = _HoursJob(name, digest, start, light[rows], azimuths, discs, where, melanopic)
+        discs = disc_lx[rows], discs_lx[:, rows]
+        job = _HoursJob(name, digest, start, light[rows], azimuths, *discs, where, melanopic)
         text = f"hours-{rows.start}-{rows.stop}"
         units.append(WorkUnit(text, predict_hours, folder, job, files=files))
     return units
@@ -118,7 +117,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     """
     ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     room = ready.room
-    (block,) = blocks(ready.fitted, room, job.light)
+    (block,) = blocks(ready.fitted, room, job.light, job.disc_lx)
     figures = view_figures(block, room, ready.views, ready.regions)
     if job.melanopic is not None:
         ev_lx = figures["ev_lx"] - figures["sun_ev_lx"]

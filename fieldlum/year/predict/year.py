@@ -14,12 +14,13 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.learn.models import load, read_config
-from fieldlum.session import Session, check_writable
+from fieldlum.session import Session, check_writable, sha256
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.light import Light, light_at
-from fieldlum.sky.sky_view.disc_in_view import drawn_discs_lx
+from fieldlum.sky.sky_view import SkyView
+from fieldlum.sky.sky_view.disc_in_view import disc_lx, drawn_discs_lx
 from fieldlum.weather import Weather, read_weather
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS
@@ -63,6 +64,7 @@ def run(
     views: int = 10,
     occupancy_path: Path | None = None,
     lamps: str = "",
+    sky_view: Path | None = None,
     force: bool = False,
     seed: int = 0,
     label_shift_min: float = 0.0,
@@ -77,8 +79,8 @@ def run(
     out: output folder; None: `default_folder`. views: number of view directions around the horizon.
     maps: also write all maps; maps_to: URL of a bucket for them, for example s3://BUCKET/FOLDER; ""
     for none. lamps: "" as in the captures; "off"; or a csv as for occupancy, with the hours in
-    which lamps that are marked in the captures are on. label_shift_min: minutes added to the times
-    of the weather file.
+    which lamps that are marked in the captures are on. sky_view: a sky_view.exr in place of the
+    model's. label_shift_min: minutes added to the times of the weather file.
 
     Raises InputError for a file, folder, URL or model that cannot be used, or if place, camera,
     room or pictures of model and session differ; NotEnoughDataError for weather without daylight or
@@ -90,6 +92,9 @@ def run(
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
+    if sky_view is not None:
+        room = replace(room, sky_view=SkyView.read(sky_view), sky_view_file=sky_view.name)
+        inputs["sky_view_sha256"] = sha256(sky_view)
     if maps_to:
         check_url(maps_to, "--maps-to", "use --maps")
         inputs["maps_to"] = maps_to
@@ -204,6 +209,7 @@ def measure(
     columns = dict.fromkeys((*VIEW_COLUMNS, *in_year))
     figures = {name: np.full((count, d), np.nan) for name in columns}
     rng = np.random.default_rng([seed, 2])
+    best_lx = disc_lx(room.sky_view, room.setup, light)  # [n]
     discs_lx = drawn_discs_lx(room.sky_view, room.setup, light, rng)  # [k, n]
     drawn = np.empty((len(discs_lx), count, d), np.float32)
     least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
@@ -214,7 +220,7 @@ def measure(
     if store is not None:
         store.create(light.t_utc, room, room.setup.site.name)
     target = store.target if store else ""
-    units = hour_units(model_folder, light, azimuths_deg, discs_lx, target, melanopic)
+    units = hour_units(model_folder, light, azimuths_deg, best_lx, discs_lx, target, melanopic)
 
     def take(outcome: UnitOutcome) -> None:
         block: HourFigures = outcome.result()
