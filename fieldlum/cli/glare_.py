@@ -12,7 +12,6 @@ import click
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, print_table, say, write_csv
-from fieldlum.session.panorama_sun import SUN_FROM
 
 if TYPE_CHECKING:
     from fieldlum.year.glare.answers import GlareAnswer
@@ -161,6 +160,8 @@ def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
 
 
 def _table(answer: GlareAnswer) -> None:
+    from fieldlum.session.panorama_sun import SUN_FROM
+
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
     if "calibration_factor" in answer:
         click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
