@@ -99,10 +99,10 @@ def from_boards(
             "take more pictures with the board in other places and tilts",
         ) from None
     if not np.isfinite(rms) or rms > _MAX_MISS_PX:
-        found = f"the residual of the lens fit is {rms:.1f} px"
+        finding = f"the residual of the lens fit is {rms:.1f} px"
         expected = f"at most {_MAX_MISS_PX:g} px"
         remedy = "take sharper pictures, with the board in more places and tilts"
-        raise InputError("chessboard", found, expected, remedy)
+        raise InputError("chessboard", finding, expected, remedy)
     corners_px = np.concatenate([np.asarray(c, float) for c in corners])
     targets = _model_rays(
         corners_px, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths)

@@ -185,9 +185,9 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
             "add readings of other colours"
         )
     if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
-        found = "a reading or a patch of the frame is zero or negative"
+        finding = "a reading or a patch of the frame is zero or negative"
         remedy = "remove its line from the csv, or use a frame with a longer exposure"
-        raise InputError(colours.frames[0], found, "readings and patches above zero", remedy)
+        raise InputError(colours.frames[0], finding, "readings and patches above zero", remedy)
     every = colours
     colours, outliers = _without_outliers(colours, profile)
     each = np.arange(len(colours.y))

@@ -252,18 +252,18 @@ def _near(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
 def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
     """Raise InputError for a lens that its own targets contradict."""
     if np.median(missed) > MISS_RADIUS * geometry.radius_px:
-        found = (
+        finding = (
             f"with the lens that fits the targets best, half of them are over "
             f"{np.median(missed):.0f} px from where it puts them"
         )
         remedy = "check the targets' signs and units, and the columns x_px and y_px"
-        raise InputError(targets.source, found, _WANTED, remedy)
+        raise InputError(targets.source, finding, _WANTED, remedy)
     if angle.max() > BEYOND * geometry.half_angle_rad:
-        found = (
+        finding = (
             f"a target is {np.degrees(angle.max()):.0f} deg from the lens axis, and the lens ends "
             f"at {np.degrees(geometry.half_angle_rad):.0f} deg"
         )
-        raise InputError(targets.source, found, _WANTED, "correct the targets, or --full-angle")
+        raise InputError(targets.source, finding, _WANTED, "correct the targets, or --full-angle")
 
 
 def _posed(targets: Targets, lens: Lens) -> Lens:

@@ -38,9 +38,9 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
         if picture is None:
-            found = "OpenCV cannot read the file as a picture"
+            finding = "OpenCV cannot read the file as a picture"
             remedy = "convert the file to JPEG or PNG, or copy it from the card again"
-            raise InputError(path, found, "a JPEG, PNG or raw frame", remedy)
+            raise InputError(path, finding, "a JPEG, PNG or raw frame", remedy)
         return np.asarray(picture, np.uint8)
     counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
     rows, columns = (n // 2 * 2 for n in counts.shape)

@@ -178,9 +178,9 @@ def _check_dark(path: Path, planes: Sequence[_Plane], profile: CameraProfile) ->
         above = float(np.percentile(plane.counts[::4, ::4], 90)) - plane.black
         noise = float(np.hypot(profile.sensor.read_noise_e / plane.gain, 1.0))
         if above > max(5 * noise, 0.01 * (profile.sensor.white_dn - plane.black)):
-            found = f"the frame is {above:.0f} DN above the black level"
+            finding = f"the frame is {above:.0f} DN above the black level"
             remedy = "put the lens cap on and take the frame again"
-            raise InputError(path, found, "a dark frame, without light", remedy)
+            raise InputError(path, finding, "a dark frame, without light", remedy)
 
 
 def _planes(mosaic: Mosaic, profile: CameraProfile) -> list[_Plane]:

@@ -52,8 +52,8 @@ def read_table(
     for number, cells in table.dicts():
         row = {n: _cell(path, number, n, text, mark) for n, text in cells.items() if text}
         if empty := [name for name in required if name not in row]:
-            found = f"an empty cell in the column {empty[0]}"
-            raise InputError(path, found, "a value in every line", "fill in the missing value")
+            finding = f"an empty cell in the column {empty[0]}"
+            raise InputError(path, finding, "a value in every line", "fill in the missing value")
         stated = {n: cell for n, cell in row.items() if cell or not optional.get(n)}
         readings.append({**optional, **stated})
     if not readings:
@@ -87,8 +87,8 @@ def _cell(path: Path, number: int, name: str, text: str, mark: str) -> Any:
     try:
         return float(text if mark == "," else text.replace(",", "."))
     except ValueError:
-        found, remedy = f"{name} is '{text}'", "write a number with a decimal point"
-        raise InputError(f"{path}:{number}", found, "a number", remedy) from None
+        finding, remedy = f"{name} is '{text}'", "write a number with a decimal point"
+        raise InputError(f"{path}:{number}", finding, "a number", remedy) from None
 
 
 def save_calibration(

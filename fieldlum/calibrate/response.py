@@ -299,9 +299,9 @@ def _pool(
     for part in parts:
         log_e = [np.log(true_shutter_s(e.shutter_s, with_law)[0] * e.iso) for e in part.exposures]
         if (count := len({round(e, 3) for e in log_e})) < 3:
-            found = f"{len(part.exposures)} frames with {count} different exposures"
+            finding = f"{len(part.exposures)} frames with {count} different exposures"
             expected = "a bracket with at least three different exposures"
-            raise InputError(part.folder, found, expected, "take a bracket with more exposures")
+            raise InputError(part.folder, finding, expected, "take a bracket with more exposures")
         exposures.append(np.array(log_e))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
     codes = np.zeros((sum(len(part.codes) for part in parts), len(grid), 3), np.uint8)
@@ -332,8 +332,8 @@ def _flat_places(paths: Sequence[Path], profile: CameraProfile, rng: np.random.G
         check_frame(path, frame.codes.shape, frame.model, profile)
         exposures.append(frame.exposure)
         if frame.exposure.f_number != exposures[0].f_number:
-            found = f"f/{frame.exposure.f_number:g}, but the first frame has another aperture"
-            raise InputError(path, found, "the frames of one bracket", "remove this frame")
+            finding = f"f/{frame.exposure.f_number:g}, but the first frame has another aperture"
+            raise InputError(path, finding, "the frames of one bracket", "remove this frame")
         around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
         blocks.append(np.stack(around, axis=1))
     codes = np.stack(blocks)  # [frames, places, 9, 3]

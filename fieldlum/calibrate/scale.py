@@ -143,8 +143,8 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
     except ValueError:
         k = math.nan
     if not 0.0 < k < math.inf:
-        found, remedy = f"the stored factor k is '{stored}'", "merge it again (fieldlum merge)"
-        raise InputError(file, found, "a number above 0", remedy)
+        finding, remedy = f"the stored factor k is '{stored}'", "merge it again (fieldlum merge)"
+        raise InputError(file, finding, "a number above 0", remedy)
     return profile.scale.k / k
 
 
@@ -216,9 +216,9 @@ def fit(
     if min(meter.min(), image.min()) <= 0:
         bad = readings[int(np.argmin(np.minimum(meter, image)))]
         unit = "cd/m2" if bad.kind == "spot" else "lx"
-        found = f"the meter reads {bad.meter:g} {unit}, the picture {bad.image:g} {unit}"
+        finding = f"the meter reads {bad.meter:g} {unit}, the picture {bad.image:g} {unit}"
         remedy = "remove this reading from the csv of readings"
-        raise InputError(bad.label, found, "values above zero", remedy)
+        raise InputError(bad.label, finding, "values above zero", remedy)
     log = np.log(meter / image)
     centre, weight = _centre(log, u)
     off = np.abs(log - centre) / np.maximum(u, MIN_OUTLIER / OUTLIER_SIGMA)
@@ -279,8 +279,8 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
             "; if a filter on the lens or white_dn causes this, first write a k near the new one "
             "under [scale] in the profile"
         )
-        found = f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k"
-        raise InputError(path, found, "readings in cd/m2 and lx", remedy)
+        finding = f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k"
+        raise InputError(path, finding, "readings in cd/m2 and lx", remedy)
     return f"{doubt}: {remedy}"
 
 

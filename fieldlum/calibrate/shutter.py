@@ -115,10 +115,10 @@ def from_session(
                 brackets.append(readings)
                 files.append(path)
     if not brackets and others:
-        found = f"{counted(others, 'panorama')} merged with another profile"
+        finding = f"{counted(others, 'panorama')} merged with another profile"
         remedy = "merge again (fieldlum merge), or name the other profile"
         raise InputError(
-            session.panoramas, found, "panoramas merged with the stated profile", remedy
+            session.panoramas, finding, "panoramas merged with the stated profile", remedy
         )
     if not brackets:
         raise NotEnoughDataError(
@@ -139,9 +139,9 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
     if profile.shutter_law != AUTO or not laws:
         return profile
     if len(laws) > 1:
-        found = f"the brackets were merged with several shutter laws: {', '.join(sorted(laws))}"
+        finding = f"the brackets were merged with several shutter laws: {', '.join(sorted(laws))}"
         remedy = 'write shutter_law = "exact" (or another) into the profile and merge again'
-        raise InputError(sidecars[0].parent, found, "one law for all brackets", remedy)
+        raise InputError(sidecars[0].parent, finding, "one law for all brackets", remedy)
     return replace(profile, shutter_law=laws.pop())
 
 

@@ -136,8 +136,8 @@ def reading(
         (Flag.CLIPPED_HIGH, "clipped (too bright)"),
     ):
         if is_flagged(picture, disc, flag):
-            found = f"the dark place {label} is {what}"
-            raise InputError(file, found, "an unclipped place inside the field", remedy)
+            finding = f"the dark place {label} is {what}"
+            raise InputError(file, finding, "an unclipped place inside the field", remedy)
     in_view = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
     use = in_view & ~inside & (light > 0)
     flux, away = (light * solid)[use], angle[use]

@@ -251,9 +251,9 @@ def _check(samples: Samples) -> None:
     bad = np.flatnonzero(~(np.isfinite(value) & (value > 0)))
     if bad.size:
         source = files[0] if files[0] == files[-1] else f"{files[0]} to {files[-1].name}"
-        found = f"the reading at {100 * r[bad[0]]:.0f} % of the half angle is {value[bad[0]]:g}"
+        finding = f"the reading at {100 * r[bad[0]]:.0f} % of the half angle is {value[bad[0]]:g}"
         remedy = "correct or remove this reading"
-        raise InputError(source, found, "linear values above zero", remedy)
+        raise InputError(source, finding, "linear values above zero", remedy)
 
 
 def _contradicting(samples: Samples) -> Mask:
@@ -288,9 +288,9 @@ def _refuse_rising(samples: Samples) -> None:
     theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
     rise = float(theta[1] / theta[0])
     if rise > RISING:
-        found = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
+        finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
         remedy = "state readings, not correction factors, of one patch in the same light"
-        raise InputError(samples.frames[0], found, "a loss towards the edge", remedy)
+        raise InputError(samples.frames[0], finding, "a loss towards the edge", remedy)
 
 
 def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:

@@ -151,11 +151,12 @@ def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
 
 def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     grey = lens_circle.grey_picture(frame)
-    found = lens_circle.circle(grey, frame)
-    new = lens_circle.circle_lens(start, found, frame)
-    line = f"lens: circle of radius {found.radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
-    figures = _figures(found, "centre_px", "radius_px", "u_px")
-    drawn = partial(pictures.of_circle, grey, found)
+    image_circle = lens_circle.circle(grey, frame)
+    new = lens_circle.circle_lens(start, image_circle, frame)
+    radius_px, u_px = image_circle.radius_px, image_circle.u_px
+    line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {u_px:.2f} px"
+    figures = _figures(image_circle, "centre_px", "radius_px", "u_px")
+    drawn = partial(pictures.of_circle, grey, image_circle)
     return new, FittedPart({}, [line], [frame], figures, drawn)
 
 
@@ -195,8 +196,8 @@ def _boards(
     boards_px = {path: at for path, at in corners.items() if at is not None}
     notes = [f"no {columns} x {rows} board found in {p}" for p in sources if p not in boards_px]
     size = (profile.camera.width_px, profile.camera.height_px)
-    found = boards.from_boards(list(boards_px.values()), columns, rows, size, tuple(boards_px))
-    return found, notes
+    places = list(boards_px.values())
+    return boards.from_boards(places, columns, rows, size, tuple(boards_px)), notes
 
 
 # ----------------------------------------------------------------------------------------------

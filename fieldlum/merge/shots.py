@@ -119,12 +119,12 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
         if not path.is_file():
             raise InputError(path, "no such file", "a raw or JPEG frame", "check the path")
         if (real := path.resolve()) in resolved:
-            found = "this frame is listed twice and would count twice"
-            raise InputError(path, found, "each frame once", "remove the repetition")
+            finding = "this frame is listed twice and would count twice"
+            raise InputError(path, finding, "each frame once", "remove the repetition")
         resolved.add(real)
         if (first := _same_content(path, [shot.path for shot in shots])) is not None:
-            found = f"the same content as {first.name}: this frame would count twice"
-            raise InputError(path, found, "each frame once", "leave the copy out")
+            finding = f"the same content as {first.name}: this frame would count twice"
+            raise InputError(path, finding, "each frame once", "leave the copy out")
         shots.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
     return shots
 
@@ -165,12 +165,12 @@ def _problems(
             remedy = "add the filter as [[nd]] to the profile, or correct its name"
             yield shot.path, f"the filter '{nd}' is not in the profile", expected, remedy
         if is_jpeg(shot.path) != is_jpeg_profile:
-            found = "a raw frame" if is_jpeg_profile else "a JPEG frame"
+            finding = "a raw frame" if is_jpeg_profile else "a JPEG frame"
             expected = (
                 f"{profile.camera.kind} frames, for which the profile {profile.camera.name} is"
             )
             remedy = "remove this frame, or name the profile of its camera"
-            yield shot.path, found, expected, remedy
+            yield shot.path, finding, expected, remedy
         if apertures and min(abs(f_number / n - 1) for n in apertures) > _ONE_APERTURE:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             expected = f"{valid}, because the profile's k is not calibrated for other apertures"
@@ -179,12 +179,12 @@ def _problems(
             )
             yield shot.path, f"a frame with f/{f_number:g}", expected, remedy
         if abs(f_number / first - 1) > _ONE_APERTURE:
-            found = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
+            finding = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
             remedy = (
                 "merge the frames of each aperture separately, because their light and vignetting "
                 "differ"
             )
-            yield shot.path, found, "one aperture in a bracket", remedy
+            yield shot.path, finding, "one aperture in a bracket", remedy
 
 
 def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:

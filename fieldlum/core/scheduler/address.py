@@ -125,6 +125,6 @@ def _tls(path: Path, table: Any) -> tuple[tuple[str, str], ...]:
             expected = f"a certificate or key file, as the table tls of {path.name} names it"
             raise InputError(file, "no such file", expected, "check the path in the table tls")
     if files["key"].stat().st_mode & 0o077:
-        found, expected = "a private key that other users can read", "a key for its owner only"
-        raise InputError(files["key"], found, expected, "run chmod 600 on it")
+        finding, expected = "a private key that other users can read", "a key for its owner only"
+        raise InputError(files["key"], finding, expected, "run chmod 600 on it")
     return tuple((names[name], str(file)) for name, file in files.items())

@@ -204,9 +204,9 @@ class Cluster(Here):
             self._worked_s = now_s
         refused = [name for name in self._threads if name in self._avoided]
         if refused and now_s - self._worked_s > REPLACED_S:
-            found = f"no usable worker is left (worker {refused[0]}: {self._avoided[refused[0]]})"
+            finding = f"no usable worker is left (worker {refused[0]}: {self._avoided[refused[0]]})"
             remedy = "finished units are stored; start the command again"
-            raise InputError(self._scheduler.address, found, remedy=remedy)
+            raise InputError(self._scheduler.address, finding, remedy=remedy)
         if now_s - self._worked_s > PATIENCE_S:
             raise NotEnoughDataError(
                 f"{self._scheduler.address}: no worker for {PATIENCE_S:.0f} s; start a worker: "
@@ -297,9 +297,9 @@ def _connect(scheduler: Scheduler) -> Any:
             name="fieldlum",
         )
     except (OSError, TimeoutError) as error:
-        found = f"no scheduler answers ({type(error).__name__})"
+        finding = f"no scheduler answers ({type(error).__name__})"
         remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
-        raise InputError(scheduler.address, found, remedy=remedy) from None
+        raise InputError(scheduler.address, finding, remedy=remedy) from None
 
 
 def _await_files(unit: WorkUnit) -> str:

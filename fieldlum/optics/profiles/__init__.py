@@ -157,12 +157,12 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
     """
     names = [nd.name for nd in profile.nd]
     if setup.filter and not (setup.filter in names and profile.bracket.nd_shutter_s):
-        found = f"no filter '{setup.filter}'"
+        finding = f"no filter '{setup.filter}'"
         if setup.filter in names:
-            found = f"no shutter times through '{setup.filter}'"
+            finding = f"no shutter times through '{setup.filter}'"
         raise InputError(
             profile.camera.name,
-            found,
+            finding,
             f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s under [bracket]",
             "correct --filter or filter under [camera] in SITE.toml, or add [[nd]] to the profile",
         )

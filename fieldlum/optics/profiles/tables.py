@@ -313,8 +313,8 @@ def _stray_problems(p: CameraProfile) -> Iterator[_Problem]:
     angles, values = p.stray.angle_deg, p.stray.per_sr
     rising = all(a < b for a, b in pairwise(angles))
     if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
-        found = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
-        yield found, "rising angles from 0 to 180, and a value for each", _CORRECT
+        finding = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
+        yield finding, "rising angles from 0 to 180, and a value for each", _CORRECT
     if not all(a >= b for a, b in pairwise(values)) or min(values, default=0.0) < 0:
         yield f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise", _CORRECT
 
@@ -324,19 +324,19 @@ def _sensor_problems(p: CameraProfile) -> Iterator[_Problem]:
     if max(p.camera.width_px, p.camera.height_px) > 100_000:
         yield "a sensor with over 100 000 pixels a side", "a possible camera", _CORRECT
     if len(black) != 4 or len(saturation) != 4:
-        found = f"[sensor] has {len(black)} values of black_dn, {len(saturation)} of saturation_dn"
-        yield found, "four values of each: R, G1, G2, B", _CORRECT
+        counts = f"{len(black)} values of black_dn, {len(saturation)} of saturation_dn"
+        yield f"[sensor] has {counts}", "four values of each: R, G1, G2, B", _CORRECT
     if not max(black) < min(*saturation, p.sensor.white_dn):
-        found = f"[sensor] black_dn = {max(black):g} is not below saturation_dn and white_dn"
-        yield found, "a black level below saturation_dn and white_dn", _CORRECT
+        finding = f"[sensor] black_dn = {max(black):g} is not below saturation_dn and white_dn"
+        yield finding, "a black level below saturation_dn and white_dn", _CORRECT
     if not rises(p.sensor.linearity):
-        found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
+        finding = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
         remedy = "calibrate it again: fieldlum calibrate linearity"
-        yield found, "corrected counts that rise with the raw counts", remedy
+        yield finding, "corrected counts that rise with the raw counts", remedy
     if abs(p.sensor.exposure_offset_s) >= 0.01:
-        found = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
+        finding = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
         remedy = "write it in seconds, or calibrate it again: fieldlum calibrate linearity"
-        yield found, "an offset in seconds, smaller than 0.01", remedy
+        yield finding, "an offset in seconds, smaller than 0.01", remedy
 
 
 def _colour_problems(p: CameraProfile) -> Iterator[_Problem]:
@@ -344,8 +344,8 @@ def _colour_problems(p: CameraProfile) -> Iterator[_Problem]:
     if radiance not in (0, 9):
         yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none", _CORRECT
     if melanopic not in (0, 3) or (melanopic and not radiance):
-        found = f"colour.melanopic_from_rgb has {melanopic} values, rgb_to_radiance {radiance}"
-        yield found, "3 values next to 9 of rgb_to_radiance, or none", _CORRECT
+        finding = f"colour.melanopic_from_rgb has {melanopic} values, rgb_to_radiance {radiance}"
+        yield finding, "3 values next to 9 of rgb_to_radiance, or none", _CORRECT
     low, high = p.response.low_code, p.response.high_code
     if not 0 <= low < high <= 255:
         yield f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255", _CORRECT
@@ -360,11 +360,11 @@ def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
         if lens.mapping != "polynomial":
             continue
         coefficients = ", ".join(f"{c:g}" for c in lens.coefficients) or "no coefficients"
-        found = f"lens '{lens.name}': polynomial of {coefficients}"
+        finding = f"lens '{lens.name}': polynomial of {coefficients}"
         try:
             angle_of_radius(lens.geometry, 1.0)
         except ValueError as error:
-            yield f"{found} ({error})", "a polynomial that rises up to the edge", remedy
+            yield f"{finding} ({error})", "a polynomial that rises up to the edge", remedy
         if abs(sum(lens.coefficients) - 1.0) > 0.02:
-            total = f"{found}, with the sum {sum(lens.coefficients):g}"
+            total = f"{finding}, with the sum {sum(lens.coefficients):g}"
             yield total, "coefficients that sum to 1", remedy

@@ -58,8 +58,8 @@ class Mosaic:
     colour_matrix: Floats | None = None
 
 
-def _damaged(path: Path, found: str, expected: str) -> InputError:
-    return InputError(path, found, expected, "copy the file from the card again")
+def _damaged(path: Path, finding: str, expected: str) -> InputError:
+    return InputError(path, finding, expected, "copy the file from the card again")
 
 
 def _check_strips(path: Path) -> None:

@@ -75,11 +75,11 @@ def read_campaign(path: Path) -> CampaignFile:
     names = [room.session for room in rooms]
     for number, name in enumerate(names, start=1):
         if not name:
-            found, remedy = f"[[room]] {number} has no session", "add session = FOLDER to it"
-            raise InputError(path, found, _EXPECTED, remedy)
+            finding, remedy = f"[[room]] {number} has no session", "add session = FOLDER to it"
+            raise InputError(path, finding, _EXPECTED, remedy)
         if names.count(name) > 1:
-            found, remedy = f"session {name} occurs twice", "remove one of its [[room]] tables"
-            raise InputError(path, found, "each session once", remedy)
+            finding, remedy = f"session {name} occurs twice", "remove one of its [[room]] tables"
+            raise InputError(path, finding, "each session once", remedy)
     return CampaignFile(path, str(table.get("name", path.stem)), rooms)
 
 
