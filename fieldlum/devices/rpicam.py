@@ -11,7 +11,6 @@ Source: rpicam-apps (options, the metadata's keys, the list of cameras). Unteste
 from __future__ import annotations
 
 import errno
-import json
 import math
 import os
 import re
@@ -19,10 +18,12 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from fieldlum.core.errors import DeviceError, reason_of
+from msgspec import Meta, Struct, field, json
+
+from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, shutter_text
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.clock import Clock
@@ -42,16 +43,21 @@ DISCARDED_FRAMES = 7.0
 GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
 _MIN_FILE_BYTES = 100_000  # bytes: a raw frame of the smallest module has over a million; chosen
+_Positive = Annotated[float, Meta(gt=0.0)]
 _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 
-@dataclass(frozen=True, slots=True)
-class FrameMetadata:
-    """What rpicam-still reports about a frame: shutter time [s] and the factors of two gains."""
+class FrameMetadata(Struct, frozen=True):
+    """What rpicam-still reports about a frame: shutter time [us] and the factors of two gains."""
 
-    shutter_s: float
-    analogue_gain: float
-    digital_gain: float
+    shutter_us: _Positive = field(name="ExposureTime")
+    analogue_gain: _Positive = field(name="AnalogueGain")
+    digital_gain: _Positive = field(default=1.0, name="DigitalGain")
+
+    @property
+    def shutter_s(self) -> float:
+        """Shutter time [s]."""
+        return self.shutter_us * 1e-6
 
     def exposure(self, asked: Exposure) -> Exposure:
         """Return the exposure that the sensor took; aperture and filter are those of `asked`.
@@ -69,20 +75,12 @@ def parse_metadata(text: str) -> FrameMetadata:
     Raises DeviceError for any other text, and for numbers that are not above 0 and finite.
     """
     try:
-        table = json.loads(text)
-        values = [float(table[key]) for key in ("ExposureTime", "AnalogueGain")]
-        digital = float(table.get("DigitalGain", 1.0))
-    except (ValueError, KeyError, TypeError) as error:
+        return json.decode(text, type=FrameMetadata)
+    except (ValueError, RecursionError) as error:
         raise DeviceError(
-            f"rpicam: the metadata of the frame cannot be used: {reason_of(error)[:120]}; expected "
-            "JSON with ExposureTime and AnalogueGain; install a newer rpicam-apps"
+            f"rpicam: the metadata of the frame cannot be used: {str(error)[:120]}; expected JSON "
+            "with ExposureTime and AnalogueGain above 0; install a newer rpicam-apps"
         ) from None
-    if not all(math.isfinite(v) and v > 0 for v in (*values, digital)):
-        raise DeviceError(
-            f"rpicam: impossible metadata: an exposure of {values[0]:g} us at gain {values[1]:g}; "
-            "expected numbers above 0; install a newer rpicam-apps"
-        )
-    return FrameMetadata(values[0] * 1e-6, values[1], digital)
 
 
 def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
