@@ -142,8 +142,8 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     the frames have different apertures.
     """
     factors = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
-    for problem in _problems(shots, profile, factors):
-        raise InputError(*problem)
+    for path, finding, expected, remedy in _problems(shots, profile, factors):
+        raise InputError(path, finding, expected, remedy)
 
     def collected(shot: Shot) -> float:
         e = shot.exposure

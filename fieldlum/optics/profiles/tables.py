@@ -269,8 +269,9 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         _colour_problems,
         _stray_problems,
     )
-    for problem in chain.from_iterable(check(profile) for check in checks):
-        raise InputError(where, *problem)
+    problems = chain.from_iterable(check(profile) for check in checks)
+    for finding, expected, remedy in problems:
+        raise InputError(where, finding, expected, remedy)
 
 
 def _range_problems(p: CameraProfile) -> Iterator[_Problem]:
