@@ -37,8 +37,8 @@ from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.predict import run as predict
-from fieldlum.year.predict.block_figures import view_figures
 from fieldlum.year.predict.blocks import blocks, room_of
+from fieldlum.year.predict.hours_unit import view_figures
 from fieldlum.year.predict.year import light_of
 
 DAYS = ("2027-03-19", "2027-03-21", "2027-05-02", "2027-06-21", "2027-09-24", "2027-10-20")

@@ -16,7 +16,8 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
 from fieldlum.optics.profiles import save_profile
-from fieldlum.plan import calendar, choose, coming, makeup
+from fieldlum.plan import choose, coming, makeup
+from fieldlum.plan import sheet as calendar
 from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
 from fieldlum.plan.days import DaylightHours, daylight_hours, set_days, span
 from fieldlum.session import Journal, create_session, open_session

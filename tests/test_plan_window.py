@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.core.records import Obstruction, Room, Window
-from fieldlum.plan.window import sun_enters, sun_in_view
+from fieldlum.plan import sun_enters, sun_in_view
 
 SOUTH = Window("south", left_m=1.0, width_m=4.0, sill_m=1.0, height_m=2.0)
 

@@ -222,7 +222,7 @@ def test_maps_in_a_bucket_open_only_when_complete(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("fieldlum.year.predict.maps_bucket.add_hours", killed)
+        patched.setattr("fieldlum.year.predict.maps.add_hours", killed)
         with pytest.raises(KeyboardInterrupt):
             run(model, weather, out=tmp_path, maps_to=url)
     with pytest.raises(FileNotFoundError):
@@ -378,8 +378,8 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """A map known exactly leaves only the disc's share."""
     from fieldlum.learn.models import Prediction
     from fieldlum.year.glare import panorama_views
-    from fieldlum.year.predict.block_figures import U_DISC, relative_uncertainty
     from fieldlum.year.predict.blocks import HourBlock
+    from fieldlum.year.predict.hours_unit import U_DISC, relative_uncertainty
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)

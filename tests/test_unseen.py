@@ -41,7 +41,7 @@ from fieldlum.year.glare.unseen import (
     unseen_dgp_bounds,
     view_coverage,
 )
-from fieldlum.year.predict.pictures import telling_hours
+from fieldlum.year.predict.year import telling_hours
 
 HEIGHT, HEADING_DEG = 16, 180.0
 LENS = LensGeometry((0.0, 0.0), 100.0, 180.0, "equidistant")

@@ -25,7 +25,7 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
-from fieldlum.plan.extra import EXTRA, add_extra
+from fieldlum.plan.makeup import EXTRA, add_extra
 from fieldlum.session import (
     Journal,
     Session,

@@ -91,7 +91,7 @@ class RoomModel:
         from fieldlum.year.glare.contrast import ViewRegions
         from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
         from fieldlum.year.predict.annual import dataset_of
-        from fieldlum.year.predict.block_figures import hour_figures, view_figures
+        from fieldlum.year.predict.hours_unit import hour_figures, view_figures
 
         room = self.room
         size = (room.height, room.width, room.heading_deg)

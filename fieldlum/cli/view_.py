@@ -60,7 +60,7 @@ def command(
             say(f"fieldlum view: {error}")
     rows = [region_statistics(region, picture) for picture in pictures for region in regions]
     if pictures and out.suffix.lower() == ".png":
-        from fieldlum.report.view.false_colour import write_png
+        from fieldlum.report.view.page import write_png
 
         write_png(out, pictures, regions, isolines)
     elif pictures:

@@ -19,8 +19,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import direction
 from fieldlum.sky import sun
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
-from fieldlum.weather.label_shift import label_notes
-from fieldlum.weather.plausibility import check_hourly, check_sense
+from fieldlum.weather.plausibility import check_hourly, check_sense, label_notes
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
 SYNTHETIC = "synthetic"  # used in place of a path: a synthetic year of the site

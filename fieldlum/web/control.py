@@ -20,7 +20,7 @@ from starlette.routing import Route
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable
-from fieldlum.plan.extra import add_extra
+from fieldlum.plan.makeup import add_extra
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
 from fieldlum.web.request_body import json_body
 

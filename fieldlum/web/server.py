@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -16,15 +18,47 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.session import Session
 from fieldlum.web.access import SECURITY_HEADERS, Access
 from fieldlum.web.answer import Worker, answer_table
-from fieldlum.web.connections import MAX_CONNECTIONS, PatientProtocol
 from fieldlum.web.control import Control, control_routes
 from fieldlum.web.pictures import picture_png, scale_png
 from fieldlum.web.snapshot import Snapshots, is_slot_id
+
+MAX_CONNECTIONS = 64  # bounds the open files; not measured
+_REQUEST_S = 5.0  # for the headers of the first request; a phone on slow Wi-Fi needs under one
+
+
+class PatientProtocol(H11Protocol):
+    """A connection that is closed if its first request is not complete after five seconds.
+
+    If there is no place for a new connection, the oldest one without a request is closed. Refused
+    requests end their connection, so that only requests with the token keep a place.
+    """
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Accept a connection, if necessary in the place of a silent one."""
+        self._began_s = time.monotonic()
+        silent = [c for c in self.connections if isinstance(c, PatientProtocol) and c._silent]
+        if len(self.connections) >= MAX_CONNECTIONS - 1 and silent:
+            oldest = min(silent, key=lambda connection: connection._began_s)
+            oldest.connections.discard(oldest)
+            oldest.transport.abort()
+        super().connection_made(transport)
+        self.loop.call_later(_REQUEST_S, self._end_if_silent)
+
+    @property
+    def _silent(self) -> bool:
+        """Whether no request arrived yet with all its headers."""
+        return self.cycle is None
+
+    def _end_if_silent(self) -> None:
+        if self._silent:
+            self.transport.abort()
+
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture import doctor
+from fieldlum.capture.utc_clock import boot_id
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, Slot, parse_utc, slot_id, utc_text
 from fieldlum.plan.coverage import sun_band_percent
@@ -20,12 +23,119 @@ from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.ledger import SETTLED
 from fieldlum.session.makeups import made_up_for
+from fieldlum.session.tables import JournalEvent
 from fieldlum.web.answer import Moment
 from fieldlum.web.day_curve import day_curve
 from fieldlum.web.follow import IrradianceFollower, JournalFollower, JournalState
 from fieldlum.web.pictures import scale_of
-from fieldlum.web.this_computer import battery, is_running
-from fieldlum.web.words import event_words
+
+Level = Literal["info", "warn", "fail"]
+
+# Events that are no news on a page: the plan's calendar shows outcomes.
+_SILENT = frozenset({"imported", "withdrawn"})
+_WORDS: dict[str, tuple[Level, str]] = {
+    "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
+    "missed": ("fail", "Bracket {slot} was not taken: {reason}."),
+    "aborted": ("fail", "Bracket {slot} was ended before it was complete: {reason}."),
+    "device-lost": ("fail", "The {device} stopped answering ({why}). The capture tries it again."),
+    "device-back": ("info", "The {device} answers again after {away}."),
+    "bad-reading": ("warn", "The {device} gave a reading that cannot be used: {why}."),
+    "clock-step": (
+        "warn",
+        "The computer's clock jumped by {jump} s; the new time was {accepted}accepted.",
+    ),
+    "suspend": ("warn", "The computer slept for {slept}."),
+    "disk-full": ("fail", "The disk is full: {free_mb} MB are free."),
+    "late": ("info", "Bracket {slot} began {late_s} s late."),
+    "hook": ("info", "Two brackets in a row are missing: the command of --on-misses was run."),
+    "hook-failed": ("warn", "The command of --on-misses failed: {why}."),
+    "display-lost": ("info", "The terminal of the capture was closed; the capture continues."),
+    "open": ("info", "The capture was started."),
+    "close": ("info", "The capture was ended."),
+    "marked": ("info", "Bracket {slot} was marked: {state}."),
+    "paused": ("warn", "The capture was paused until {until_utc}."),
+    "resumed": ("info", "The pause was ended."),
+    "note": ("info", "Note: {text}"),
+}
+
+
+def event_words(event: JournalEvent) -> tuple[Level, str] | None:
+    """Return the level ("info", "warn" ...) and the sentence of an event of the journal.
+
+    None for an event that needs no attention, such as a bracket done without a doubt. The sentence
+    of an unknown kind of event is the name of the kind, its level "info".
+    """
+    kind, why = event["event"], event.get("why", "")
+    if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
+        return None
+    if kind not in _WORDS:
+        return "info", kind
+    level, sentence = _WORDS[kind]
+    return level, sentence.format(
+        slot=event.get("slot", ""),
+        why=why,
+        reason=why or "no reason recorded",
+        device=event.get("device", "a device"),
+        away=_duration(event.get("after_s")),
+        slept=_duration(event.get("seconds")),
+        jump=f"{event.get('seconds', 0.0):+.0f}",
+        accepted="" if event.get("followed") else "not ",
+        free_mb=f"{event.get('bytes_free', 0) / 1e6:.0f}",
+        late_s=f"{event.get('by_s', 0.0):.0f}",
+        state=event.get("state", ""),
+        until_utc=event.get("until_utc", ""),
+        text=event.get("text", ""),
+    )
+
+
+def _duration(seconds: float | None) -> str:
+    value = seconds or 0.0
+    if value < 120:
+        return f"{value:.0f} s"
+    return f"{value / 60:.0f} min" if value < 7200 else f"{value / 3600:.1f} h"
+
+
+def is_running(journal: JournalState) -> bool | None:
+    """Return whether the capture that the journal shows as open runs on this computer.
+
+    False without an open one, or if it began before this boot or on another computer. None if that
+    cannot be determined.
+    """
+    if journal.opened is None:
+        return False
+    if journal.opened.get("boot_id") not in ("", None, boot_id()):
+        return False
+    if sys.platform == "win32":  # os.kill(pid, 0) would end the process there
+        return None
+    try:
+        os.kill(int(journal.opened.get("pid", 0)) or -1, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, ValueError, OverflowError):
+        return None
+    return True
+
+
+def battery() -> JsonTable | None:
+    """Return {"percent", "mains"} of this computer's battery (Linux); None where there is none.
+
+    mains: whether it has external power; the key is absent where that is unknown.
+    """
+    percent: int | None = None
+    mains: bool | None = None
+    for supply in sorted(Path("/sys/class/power_supply").glob("*")):
+        try:
+            kind = (supply / "type").read_text().strip()
+            if kind == "Battery" and (supply / "capacity").is_file():
+                percent = int((supply / "capacity").read_text())
+            elif kind in ("Mains", "USB") and (supply / "online").is_file():
+                mains = (supply / "online").read_text().strip() == "1" or bool(mains)
+        except (OSError, ValueError):
+            continue
+    if percent is None:
+        return None
+    return {"percent": percent} if mains is None else {"percent": percent, "mains": mains}
+
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
 _EVENTS_SHOWN = 25  # not measured: about a screen

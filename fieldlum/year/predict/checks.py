@@ -18,7 +18,7 @@ from fieldlum.version import __version__
 from fieldlum.weather import SYNTHETIC
 from fieldlum.year.predict.annual import Annual, read_annual
 from fieldlum.year.predict.blocks import ModelRoom
-from fieldlum.year.predict.maps_bucket import is_complete
+from fieldlum.year.predict.maps import is_complete
 from fieldlum.year.predict.occupancy import Occupancy
 
 
