@@ -158,7 +158,7 @@ def colour(
     corners: str | None = None,
     cct_k: Annotated[float | None, click.FloatRange(4000, 25_000)] = None,
 ) -> None:
-    """Fit luminance and melanopic light from camera R, G, B, by spot readings or a chart.
+    """Fit luminance and melanopic light by spot readings or a chart.
 
     SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours, and
     optionally melanopic_cdm2 of a spectrometer. FRAME shows a 24-patch chart in even light.
