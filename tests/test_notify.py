@@ -189,11 +189,12 @@ def test_a_day_without_network_loses_nothing(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_a_service_that_hangs_delays_nobody(tmp_path: Path) -> None:
     release = threading.Event()
-    outbox = Outbox(lambda message: release.wait(10.0), tmp_path / "outbox.jsonl")
+    outbox = Outbox(lambda message: not release.wait(10.0), tmp_path / "outbox.jsonl")
     for number in range(600):
         outbox.put(Message(str(number), ""))  # returns while the service hangs
     assert outbox.close(patience_s=0.05) == 500
     release.set()
+    outbox.close()  # its thread would write into the folders of later tests
 
 
 # What is reported

@@ -6,7 +6,6 @@ v2.1. If the file format is raw+ (Z1), the DNG of a single picture is copied, el
 
 from __future__ import annotations
 
-import json
 import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
+
+from msgspec import json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
@@ -236,7 +237,7 @@ class ThetaCamera:
 
     def _post(self, path: str, body: Mapping[str, object]) -> Reply:
         headers = {"Content-Type": "application/json;charset=utf-8", "Accept": "application/json"}
-        request = urllib.request.Request(self._address + path, json.dumps(body).encode(), headers)
+        request = urllib.request.Request(self._address + path, json.encode(body), headers)
         return _json(self._http(request, self._timeout_s))
 
     def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
@@ -271,15 +272,12 @@ class ThetaCamera:
 
 def _json(body: bytes) -> Reply:
     try:
-        reply = json.loads(body)
-    except ValueError:
-        reply = None
-    if not isinstance(reply, dict):
+        return json.decode(body, type=Reply)
+    except (ValueError, RecursionError):
         raise DeviceError(
             f"theta: the camera answered {body[:40]!r}; expected a JSON object; check that the "
             "address in the URI is that of the Theta, and restart it"
-        )
-    return reply
+        ) from None
 
 
 def _error_text(reply: Reply) -> str:
