@@ -18,7 +18,20 @@ CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]
 Above0 = Annotated[float, click.FloatRange(min=0, min_open=True)]
 Port = Annotated[int, click.IntRange(0, 65535)]
 Year = Annotated[int | None, click.IntRange(1950, 2100)]
-DAY = click.DateTime(["%Y-%m-%d"])
+
+
+class _Day(click.DateTime):
+    """A date as YYYY-MM-DD."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the date at midnight. Raises click.BadParameter for another text."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"'{value}' is no date; write YYYY-MM-DD, such as 2027-03-20", param, ctx)
+
+
+DAY = _Day(["%Y-%m-%d"])
 
 DEVICES = {
     "camera": "For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",

@@ -8,6 +8,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core.arrays import Floats32
 from fieldlum.core.false_colour import coloured, png_of
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
@@ -72,7 +73,7 @@ def answer(annual: Annual) -> tuple[str, str]:
     )
     limit = (
         "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
-        "in at most 5 % of the occupied hours. All figures are for the camera's place."
+        "in at most 5 % of the occupied hours."
     )
     place = (
         " All of it holds for the camera's place: half a metre away, the window's edges are "
@@ -292,10 +293,12 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     shown = []
     for k in single:
         row = int(pictures.rows[k])
-        image = png_of(coloured(pictures.luminance_cdm2[k]))
-        heading = named(pictures.heading_deg)
+        azimuth_deg = float(pictures.kinds[k].split()[-1])
+        turned = turned_map(pictures.luminance_cdm2[k], pictures.heading_deg, azimuth_deg)
+        image = png_of(coloured(turned))
         caption = (
-            f"{_spoken(pictures.kinds[k])}: {_when(annual, row, zone)}. The middle faces {heading}."
+            f"{_spoken(pictures.kinds[k])}: {_when(annual, row, zone)}. The middle faces "
+            f"{named(azimuth_deg)}."
         )
         shown.append(png_figure(image, f"False-colour panorama, {caption}", caption))
     scale = svg_figure(
@@ -319,6 +322,12 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
         )
         rows.append(Row((strip,), "A clear day"))
     return Section("looks", "What it looks like", "", tuple(rows))
+
+
+def turned_map(luminance_cdm2: Floats32, heading_deg: float, azimuth_deg: float) -> Floats32:
+    """Return a panorama [H, W] whose middle faces `azimuth_deg` instead of `heading_deg`."""
+    columns = round((heading_deg - azimuth_deg) / 360.0 * luminance_cdm2.shape[1])
+    return np.roll(luminance_cdm2, columns, axis=1)
 
 
 def _spoken(kind: str) -> str:

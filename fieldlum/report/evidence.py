@@ -84,8 +84,8 @@ def _agreement_rows(held: HeldOutMaps) -> tuple[Row, ...]:
         (
             svg_figure(
                 contrast_levels_svg(true_levels, guess_levels),
-                "Mean local contrast of measured and predicted maps at five pyramid levels.",
-                "Local contrast per pyramid level, disc included.",
+                "Mean local contrast of measured and predicted maps at five sizes of detail.",
+                "Local contrast by size of detail, disc included.",
             ),
             svg_figure(
                 agreement_svg(true_levels.mean(axis=1), guess_levels.mean(axis=1), "RAMMG, cd/m²"),

@@ -298,7 +298,8 @@ def agreement_svg(measured: Floats, predicted: Floats, quantity: str) -> str:
         axes.plot(span, span, color=PALE, lw=1)
         axes.scatter(x, y, s=8, c=PREDICTED, alpha=0.5, lw=0)
         axes.set(xlabel=f"{quantity}, measured", ylabel=f"{quantity}, predicted", aspect="equal")
-        axes.set_title(f"r² = {r2:.3f}, n = {len(x)}", fontsize=9, loc="left")
+        known = "" if np.isnan(r2) else f"r² = {r2:.3f}, "
+        axes.set_title(f"{known}n = {len(x)}", fontsize=9, loc="left")
         return _svg(figure)
 
 
@@ -331,6 +332,10 @@ def contrast_levels_svg(measured: Floats, predicted: Floats) -> str:
         axes.plot(
             levels, predicted.mean(axis=0), color=PREDICTED, marker="s", ls="--", label="predicted"
         )
-        axes.set(xlabel="pyramid level", ylabel="local contrast, cd/m²", xticks=levels)
+        axes.set(
+            xlabel="detail: 0 one pixel, 4 sixteen pixels",
+            ylabel="local contrast, cd/m²",
+            xticks=levels,
+        )
         axes.legend()
         return _svg(figure)
