@@ -115,7 +115,7 @@ def _exr(path: Path, part: str) -> Facts:
         **heading,
         "t_utc": utc_text(picture.t_utc) if picture.t_utc else "",
         "median_cdm2": round(float(np.median(values)), 3),
-        "max_cdm2": round(float(values.max()), 1),
+        "largest_cdm2": round(float(values.max()), 1),
         "flagged_percent": round(flagged, 2),
         "sun": str(picture.sun) if picture.sun else "none",
         **picture.attributes,
@@ -134,7 +134,7 @@ def _radiance(path: Path) -> Facts:
         "size": _size(image.rgb),
         "view": image.view or ("equirect" if kind == "panorama" else "missing"),
         "median_cdm2": round(float(np.median(image.luminance_cdm2)), 3),
-        "max_cdm2": round(float(image.luminance_cdm2.max()), 1),
+        "largest_cdm2": round(float(image.luminance_cdm2.max()), 1),
     }
 
 
