@@ -66,7 +66,6 @@ def test_a_sound_session_passes(tmp_path: Path) -> None:
     assert (
         _verdicts(found)["plan"] == _verdicts(found)["disk"] == _verdicts(found)["writing"] == "ok"
     )
-    assert any("forward 1 h on 2027-03-14" in finding.text for finding in found)
     assert not list((tmp_path / "s").glob(".doctor*"))
 
 
