@@ -22,8 +22,7 @@ import numpy as np
 
 from fieldlum.optics.images import radiance_program
 from fieldlum.year.glare.own_pixels import glare_of_pixels, weighted_sum
-from fieldlum.year.glare.picture_grid import picture_grid
-from fieldlum.year.glare.picture_view import picture_rays
+from fieldlum.year.glare.picture_view import picture_grid, picture_rays
 from fieldlum.year.glare.pictures import read_picture
 from fieldlum.year.glare.reference import FLAGS, reference_glare_of_file, reference_version
 

@@ -14,8 +14,7 @@ from fieldlum.cli import main
 from fieldlum.core.records import SunSource
 from fieldlum.optics.images import write_radiance_hdr
 from fieldlum.year.glare.own_pixels import disc_pixels, glare_of_pixels, region_ratios
-from fieldlum.year.glare.picture_grid import picture_grid
-from fieldlum.year.glare.picture_view import PictureView, parse_view, picture_rays
+from fieldlum.year.glare.picture_view import PictureView, parse_view, picture_grid, picture_rays
 from fieldlum.year.glare.reference import reference_glare_of_file
 from fieldlum.year.glare.single import picture_glare
 

@@ -32,8 +32,7 @@ from fieldlum.optics.projection import (
 from fieldlum.report import annual as annual_page
 from fieldlum.year import predict
 from fieldlum.year.glare import glare_directions, panorama_views
-from fieldlum.year.glare.picture_grid import picture_grid
-from fieldlum.year.glare.picture_view import parse_view
+from fieldlum.year.glare.picture_view import parse_view, picture_grid
 from fieldlum.year.glare.single import picture_glare
 from fieldlum.year.glare.unseen import (
     brightest_cdm2,

@@ -41,8 +41,13 @@ def command(
       --isolines: Draw lines at 1, 10, 100 ... cd/m2 into the PNG.
     """
     from fieldlum.core.errors import InputError
-    from fieldlum.report.view.measured_picture import MeasuredPicture, read_measured_picture
-    from fieldlum.report.view.regions import COLUMNS, parse_region, region_statistics
+    from fieldlum.report.view.measured_picture import (
+        COLUMNS,
+        MeasuredPicture,
+        parse_region,
+        read_measured_picture,
+        region_statistics,
+    )
 
     files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")

@@ -95,6 +95,17 @@ EVEN_COUNT = 200
 BEST_COUNT = 50
 
 
+_NO_WINDOW = (
+    "the [room] has no [[room.window]]: no daylight enters, a simulation is black and glare is 0; "
+    "state its windows, or leave [room] out"
+)
+
+
+def is_windowless(room: Room | None) -> bool:
+    """Return whether a room is a box without a window."""
+    return room is not None and room.kind == "box" and not room.window
+
+
 class PlannedSession(NamedTuple):
     """The session and the plan that `run` wrote."""
 
@@ -148,6 +159,7 @@ def make_plan(
             *assumed_texts(setup.camera),
             *(text for text in (uncalibrated_text(profile), blind, sun_text(slots)) if text),
             *plan_warnings(days, chosen, site, request),
+            *([_NO_WINDOW] if is_windowless(setup.room) else []),
             *(weather.repairs if weather else ()),
         ),
     )

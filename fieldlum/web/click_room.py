@@ -25,8 +25,8 @@ from fieldlum.room.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
+from fieldlum.web.access import json_body
 from fieldlum.web.pictures import scale_of
-from fieldlum.web.request_body import json_body
 from fieldlum.web.server import picture_routes, static_route
 
 _PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel; chosen

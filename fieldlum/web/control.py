@@ -22,7 +22,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable
 from fieldlum.plan.makeup import add_extra
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
-from fieldlum.web.request_body import json_body
+from fieldlum.web.access import json_body
 
 _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 

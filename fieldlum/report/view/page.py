@@ -15,8 +15,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats32
 from fieldlum.core.false_colour import COLOUR_MAP, colour_table
 from fieldlum.core.records import JsonTable
-from fieldlum.report.view.measured_picture import MeasuredPicture
-from fieldlum.report.view.regions import Region, region_mask, shared_scale
+from fieldlum.report.view.measured_picture import MeasuredPicture, Region, region_mask, shared_scale
 
 _INCHES, _DPI = 6.4, 150  # 960 pixels wide
 _MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size; chosen

@@ -15,8 +15,13 @@ from fieldlum.year.glare.contrast import BAND_DEG, TASK_RADIUS_DEG, WINDOW_CDM2
 from fieldlum.year.glare.fisheye import SUN_RADIUS_RAD
 from fieldlum.year.glare.geometry import angles_from_view, position_index
 from fieldlum.year.glare.metrics import combine, sums_of_sources
-from fieldlum.year.glare.picture_grid import PictureGrid, centres, row_blocks
-from fieldlum.year.glare.picture_view import PictureView, picture_rays
+from fieldlum.year.glare.picture_view import (
+    PictureGrid,
+    PictureView,
+    centres,
+    picture_rays,
+    row_blocks,
+)
 from fieldlum.year.glare.sources import PEAK_CDM2, SOURCE_CDM2, group_pixels
 
 # Rows of a panorama of directions on which bright pixels are grouped: 0.25 degrees, a twentieth of

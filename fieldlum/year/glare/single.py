@@ -31,7 +31,7 @@ from fieldlum.year.glare.fisheye import panorama_to_fisheye
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS, glare_directions
 from fieldlum.year.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels, region_ratios
-from fieldlum.year.glare.picture_grid import PictureGrid, picture_grid
+from fieldlum.year.glare.picture_view import PictureGrid, picture_grid
 from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.reference import reference_glare
 from fieldlum.year.glare.unseen import (

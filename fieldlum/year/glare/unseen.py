@@ -22,8 +22,7 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.year.glare.geometry import Views, angles_from_view, panorama_views, position_index
 from fieldlum.year.glare.metrics import dgp
-from fieldlum.year.glare.picture_grid import PictureGrid, centres, row_blocks
-from fieldlum.year.glare.picture_view import picture_rays
+from fieldlum.year.glare.picture_view import PictureGrid, centres, picture_rays, row_blocks
 from fieldlum.year.glare.sources import SOURCE_CDM2
 
 # Share of the seen solid angle that is brighter than the brightest likely luminance: a window pane
