@@ -130,7 +130,7 @@ def click_corners(
       fieldlum scene click office-2027 --csv corners.csv --camera-height 1.42
 
     Options:
-      --slot: Panorama to click on. [default: the newest]
+      --slot: Panorama to click on. [default: that with the highest sun]
       --csv FILE: Read corners from a csv of kind,window,x_px,y_px instead of a page.
       --camera-height M: Height of the lens above the floor, the only length needed.
           [default: the session's]

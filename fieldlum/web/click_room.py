@@ -45,7 +45,7 @@ class ClickedPicture:
 
     @classmethod
     def of(cls, session: Session, slot: str = "") -> ClickedPicture:
-        """Return the panorama of a slot, or of "" the newest.
+        """Return the panorama of a slot, or of "" the one with the highest sun.
 
         Raises InputError if it does not exist.
         """
@@ -65,7 +65,8 @@ class ClickedPicture:
                 f"a slot such as {files[-1].stem}",
                 "see panoramas/",
             )
-        path = chosen or files[-1]
+        heights_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
+        path = chosen or max(files, key=lambda file: heights_deg.get(file.stem, -90.0))
         panorama = read_panorama(path)
         height, width = panorama.luminance_cdm2.shape
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
