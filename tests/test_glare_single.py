@@ -24,7 +24,7 @@ from fieldlum.year.glare.contrast import (
     rammg_lightness,
 )
 from fieldlum.year.glare.pictures import parse_view, read_picture
-from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.single import panorama_glare, picture_glare
 
 SOUTH = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 
@@ -279,3 +279,17 @@ def test_more_light_than_the_sun_gives_is_reported(tmp_path: Path) -> None:
         write_radiance_hdr(path, np.full((60, 60), level_cdm2), view=SOUTH)
         warnings = picture_glare(path)["warnings"]
         assert sum("more than sun and sky give" in text for text in warnings) == count
+
+
+@pytest.mark.contract
+def test_a_metric_of_the_registry_is_in_every_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One entry is enough for `glare --json`, `glare --csv` and a year."""
+    from fieldlum.cli.glare_ import csv_columns
+    from fieldlum.year.glare import metrics
+
+    metric = metrics.Metric(lambda view: view.ev_lx / 1000.0, in_year=True)
+    monkeypatch.setitem(metrics.METRICS, "ev_klx", metric)
+    panorama = Panorama(np.full((16, 32), 300.0, np.float32), 180.0)
+    view = panorama_glare(panorama, [90.0])["views"][0]
+    assert view["ev_klx"] == pytest.approx((view["ev_lx"] or 0.0) / 1000.0)  # type: ignore[typeddict-item]
+    assert csv_columns()[-1] == "ev_klx"
