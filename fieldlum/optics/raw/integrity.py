@@ -53,7 +53,7 @@ def unreadable(path: Path, *, camera_pixels: int = 0) -> str:
         else:  # a lens without electronics is no fault of the file
             read_mosaic(path, lens_f_number=1.0)
     except InputError as error:
-        return error.finding
+        return error.found
     except OSError as error:
         return error.strerror or str(error)
     return ""
