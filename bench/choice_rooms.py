@@ -29,10 +29,8 @@ from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.held_out_choice import CRITERIA
 from fieldlum.learn.models.hour_weights import beam_is_doubted
-from fieldlum.learn.train.folds import day_folds
 from fieldlum.learn.train.notes import notes_of
-from fieldlum.learn.train.selection import choose_model
-from fieldlum.learn.train.trials import evaluate_folds
+from fieldlum.learn.train.trials import choose_model, day_folds, evaluate_folds
 from fieldlum.room import simulate
 from fieldlum.session import open_session
 from fieldlum.sky import sun

@@ -213,7 +213,7 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     data, setting, changes = usable_captures(data, "absolute")
     fitted = fit("transport", data, patch="absolute", seed=0)
     fitted, found = findings(fitted, data, setting)
-    notes = [*read, *changes, *seen_skies(fitted, data), *found]
+    notes = [*read, *changes, *seen_skies(fitted), *found]
     scores = summary(evaluate(fitted, truth(tests.hours)))
     test = tests.hours
     predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2

@@ -23,7 +23,7 @@ from scene_judge import draw_pixels, exact_pair, user_of
 from scene_rooms import with_box
 
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport import fit, selection
+from fieldlum.learn.transport import model as model_of
 
 COUNTS = (2, 4, 9)
 SCORED = 300  # pixels
@@ -51,20 +51,16 @@ def days_of(data: Dataset, count: int) -> NDArray[Any]:
 
 def judged(train: Dataset, test: Dataset, seen: NDArray[Any], *, computed: bool) -> str:
     """Return error, expected error and the share of pixels in the 90 % interval."""
-
-    def off(drawn: Any, *_: Any) -> Any:
-        return replace(drawn, computed=None), None
-
-    choice = selection._with_better_mean if computed else off
-    with patch.object(selection, "_with_better_mean", choice):
-        model = fit(replace(train, seen=seen))
+    physics = model_of.physics_of if computed else lambda setup, heading_deg: None
+    with patch.object(model_of, "physics_of", physics):
+        model = model_of.fit(replace(train, seen=seen))
     made = model.predict(test.light, test.patch_cdm2)
     assert made.log10_sd is not None
     ratio = np.maximum(made.luminance_cdm2, 1.0) / np.maximum(test.luminance_cdm2, 1.0)
     error = np.log10(ratio)[:, seen]
     within = np.mean(np.abs(error) < 1.645 * made.log10_sd[:, seen])
     mse, expected = (error**2).mean(), made.expected_mse.mean()
-    used = "" if model.response.pixels.computed.any() or not computed else " (off)"
+    used = "" if model.pixels.computed_gain.any() or not computed else " (off)"
     return f"{mse:.1e}{used} | {expected / mse:.1f} | {within:.2f}"
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport import Transport, fit
+from fieldlum.learn.transport.model import Transport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky.light import Light
@@ -195,9 +195,7 @@ def main() -> None:
                 f"{name:5s} {mode:9s} {options.noise:5.2f}  {each.mean():.2e}  "
                 f"{(e**2).mean():.2e}   {rer:.4f}  "
                 f"{figures} {fitted - start:5.1f} {done - fitted:8.1f}    noise "
-                f"{model.recipe.noise:g} "
-                f"rounds {model.recipe.rounds} second {model.recipe.second:g} scale "
-                f"{model.response.patch_scale:.2f}",
+                f"{model.noise:g} scale {model.patch_scale or 1.0:.2f}",
                 flush=True,
             )
             if options.coverage:

@@ -18,9 +18,8 @@ from fieldlum.learn.models.held_out_choice import (
 )
 from fieldlum.learn.models.hour_weights import DOUBTED_WEIGHT, beam_is_doubted, choice_weights
 from fieldlum.learn.models.scores import Scores
-from fieldlum.learn.train.consistency_warnings import doubts
-from fieldlum.learn.train.notes import doubted_hours, notes_of
-from fieldlum.learn.train.selection import Trial, choose_model
+from fieldlum.learn.train.notes import doubted_hours, doubts, notes_of
+from fieldlum.learn.train.trials import Trial, choose_model
 from fieldlum.pair.interval import is_doubted
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")

@@ -16,16 +16,13 @@ from fieldlum.core.records import quiet
 from fieldlum.learn import models, train
 from fieldlum.learn.models import dense_training
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.dense import Shape
 from fieldlum.learn.models.dense_training import validation_split
 from fieldlum.learn.models.scores import Scores
 from fieldlum.learn.models.year_sample import light_of_year
 from fieldlum.learn.train import fit_and_score, run, year_of
 from fieldlum.learn.train.captures import how_many, order_of_use
-from fieldlum.learn.train.folds import day_folds, one_day_only
 from fieldlum.learn.train.notes import notes_of
-from fieldlum.learn.train.selection import Trial, choose_model
-from fieldlum.learn.train.trials import evaluate_folds
+from fieldlum.learn.train.trials import Trial, choose_model, day_folds, evaluate_folds, one_day_only
 from fieldlum.optics.projection import equirect_solid_angles
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
@@ -203,11 +200,9 @@ def test_a_network_without_time_for_a_pass_ends_at_once(
     teach, _ = validation_split(len(few), 0)
     per_s = passes * len(teach) * few.luminance_cdm2[0].size / 600.0
     monkeypatch.setattr(dense_training.Trainer, "pixels_per_s", lambda *_: per_s)
-    record = dense_training.train(
-        few, Shape(), budget_s=600.0, least_passes=1.0, stop_after_epochs=1
-    ).record
-    assert (record.steps > 1) == begins
-    assert begins or record.pixels_seen_per_pixel < 1.0
+    fitted = dense_training.fit(few, budget_s=600.0, min_passes=1.0, stop_after_epochs=1)
+    assert (fitted.training["steps"] > 1) == begins
+    assert begins or fitted.training["pixels_seen_per_pixel"] < 1.0
 
 
 @pytest.mark.property

@@ -20,8 +20,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models.scores import truth
-from fieldlum.learn.train.folds import day_folds
-from fieldlum.learn.train.selection import Trial, choose_model
+from fieldlum.learn.train.trials import Trial, choose_model, day_folds
 from fieldlum.session import replacing, replacing_path
 
 TABLE = {

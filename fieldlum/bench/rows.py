@@ -18,9 +18,7 @@ from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.estimated_view import with_sky_view
 from fieldlum.learn.models.scores import Truth, evaluate, summary
 from fieldlum.learn.train import patch_mode
-from fieldlum.learn.train.folds import day_folds
-from fieldlum.learn.train.selection import Trial
-from fieldlum.learn.train.trials import Spent, evaluate_folds, fit_timed
+from fieldlum.learn.train.trials import Spent, Trial, day_folds, evaluate_folds, fit_timed
 from fieldlum.room.fit.apply import in_scene
 from fieldlum.room.fit.stated_box import training_captures, with_same_box
 from fieldlum.session.files.scores_json import ScoreFigures

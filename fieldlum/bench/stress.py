@@ -1,7 +1,7 @@
 """Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
-"Reported" means one of three: the training warned (`train.consistency_warnings.doubts`,
+"Reported" means one of three: the training warned (`train.notes.doubts`,
 `train.setting.settle`); the model expected, on average, more than a third of the error; or it did
 not trust most of the hours, or most of those with a large error.
 
@@ -25,7 +25,7 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.train import patch_mode
-from fieldlum.learn.train.consistency_warnings import doubts
+from fieldlum.learn.train.notes import doubts
 from fieldlum.learn.train.setting import scan, settle
 from fieldlum.learn.train.trials import fit_timed
 from fieldlum.room.fit.corrected import with_patches

@@ -89,7 +89,7 @@ def command(
 
 def _needed_s(loaded: BenchData, budget_min: float, render_hours: int, with_stress: bool) -> float:
     """Return how long the benchmark may take [s]."""
-    from fieldlum.learn.train.folds import day_folds
+    from fieldlum.learn.train.trials import day_folds
 
     data, room = loaded.data, loaded.data.setup.room
     specs = [spec for spec in loaded.specs if spec.folder is None]

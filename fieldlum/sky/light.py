@@ -202,22 +202,19 @@ class Features:
 
     Total light is `Light.total_lx`. sky [n, 2305]: luminance of each sky patch times the root of
     its solid angle; beam [n]: the sun's normal illuminance, so its share of the total, 0 to 1;
-    direction [n, 3]: unit vector to the true sun; cells [n, c]: light of the sun patches in each
-    cell of the picture (`PatchDescriptor`), None if unknown; bounced [n, k]: the sun's reflected
+    direction [n, 3]: unit vector to the true sun; bounced [n, k]: the sun's reflected
     light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: 1 000 lx
     over the total light while lamp l is on, else 0, None without lamps; changed [n, m]: 1 while the
     room is in state m (such as blind=down), which changes its response to daylight, else 0, None
-    without such states; flux [n]: light of all sun patches in the picture, None if unknown.
+    without such states.
     """
 
     sky: Floats32
     beam: Floats
     direction: Floats
-    cells: Floats32 | None = None
     bounced: Floats32 | None = None
     lamps: Floats | None = None
     changed: Floats | None = None
-    flux: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -228,11 +225,9 @@ class Features:
             self.sky[rows],
             self.beam[rows],
             self.direction[rows],
-            None if self.cells is None else self.cells[rows],
             None if self.bounced is None else self.bounced[rows],
             None if self.lamps is None else self.lamps[rows],
             None if self.changed is None else self.changed[rows],
-            None if self.flux is None else self.flux[rows],
         )
 
 
@@ -248,16 +243,14 @@ class Kernel:
     """Prior covariance, between two hours, of a pixel's luminance divided by the total light.
 
     Values are relative to the pixel's usual luminance per total light. Each field except
-    `facades` and the two widths is the weight (prior variance) of one term. beam_width,
-    flux_width: distances between two unit vectors to the sun over which the terms of facades and
-    of flux change (0.5 is about 29 degrees). The defaults are from a study of one room and may
-    change threefold with little effect (docs/decisions.md). constant: a room
-    that follows total light, direct sun, and sun on the ground;
-    sky: distribution of the sky's light; facade: sun on the facades, smooth in the sun's
-    direction; cells: sun patches in cells of the picture; flux: all sun patches together, half of
-    it smooth in the sun's direction (docs/decisions.md); bounced: the
-    sun's light in a coarse model of the room; lamps: electric light, ten times the room's daylight
-    at LAMP_LX outside; changed: effect of a state of the room on its response to light.
+    `facades` and the width is the weight (prior variance) of one term. beam_width: distance
+    between two unit vectors to the sun over which the term of facades changes (0.5 is about 29
+    degrees). The defaults are from a study of one room and may change threefold with little
+    effect (docs/decisions.md). constant: a room that follows total light, direct sun, and sun
+    on the ground; sky: distribution of the sky's light; facade: sun on the facades, smooth in
+    the sun's direction; bounced: the sun's light in a coarse model of the room; lamps: electric
+    light, ten times the room's daylight at LAMP_LX outside; changed: effect of a state of the
+    room on its response to light.
     """
 
     facades: Facades
@@ -265,9 +258,6 @@ class Kernel:
     sky: float = 2.0
     beam_width: float = 0.5
     facade: float = 1.0
-    cells: float = 0.5
-    flux: float = 1.0
-    flux_width: float = 0.8
     bounced: float = 5.0
     lamps: float = 100.0
     changed: float = 1.0
@@ -283,11 +273,6 @@ class Kernel:
         k += self.sky * (a.sky @ b.sky.T)
         on = _facade(a, self.facades) @ _facade(b, self.facades).T
         k += self.facade * on * np.exp((cosine - 1.0) / self.beam_width**2)
-        if a.cells is not None and b.cells is not None:
-            k += self.cells * (a.cells @ b.cells.T)
-        if a.flux is not None and b.flux is not None:
-            smooth = self.constant + np.exp((cosine - 1.0) / self.flux_width**2)
-            k += self.flux * np.outer(a.flux, b.flux) * smooth
         if a.bounced is not None and b.bounced is not None:
             k += self.bounced * (a.bounced @ b.bounced.T)
         if a.changed is not None and b.changed is not None:
@@ -301,10 +286,6 @@ class Kernel:
         k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
         k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
         k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
-        if a.cells is not None:
-            k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
-        if a.flux is not None:
-            k += self.flux * a.flux**2 * (self.constant + 1.0)
         if a.bounced is not None:
             k += self.bounced * np.einsum("ij,ij->i", a.bounced, a.bounced)
         if a.changed is not None:

@@ -25,7 +25,7 @@ from fieldlum.learn.models.camera_turns import (
     turned_back,
     turned_rays,
 )
-from fieldlum.learn.models.teaching import weight_of
+from fieldlum.learn.models.hour_weights import weight_of_variance
 from fieldlum.optics.projection import direction
 from fieldlum.session.files.alignment_csv import (
     AlignmentRow,
@@ -34,9 +34,9 @@ from fieldlum.session.files.alignment_csv import (
     write_alignment,
 )
 
-_LEAST_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
-_LEAST_WEIGHT = 0.5  # pixels with less weight by interpolation teach nothing; chosen
-_LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
+_MIN_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
+_MIN_WEIGHT = 0.5  # pixels with less weight by interpolation teach nothing; chosen
+_MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 
 
 def find_turns(
@@ -67,7 +67,7 @@ def find_turns(
             np.array([(r.u_heading_deg, r.u_tilt_deg, r.u_roll_deg) for r in rows]),
             np.array([r.aligned for r in rows]),
         )
-    compared = has_value.mean(axis=0) > _LEAST_SEEN
+    compared = has_value.mean(axis=0) > _MIN_SEEN
     turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, light=light, progress=progress)
     if len(maps) >= MIN_CAPTURES and maps.shape[1] >= MIN_ROWS:
         table = [
@@ -101,14 +101,14 @@ def align(
     maps' centre column. A capture that was not turned, or that cannot be aligned, does not change.
 
     Interpolation blurs sharp edges, such as a window's. Therefore each pixel's weight is multiplied
-    by `weight_of` the uncertainty that this causes; a factor below a half becomes 0.
+    by the weight of the uncertainty that this causes; a factor below a half becomes 0.
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
-        logs = np.log(np.maximum(np.nan_to_num(maps[k]), _LEAST_CDM2))
+        logs = np.log(np.maximum(np.nan_to_num(maps[k]), _MIN_CDM2))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
-        weight = weight_of(interpolation_u(logs, heading_deg, angles))
-        weight = np.where(weight < _LEAST_WEIGHT, 0.0, weight)
+        weight = weight_of_variance(interpolation_u(logs, heading_deg, angles) ** 2)
+        weight = np.where(weight < _MIN_WEIGHT, 0.0, weight)
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6
         if (count := counts[k]) is not None:

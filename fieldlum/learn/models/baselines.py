@@ -16,9 +16,9 @@ from fieldlum.learn.models import Fitted, ModelState, Patch, Prediction
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
 
-LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
+MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 # share of a pixel's light that remains at least when its sun patch is subtracted; not measured
-LEAST_SHARE = 0.02
+MIN_SHARE = 0.02
 # with less direct light the sun lights a room less than the sky does; not measured
 SUNNY_WM2 = 60.0
 # About 50 minutes of the sun's path, or three weeks of its declination near an equinox. Chosen.
@@ -150,7 +150,7 @@ def fit_mean(
     log10 = np.zeros(data.shape)
     # one by one, because the logarithm of all maps would double the memory
     for luminance in data.luminance_cdm2:
-        log10 += np.log10(np.maximum(luminance, LEAST_CDM2)) / len(data)
+        log10 += np.log10(np.maximum(luminance, MIN_CDM2)) / len(data)
     return MeanFitted(log10.astype(np.float32), captured(data.light))
 
 
@@ -240,7 +240,7 @@ def fit_nearest(
     with_patch = patch == "absolute" and data.patch_cdm2 is not None
     rest = data.luminance_cdm2
     if with_patch and data.patch_cdm2 is not None:
-        rest = np.maximum(rest - data.patch_cdm2, np.float32(LEAST_SHARE) * rest)
+        rest = np.maximum(rest - data.patch_cdm2, np.float32(MIN_SHARE) * rest)
     return NearestFitted(
         rest, light_features(data.light), outside(data.light), with_patch, captured(data.light)
     )

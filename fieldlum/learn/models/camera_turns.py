@@ -37,9 +37,8 @@ MIN_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
 _WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows; chosen
 _FLOOR_CDM2 = 0.1  # in darker places edges are noise; chosen
 # Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
-# as an edge in a rendering, and is used twice because the median is then sharper. Measured; no
-# command repeats it.
-_SMOOTH_PX = (3.0, 1.0, 0.7, 0.7)
+# as an edge in a rendering. Measured; no command repeats it.
+_SMOOTH_PX = (3.0, 1.0, 0.7)
 _TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
 # above it columns are very narrow; below -70 the tripod is in the picture; chosen
 _HIGHEST_DEG = 70.0

@@ -15,9 +15,8 @@ from fieldlum.core.records import Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.learn.models.camera_turns import DirectLight
-from fieldlum.learn.models.check_pairs import Stated, check_plausible
-from fieldlum.learn.models.pair_pictures import fill_gaps, read_pictures
-from fieldlum.learn.models.teaching import joined_counts
+from fieldlum.learn.models.check_pairs import check_plausible
+from fieldlum.learn.models.pair_pictures import fill_gaps, joined_counts, read_pictures
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.pair.interval import is_doubted
 from fieldlum.pair.sky_view import is_outdated
@@ -230,7 +229,7 @@ def load_pairs(
 def _assemble(
     path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
 ) -> Dataset:
-    check_plausible(path, _stated(path, rows), setup.site)
+    check_plausible(path, rows, setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     refraction = _refraction(path, rows)
     shown_altitude = sun.shown_altitude_deg(altitude) if refraction else altitude
@@ -297,18 +296,6 @@ def _assemble(
         doubted=doubted if doubted.any() else None,
     )
     return data if turns.aligned.all() else data.take(turns.aligned)
-
-
-def _stated(path: Path, rows: list[PairRow]) -> Stated:
-    numbers = np.array(
-        [(row.dni_wm2, row.dhi_wm2, row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]
-    ).T
-    return Stated(
-        [row.line for row in rows],
-        [row.t_utc for row in rows],
-        [path.parent / row.panorama for row in rows],
-        *numbers,
-    )
 
 
 def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:

@@ -39,7 +39,7 @@ class Shape:
     """The form of the network of Liu, Colburn and Inanici (2020).
 
     width, depth: units of each layer and number of layers in branch one; patch_width: units of
-    branch two (200 in the form "cnn", by `dense_training.train`); sky_map: whether the luminance of
+    branch two (200 in the form "cnn", by `dense_training.fit`); sky_map: whether the luminance of
     the sky patch behind a pixel is an input; form: "cnn" trains with complete images as batches, as
     convolutions with kernel 1 would; curve: encoding of luminance, see `encode`. The defaults are
     the paper's final form, other values its ablations (Table 1 and Figure 8).

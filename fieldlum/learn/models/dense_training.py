@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch import distributed as dist
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats32
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Patch
@@ -134,18 +134,6 @@ class TrainingRecord:
     bfloat16: bool
     plan: TrainingPlan
     validation_slots: list[str]
-
-
-class TrainedNet(NamedTuple):
-    """A trained network.
-
-    net: with the weights of the least validation loss; average_log10: mean of log10 L over the
-    training images, at least 0 [H, W]; record: what config.json records of the training.
-    """
-
-    net: Net
-    average_log10: Floats
-    record: TrainingRecord
 
 
 # ----------------------------------------------------------------------------------------------
@@ -448,35 +436,36 @@ def loss_value(parts: Tensor) -> float:
 # the loop
 
 
-def train(
+def fit(
     data: Dataset,
-    shape: Shape,
     *,
     patch: Patch = "absolute",
     seed: int = 0,
     budget_s: float | None = None,
-    least_passes: float = 0.0,
+    min_passes: float = 0.0,
     plan: TrainingPlan | None = None,
     checkpoint: Path | None = None,
     stop_after_epochs: int | None = None,
     bfloat16: bool | None = None,
     progress: Progress = quiet,
-) -> TrainedNet:
+    **form: Any,
+) -> DenseFitted:
     """Train the network on `data`; return it with the weights of the least validation loss.
 
-    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. plan: length
-    and learning rate. None uses the paper's schedule if there is no budget_s [s] or it fits in it,
-    else a short one by measured speed. least_passes: without a plan, end after one update if the
-    budget does not allow this number of passes over the training pixels. checkpoint: path, written
-    after each epoch; an existing one is continued, with its plan; None for none. stop_after_epochs:
-    number of epochs after which this call ends early, as an interruption would. bfloat16: compute
-    products in this precision; None does so where it is fast. Raises InputError for a checkpoint
-    that cannot be used.
+    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2; seed: of all
+    random numbers. plan: length and learning rate. None uses the paper's schedule if there is no
+    budget_s [s] or it fits in it, else a short one by measured speed. min_passes: without a plan,
+    end after one update if the budget does not allow this number of passes over the training
+    pixels. checkpoint: path, written after each epoch; an existing one is continued, with its plan;
+    None for none. stop_after_epochs: number of epochs after which this call ends early, as an
+    interruption would. bfloat16: compute products in this precision; None does so where it is fast.
+    form: fields of `Shape`. Raises InputError for a checkpoint that cannot be used.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()
     if world() > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    shape = Shape(**form)
     shape = replace(shape, patch_width=200) if shape.form == "cnn" else shape
     torch.manual_seed(seed)
     net = Net(shape).to(device)
@@ -489,7 +478,7 @@ def train(
     trainer = Trainer(net, pixels, half, _MICRO_PIXELS[device.type])
     if plan is None:
         spent_s = agreed(time.monotonic() - start_s, device)
-        plan, budget_s = _make_plan(trainer, budget_s, spent_s, least_passes, len(exam))
+        plan, budget_s = _make_plan(trainer, budget_s, spent_s, min_passes, len(exam))
     trainer.micro = plan.micro_pixels
     run, mark = Run(rate=plan.rate), data_digest(data.digest(), patch, seed)
     best = trainer.weights()
@@ -525,7 +514,9 @@ def train(
             break
     net.load_state_dict(best)
     slots = [data.slots[i] for i in check]
-    return TrainedNet(net, average, _record(plan, run, len(pixels), seed, device, half, slots))
+    about = _record(plan, run, len(pixels), seed, device, half, slots)
+    domain, heading_deg = captured(data.light), data.heading_deg
+    return DenseFitted(net, shape, average, heading_deg, patch, domain, asdict(about))
 
 
 def _record(
@@ -557,7 +548,7 @@ def _record(
 
 
 def _make_plan(
-    trainer: Trainer, budget_s: float | None, spent_s: float, least_passes: float, exam: int
+    trainer: Trainer, budget_s: float | None, spent_s: float, min_passes: float, exam: int
 ) -> tuple[TrainingPlan, float | None]:
     """Return a plan and the time for it [s]; see `train`.
 
@@ -570,13 +561,13 @@ def _make_plan(
         return TrainingPlan(micro_pixels=micro), None
     speed = trainer.pixels_per_s(micro)
     plan = affordable_plan(speed, count, budget_s, micro)
-    if plan.schedule == "paper" or not least_passes:
+    if plan.schedule == "paper" or not min_passes:
         return plan, budget_s
     if plan.batch_pixels < micro:
         speed = min(speed, trainer.pixels_per_s(plan.batch_pixels))
     # A validation has no gradient, which is two thirds of a use (one matrix product of three).
     validation = SHORT_EPOCHS * min(exam, SHORT_VALIDATION_PIXELS) / 3.0
-    enough = speed * (budget_s - spent_s) >= least_passes * count + validation
+    enough = speed * (budget_s - spent_s) >= min_passes * count + validation
     return plan, budget_s if enough else _ONE_UPDATE_S
 
 
@@ -647,31 +638,3 @@ def _restore(
             "a checkpoint of this training",
             "delete the file to start the training again",
         ) from None
-
-
-# ----------------------------------------------------------------------------------------------
-# the model
-
-
-def fit(
-    data: Dataset,
-    *,
-    patch: Patch = "absolute",
-    seed: int = 0,
-    budget_s: float | None = None,
-    progress: Progress = quiet,
-    **options: Any,
-) -> DenseFitted:
-    """Train the network on `data`; seed: of all random numbers; budget_s: time for training [s].
-
-    patch: with "none" sun patches are not an input, otherwise they are one in cd/m2. budget_s None:
-    no limit. options: fields of `Shape`, and other arguments of `train`, such as its
-    plan and the path of a checkpoint. Raises InputError for a checkpoint that cannot be used.
-    """
-    names = [name for name in options if name in Shape.__dataclass_fields__]
-    shape = Shape(**{name: options.pop(name) for name in names})
-    net, average, record = train(
-        data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options
-    )
-    domain = captured(data.light)
-    return DenseFitted(net, shape, average, data.heading_deg, patch, domain, asdict(record))

@@ -18,7 +18,7 @@ LOWEST_SUN_DEG = 1.0
 # in the normal; sun.dni_by_closure gives 0 under 2 degrees. Chosen.
 UNMEASURED_SUN_DEG = 3.0
 UNMEASURED_VARIANCE = 1.0  # relative variance: such a sun may give as much light as the sky; chosen
-UNSURE = 1e-2  # relative variance of the irradiance at which an hour has half weight; not measured
+UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
 # As `pair` marks it: under 5 degrees 2 W/m2 in the horizontal are 23 W/m2 and more in the normal.
 LOW_SUN_DEG = 5.0
 BEAM_WM2 = 20.0  # DNI of an overcast hour, within the errors of two horizontal readings; chosen
@@ -53,8 +53,8 @@ def light_variance(data: Dataset) -> Array:
     return variance + np.where(unknown, UNMEASURED_VARIANCE, 0.0)
 
 
-def sureness(variance: Array) -> Array:
-    """Return the weight of hours with the relative variance `variance` [n]: 1 for exact ones."""
+def weight_of_variance(variance: Floats) -> Floats:
+    """Return 1 / (1 + variance / 0.01), the weight of values by their relative variance."""
     return 1.0 / (1.0 + variance / UNSURE)
 
 
@@ -78,5 +78,5 @@ def choice_weights(data: Dataset) -> Floats:
     """
     doubted = beam_is_doubted(data)
     least = 0.0 if (~doubted).mean() >= MIN_MEASURED_SHARE else DOUBTED_WEIGHT
-    steady = sureness(np.where(doubted, 0.0, light_variance(data)))
+    steady = weight_of_variance(np.where(doubted, 0.0, light_variance(data)))
     return np.where(doubted, least, steady)

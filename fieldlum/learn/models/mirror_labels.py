@@ -33,7 +33,7 @@ _NEAR_DEG = 9.0
 _ALIKE_LOG10 = 0.1  # rms difference of log10 luminance over the captures
 _FAR_WEIGHT = 0.01  # of a label at any distance whose pixel is alike; chosen
 _PRIOR_WEIGHT = 1e-4  # of a label with a chance of one half; less than any alike label; chosen
-_MOST_MAPS = 40  # captures that compare pixels; chosen, limits the time
+_MAX_MAPS = 40  # captures that compare pixels; chosen, limits the time
 _PIXELS_AT_ONCE = 4096  # limits the memory
 # A label that is further than two widths away, or not alike, does not make an image certain.
 _SUPPORTED = float(np.exp(-2.0))
@@ -99,7 +99,7 @@ def _chance(
     label: captures [k]; towards, at, visible: direction [k, 3], pixel [k] and label [k] of their
     images.
     """
-    some = np.unique(np.linspace(0, len(data) - 1, _MOST_MAPS).round().astype(int))
+    some = np.unique(np.linspace(0, len(data) - 1, _MAX_MAPS).round().astype(int))
     maps = np.log10(np.maximum(data.luminance_cdm2[some], 1.0)).reshape(len(some), -1)
     rays = equirect_rays(*data.shape, data.heading_deg).reshape(-1, 3)
     chance = np.empty(len(rays), np.float32)

@@ -19,7 +19,7 @@ from fieldlum.sky.light import Light
 from fieldlum.sky.sun_images import glass_reflectance, mirrored, ring_around, tolerance_rad
 
 TO_SHOW = 0.5  # an image with a larger chance is predicted
-MOST_DOUBT = 0.05  # an hour is not trusted if the chance of a wrong decision is larger; chosen
+MAX_DOUBT = 0.05  # an hour is not trusted if the chance of a wrong decision is larger; chosen
 # Standard deviation of an image's place over `tolerance_rad`, which no place exceeds; chosen
 _PLACE_SIGMA = 0.5
 
@@ -46,7 +46,7 @@ class MirroredSun:
     @property
     def doubtful(self) -> Mask:
         """Mask [n], True where the chance that `shown` is wrong exceeds 5 %."""
-        return np.where(self.shown, 1.0 - self.chance, self.chance) > MOST_DOUBT
+        return np.where(self.shown, 1.0 - self.chance, self.chance) > MAX_DOUBT
 
     @property
     def place_deg(self) -> tuple[Floats, Floats]:

@@ -39,6 +39,11 @@ RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2; chosen there by Liu, Colbu
 GLARE_MAPS = 150
 KEPT_HEIGHT = 58  # least number of rows of stored maps: that of the smallest panoramas of a demo
 CHUNK = 24  # maps predicted at a time; chosen, limits the memory
+# fields of `Scores` that need glare
+_GLARE = (
+    *("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "dgp_mean", "dgp_square"),
+    *("rammg_error", "rammg_truth", "ev_error"),
+)
 BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribution
 
 
@@ -46,10 +51,9 @@ BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribut
 class Scores:
     """The scores of n predicted maps: arrays [n] with a value for each map, NaN if not computed.
 
-    Errors are of log10 luminance L, predicted less true. mse, mse_weighted: mean squared error
-    of the pixels, equally weighted or by solid angle; error2, truth2: sums over pixels of
-    squared errors and of squared true log10 L; error2_weighted, truth2_weighted: the same times
-    the pixels' weights; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the
+    Errors are of log10 luminance L, predicted less true. mse_weighted, mse: mean squared error
+    of the pixels, by solid angle or equally weighted; truth2, truth2_weighted: the same of true
+    log10 L; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the
     squared and absolute error of DGP, of true DGP and of its square; rammg_error: RAMMG
     predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
     expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
@@ -64,9 +68,7 @@ class Scores:
 
     mse_weighted: Floats
     mse: Floats
-    error2: Floats
     truth2: Floats
-    error2_weighted: Floats
     truth2_weighted: Floats
     dgp_mse: Floats
     dgp_mse_own_disc: Floats
@@ -227,31 +229,23 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
     error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen_mask].astype(np.float64)
     t2, e2, w = target[:, seen_mask].astype(np.float64) ** 2, error**2, weights[seen_mask]
     blank = np.full(len(data), np.nan)
-    in_band = blank.copy()
+    in_band = blank
     if prediction.log10_sd is not None:
         in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
+    glare = {name: blank.copy() for name in _GLARE}
     return Scores(
         mse_weighted=e2 @ w / w.sum(),
         mse=e2.mean(axis=1),
-        error2=e2.sum(axis=1),
-        truth2=t2.sum(axis=1),
-        error2_weighted=e2 @ w,
-        truth2_weighted=t2 @ w,
-        dgp_mse=blank.copy(),
-        dgp_mse_own_disc=blank.copy(),
+        truth2=t2.mean(axis=1),
+        truth2_weighted=t2 @ w / w.sum(),
         bias_log10=error @ w / w.sum(),
-        dgp_mae=blank.copy(),
-        dgp_mean=blank.copy(),
-        dgp_square=blank.copy(),
-        rammg_error=blank.copy(),
-        rammg_truth=blank.copy(),
         expected_mse=prediction.expected_mse,
         trusted=trusted_hours(prediction),
         in_band=in_band,
-        ev_error=blank.copy(),
         day=data.days,
         weight=np.ones(len(data)),
         slots=data.slots,
+        **glare,
     )
 
 
@@ -319,13 +313,13 @@ def summary(scores: Scores) -> ScoreFigures:
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
         "rer_weighted": float(
-            np.sqrt(scores.error2_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))
+            np.sqrt(scores.mse_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))
         ),
         "median": float(np.median(scores.mse_weighted)),
         "p90": float(np.quantile(scores.mse_weighted, 0.9)),
         "worst": float(scores.mse_weighted.max()),
         "paper_log10_mse": float(scores.mse.mean()),
-        "paper_rer": float(np.sqrt(scores.error2.sum() / max(scores.truth2.sum(), 1e-12))),
+        "paper_rer": float(np.sqrt(scores.mse.sum() / max(scores.truth2.sum(), 1e-12))),
         "dgp_mse": _mean(scores.dgp_mse),
         "dgp_mse_own_disc": _mean(scores.dgp_mse_own_disc),
         "bias_log10": float(scores.bias_log10.mean()),

@@ -28,14 +28,22 @@ from fieldlum.learn.models.mirrors import Mirror
 from fieldlum.learn.models.scores import summary
 from fieldlum.learn.models.year_sample import YearExpectation, expect, light_of_year
 from fieldlum.learn.train.captures import how_many
-from fieldlum.learn.train.consistency_warnings import doubts, hard_captures
-from fieldlum.learn.train.folds import day_folds, one_day_only
-from fieldlum.learn.train.notes import notes_of, seen_skies
-from fieldlum.learn.train.room_changes import without_changes
-from fieldlum.learn.train.selection import ModelSelection, Trial, choose_model
+from fieldlum.learn.train.notes import doubts, hard_captures, notes_of, seen_skies
+from fieldlum.learn.train.outliers import without_changes
 from fieldlum.learn.train.setting import scan, settle, with_right_clock
-from fieldlum.learn.train.time_budget import OutOfTime, TimeBudget
-from fieldlum.learn.train.trials import Spent, dense_folds, evaluate_folds, fit_timed
+from fieldlum.learn.train.trials import (
+    ModelSelection,
+    OutOfTime,
+    Spent,
+    TimeBudget,
+    Trial,
+    choose_model,
+    day_folds,
+    dense_folds,
+    evaluate_folds,
+    fit_timed,
+    one_day_only,
+)
 from fieldlum.learn.transport.setting_scan import Setting
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -83,29 +91,26 @@ class Result:
 
     def table(self, seed: int) -> list[ScoreRow]:
         """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
-        rows = [row(trial, seed) for trial in self.trials]
-        return rows + [row_without_figures(trial, seed) for trial in self.not_judged]
+        rows = [_row(trial, seed, summary(trial.scores)) for trial in self.trials]
+        for trial in self.not_judged:
+            blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0, "n_judged": 0}
+            rows.append(_row(trial, seed, blank) | {"not_judged_because": _TOO_SHORT})  # pyright: ignore
+        return rows
 
 
-def row(trial: Trial, seed: int) -> ScoreRow:
+def _row(trial: Trial, seed: int, figures: Mapping[str, Any]) -> ScoreRow:
     """Return the row of a trial in `train --json`."""
-    return {
+    row = {
         "name": trial.name,
         "fit_s": trial.fit_s,
         "fit_cpu_s": trial.fit_cpu_s,
         "n_train": trial.n_train,
         "seed": seed,
         "folds": trial.folds,
-        **summary(trial.scores),
+        **figures,
         "not_judged_because": None,
     }
-
-
-def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
-    """Return the row of a trial that was too short: every score is null, with the reason."""
-    blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0, "n_judged": 0}
-    reason = {"not_judged_because": _TOO_SHORT}
-    return cast(ScoreRow, {**row(trial, seed), **blank, **reason})
+    return cast(ScoreRow, row)
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -159,7 +164,7 @@ def fit_and_score(
                     seed=seed,
                     budget_s=limit,
                     keep_maps=True,
-                    least_passes=MIN_PASSES_TO_JUDGE,
+                    min_passes=MIN_PASSES_TO_JUDGE,
                     clock=budget.clock,
                     left_s=None if name in baselines() else lambda: budget.left_s,
                     progress=_watched(name, budget, progress),
@@ -190,7 +195,7 @@ def fit_and_score(
         )
         fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
     fitted, doubted = findings(fitted, data, setting)
-    skies = seen_skies(fitted, data)
+    skies = seen_skies(fitted)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes = (*notes_of(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
     try:

@@ -8,15 +8,13 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, difference
-from fieldlum.learn.train.folds import day_folds
-from fieldlum.learn.train.time_budget import TimeBudget
-from fieldlum.learn.train.trials import evaluate_folds
+from fieldlum.learn.train.trials import TimeBudget, day_folds, evaluate_folds
 from fieldlum.session.files.scores_json import CaptureCurve, CurvePoint
 from fieldlum.sky.light import Kernel, facades_of, greedy_hours, light_features
 
 SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve; chosen
-FOLDS = 3  # enough for a curve, and faster than `folds.MOST_FOLDS`; chosen
-FEWEST = 12  # least number of captures; fewer give too few points for a curve; chosen
+FOLDS = 3  # enough for a curve, and faster than `folds.MAX_FOLDS`; chosen
+MIN_CAPTURES = 12  # least number of captures; fewer give too few points for a curve; chosen
 THIN_HEIGHT = 20  # number of rows; the mean errors are the same, and fits take seconds; chosen
 # largest time of the next point over that of the last one, as captures at most double; chosen
 _NEXT_POINT = 2.0
@@ -51,7 +49,7 @@ def how_many(
     budget. Return an empty dict for under 12 captures or three days, None if the budget ends before
     the last point.
     """
-    if len(data) < FEWEST or len(np.unique(data.days)) < 3:
+    if len(data) < MIN_CAPTURES or len(np.unique(data.days)) < 3:
         return {}
     small = data.thin(THIN_HEIGHT)
     folds = day_folds(small, FOLDS)

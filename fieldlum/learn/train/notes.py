@@ -1,59 +1,42 @@
-"""Write notes for the reader of a training's scores."""
+"""Write notes and warnings for the reader of a training's scores."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from fieldlum.core.records import counted
 from fieldlum.learn.model_registry import MODELS
-from fieldlum.learn.models import Fitted, Patch
+from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.held_out_choice import trimmed_mean
 from fieldlum.learn.models.hour_weights import LOW_SUN_DEG, beam_is_doubted, choice_weights
-from fieldlum.learn.train.folds import one_day_only
-from fieldlum.learn.train.selection import Trial, is_clearly_worse
-from fieldlum.learn.transport import Transport
-from fieldlum.learn.transport.features import training_arrays_of
-from fieldlum.learn.transport.uncertainty import hours_by_class
-from fieldlum.learn.transport.window_sky import scatter_of_skies
+from fieldlum.learn.train.trials import Trial, is_clearly_worse, one_day_only
+from fieldlum.learn.transport.model import Transport
 
-# Of a sky's luminance in the windows over Perez's. Nineteen sets under Perez's skies have up to
-# 0.05, eight with clouds 0.15 and more (docs/validation.md). Chosen between these.
-_LEAST_SCATTER = 0.1
+# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach;
+# chosen
+POOR_MSE = 0.02
+EXCEPTION_TIMES = 4.0  # a day this many times worse than the median day is reported; not measured
 
 
-def seen_skies(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return one note if the skies in the windows differ from Perez's, else an empty list.
+# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %; chosen
+# between the two
+HARD_SHARE = 0.1
 
-    The note states how far they differ, and whether the model learnt each capture under its own
-    sky. Models other than light transport get none.
-    """
-    if not isinstance(fitted, Transport):
+
+def seen_skies(fitted: Fitted) -> list[str]:
+    """Return one note if the model learnt each capture under the sky in its windows."""
+    field = fitted.sky_field if isinstance(fitted, Transport) else None
+    if field is None:
         return []
-    with_patch = fitted.response.basis.patches is not None
-    arrays = training_arrays_of(data, with_patch=with_patch)
-    groups = hours_by_class(arrays.features.beam)
-    kinds = ("overcast", "partly sunny", "sunny")
-    scatter = {
-        kind: math.expm1(sd)
-        for kind, sd in zip(kinds, scatter_of_skies(arrays, groups), strict=True)
-        if sd is not None
-    }
-    if fitted.sky_field is None and max(scatter.values(), default=0.0) < _LEAST_SCATTER:
-        return []
-    sizes = ", ".join(f"{size:.0%} in {kind} hours" for kind, size in scatter.items())
-    typical = f" (one standard deviation: {sizes})" if sizes else ""
-    learnt = (
-        "Captures were learnt under the Perez model all the same, because held-out days do not "
-        "show that their own skies are better"
-        if fitted.sky_field is None
-        else "Each capture was learnt under its own sky. Predicted hours use the Perez model, and "
-        "their uncertainty includes the difference"
-    )
     return [
-        f"the skies in the windows differ from the Perez model for the measured "
-        f"irradiance{typical}. The cause is clouds, or an instrument that sees other light than "
-        f"the room, mostly in the diffuse irradiance of sunny hours. {learnt}"
+        f"the skies in the windows differ from the Perez model for the measured irradiance by "
+        f"{math.expm1(field.sd):.0%} (one standard deviation). The cause is clouds, or an "
+        "instrument that sees other light than the room. Each capture was learnt under its own "
+        "sky. Predicted hours use the Perez model, and their uncertainty includes the difference"
     ]
 
 
@@ -105,3 +88,59 @@ def doubted_hours(data: Dataset) -> list[str]:
         f"{part} {role}: their direct light was not measured well (sun under {LOW_SUN_DEG:g} "
         "degrees with a beam, or a mark of fieldlum pair)"
     ]
+
+
+def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
+    """Return a list with one warning if other days predict over 10 % of the captures wrongly.
+
+    Otherwise, and for a model without held-out errors, the list is empty. Wrongly means by more
+    than the factor up to which hours are trusted (`TRUSTED_FACTOR`).
+    """
+    if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
+        return []
+    wrong = np.nan_to_num(fitted.held_out_mse, nan=np.inf) > TRUSTED_MSE
+    share = float(np.average(wrong, weights=choice_weights(data)))
+    if share <= HARD_SHARE:
+        return []
+    return [
+        f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong by a "
+        f"factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in a way "
+        f"that the model does not know; hours with similar light are not trusted"
+    ]
+
+
+def doubts(fitted: Fitted, data: Dataset) -> list[str]:
+    """Return warnings about large errors of the model on captures with their day held out.
+
+    One warning names days that are much worse than the median day; one is about large errors on
+    all days. The list is empty if there are none, and for a model without held-out errors.
+    """
+    if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
+        return []
+    weight = choice_weights(data)
+    errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[weight > 0.0]
+    weight, day = weight[weight > 0.0], data.days[weight > 0.0]
+    days = np.unique(day)
+    means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
+    mean = trimmed_mean(errors, weight)
+    texts = []
+    exceptions = days[(means > POOR_MSE) & (means > EXCEPTION_TIMES * np.median(means))]
+    if len(exceptions):
+        shown = ", ".join(str(day) for day in exceptions[:5]) + (
+            " ..." if len(exceptions) > 5 else ""
+        )
+        texts.append(
+            f"WARNING: the held-out error of {shown} is over {EXCEPTION_TIMES:g} times that of the "
+            "median day: a blind was probably moved, a lamp was on, or the irradiance is wrong; "
+            "these captures are used in the training: mark what was different (fieldlum status "
+            "SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
+        )
+    if np.median(errors) > POOR_MSE / 4 or mean > POOR_MSE:
+        factor = 10.0 ** np.sqrt(mean)
+        texts.append(
+            f"WARNING: predictions of held-out days are wrong by a factor of {factor:.2f} (rms); "
+            "likely causes are "
+            f"broken cloud, wrong irradiance, or a room that changed (a wrong north or clock has "
+            f"its own warning); {POOR_WORDS}"
+        )
+    return texts

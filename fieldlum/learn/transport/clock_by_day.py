@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Array
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.held_out_choice import difference
+from fieldlum.learn.models.held_out_choice import HeldOutErrors, difference
+from fieldlum.learn.transport.arrays import training_arrays_of
 from fieldlum.learn.transport.misalignment import Evidence, below_patches, evidence_of
-from fieldlum.learn.transport.model import held_out_errors
+from fieldlum.learn.transport.solve import basis_of, hold_out
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.sky import sun
+from fieldlum.sky.light import Kernel
 
 # Offsets that are tried, min: a clock that is 5 min off on one day and not on another was set.
 _TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
@@ -34,6 +36,7 @@ _FEWEST_DAYS = 3  # with such captures, to have a median; chosen
 # clock that drifts by 2 min in a week 0.6 min. Chosen between the two
 # (docs/decisions.md).
 _LEAST_SPREAD_MIN = 0.3
+_HELD_OUT_PIXELS = 250  # number of pixels that compare two clocks; chosen
 _LEAST_GAIN = 0.1  # share of the held-out error that the offsets must explain; chosen
 
 
@@ -88,9 +91,19 @@ def clock_by_day(data: Dataset, progress: Progress = quiet) -> ClockByDay | None
         return None
     # Both with patches of the same rays: those of `data` can be of an earlier version.
     clock, none = ClockByDay(names, late), ClockByDay(names, np.zeros(len(names)))
-    before, after = (held_out_errors(with_clock(data, c)) for c in (none, clock))
+    before, after = (_held_out_errors(with_clock(data, c)) for c in (none, clock))
     gain, error = difference(before, after, "log10")
     return clock if gain > max(_LEAST_GAIN * before.figure("log10"), error) else None
+
+
+def _held_out_errors(data: Dataset) -> HeldOutErrors:
+    """Return the errors of each capture by a fit without its day, of log10 luminance alone."""
+    arrays = training_arrays_of(data, with_patch=True)
+    share = arrays.weights / arrays.weights.sum()
+    count = min(_HELD_OUT_PIXELS, len(share))
+    drawn = np.random.default_rng(0).choice(len(share), count, p=share)
+    covariance = Kernel(arrays.facades)(arrays.features, arrays.features)
+    return hold_out(arrays[drawn], basis_of(covariance), 1e-2).errors
 
 
 def _late(

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport.features import LEAST_CDM2, training_arrays_of
-from fieldlum.learn.transport.patch_descriptor import direct_flux_lx
-from fieldlum.learn.transport.pixel_fit import Recipe, basis_of, fit_pixels
+from fieldlum.learn.transport.arrays import MIN_CDM2, training_arrays_of
+from fieldlum.learn.transport.solve import basis_of, fit_pixels
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.scene.points import SunPoints
 from fieldlum.room.scene.view import SceneView
@@ -26,7 +25,7 @@ FAINT = 0.02  # of the most direct sun in view: hours below it are not used; not
 PIXELS = 4000  # bounds the time; chosen
 _LEAST_REST = 0.05  # of a captured value, that patches leave; chosen
 SUB = 2  # rays per pixel in each direction; bounds the time; chosen
-WITHOUT_PATCH = Recipe(1e-2, rounds=4, rank=40)  # robust rounds find the light below the patches
+NOISE = 1e-2  # relative variance of the light below the patches; chosen
 WIDTH = 0.4  # log error at which a pixel counts as half wrong; not measured
 MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3  # reach of the search; not measured
 
@@ -154,7 +153,7 @@ def evidence_of(data: Dataset, sub: int = SUB) -> Evidence | None:
     """
     if data.patch_cdm2 is None:
         return None
-    flux = direct_flux_lx(data.patch_cdm2, ~data.seen)
+    flux = np.minimum(data.patch_cdm2, 3e4)[:, data.seen] @ data.weights[data.seen]
     order = np.argsort(flux)[::-1][:HOURS]
     rows = np.sort(order[flux[order] > FAINT * flux.max()])
     if len(rows) < LEAST_HOURS:
@@ -232,15 +231,15 @@ def _without_patches(data: Dataset, pixels: Indices) -> tuple[Array, Array]:
     only[pixels] = True
     arrays = training_arrays_of(replace(data, seen=only.reshape(data.shape)), with_patch=False)
     kernel = Kernel(facades_of(data.setup.room))
-    basis = basis_of(kernel(arrays.features, arrays.features), WITHOUT_PATCH.rank)
-    fitted = fit_pixels(arrays, basis, WITHOUT_PATCH)
+    basis = basis_of(kernel(arrays.features, arrays.features))
+    fitted = fit_pixels(arrays, basis, NOISE, lambda finished, total: None)
     surface = (
-        np.maximum(basis.values @ fitted.b.T, fitted.least)
+        np.maximum(basis.values @ fitted.b.T, fitted.minimum)
         * arrays.light.total_lx[:, None]
         * fitted.scale
     )
     background = surface + fitted.sky_gain * arrays.sky
-    return np.maximum(arrays.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
+    return np.maximum(arrays.luminance, MIN_CDM2), np.maximum(background, MIN_CDM2)
 
 
 def below_patches(evidence: Evidence, maps: Floats32, gain: float) -> Evidence:

@@ -1,103 +1,124 @@
 """Define the fitted transport model: its content, prediction and fit.
 
-    L(t, p) = E(t) m(p) max(F(t) b(p), least(p)) + g(p) s(t, p) + h(p) Q(t, p)
+    L(t, p) = E(t) m(p) max(F(t) b(p) + c(p) s'(t, p), minimum(p)) + g(p) s(t, p) + h(p) Q(t, p)
 
 See docs/models/transport.md for symbols, code names and units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.records import Progress, Room, counted, quiet
+from fieldlum.core.strict_toml import build, plain
 from fieldlum.learn.models import ModelState, Patch, Prediction
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.held_out_choice import HeldOutErrors
-from fieldlum.learn.models.hour_weights import sun_is_unmeasured
-from fieldlum.learn.transport.computed_light import computed_light
-from fieldlum.learn.transport.features import (
-    LEAST_CDM2,
+from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
+from fieldlum.learn.transport.arrays import (
+    MIN_CDM2,
+    OpenSky,
+    StateColumns,
     TrainingArrays,
+    computed_light,
+    slip_variance,
     training_arrays_of,
-    without_refuted,
 )
-from fieldlum.learn.transport.held_out import hold_out_seasons
-from fieldlum.learn.transport.physics import physics_of
-from fieldlum.learn.transport.pixel_fit import (
-    Recipe,
-    find_patch_gain,
+from fieldlum.learn.transport.physics import Physics, physics_of
+from fieldlum.learn.transport.solve import (
+    Basis,
+    PixelFit,
+    basis_of,
     fit_pixels,
-    second_inverse,
-)
-from fieldlum.learn.transport.response import LightBasis, RoomResponse, SurfaceMaps
-from fieldlum.learn.transport.selection import SelectedRecipe, choose_model, plain_held_out
-from fieldlum.learn.transport.stored import (
-    TransportTable,
-    arrays_of,
-    response_of,
-    table_of,
-    uncertainty_of,
+    hold_out,
+    patch_scale,
+    second_covariance,
 )
 from fieldlum.learn.transport.uncertainty import (
+    LOG10_E,
+    SLIP_MSE,
     Uncertainty,
     calibrate,
-    experience,
-    residual_noise,
-    seen_mse,
-    sun_doubt,
+    one_season,
 )
 from fieldlum.learn.transport.window_sky import SkyField, seen_sky
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.sky.light import Kernel, Light
+from fieldlum.sky.light import Facades, Features, Kernel, Light
 
-# Number of pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not
-# measured.
-SAMPLE = 600
+FORMAT = 2  # of the table "transport" in config.json
+# Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
+# uncertainty. Not measured.
+CHOOSING, CALIBRATING = 250, 600
 HOURS_AT_ONCE = 64  # limits the memory of a prediction to some 100 MB at 460 x 230; chosen
-LEAST_HOURS = 3  # least number of hours from which a kernel can be chosen; not measured
+MIN_HOURS = 3  # least number of hours from which a kernel can be chosen; not measured
+# Relative variances of a captured value, from that of a camera to that of a room that changes; the
+# second one compares inputs. Not measured.
+NOISES = (3e-3, 1e-2, 3e-2)
+LAMP_GAIN = 0.3  # share of the held-out error that a constant lamp must explain; not measured
+SKY_DAYS = 4  # fewer days do not show that other skies teach more; chosen
+
+
+class SurfaceMaps(NamedTuple):
+    """Predicted luminance of n hours at the P pixels the lens saw, and inputs of its uncertainty.
+
+    luminance: without the sun's disc [n, P] cd/m2; patch: direct sun on surfaces, which is included
+    in it before the second stage [n, P] cd/m2, None without sun patches; unit: luminance of a
+    surface of usual brightness: total light times the pixel's scale [n, P] cd/m2; features: of the
+    hours; cross: covariance to the captures [n, captures].
+    """
+
+    luminance: Floats32
+    patch: Floats | None
+    unit: Floats32
+    features: Features
+    cross: Array
 
 
 @dataclass(frozen=True)
 class Transport:
     """A fitted light transport model.
 
-    response: of the room's pixels to light; heading_deg: azimuth of the middle of the maps;
-    uncertainty: of predictions; held_out_mse: log10 MSE of each capture, predicted from other days
-    [captures], None if unknown; table: scores of the recipes that were tried; sky_field: how the
-    skies in the windows differed from Perez's, None if the fit did not use them.
+    seen: mask [H, W], True at the P pixels that the lens saw; heading_deg: azimuth of the middle of
+    the maps; noise: relative variance of a captured value; kernel: covariance of hours; captured:
+    features of the n captured hours; projector [n, r]: the features of new hours are kernel(new,
+    captured) @ projector; states: lamps and blinds with which captures are marked; open_sky: the
+    window pixels; pixels: fitted values; uncertainty: of predictions; patch_scale: fitted factor on
+    all sun patches, None if patches are not used; physics: the coarse room model, None
+    without a box room; sky_field: how the skies in the windows differed from Perez's, None if the
+    fit did not use them.
     """
 
-    response: RoomResponse
+    seen: Mask
     heading_deg: float
+    noise: float
+    kernel: Kernel
+    captured: Features
+    projector: Array
+    states: StateColumns
+    open_sky: OpenSky
+    pixels: PixelFit
     uncertainty: Uncertainty
-    held_out_mse: Array | None = None
-    table: tuple[Mapping[str, float], ...] = ()
+    patch_scale: float | None = None
+    physics: Physics | None = None
     sky_field: SkyField | None = None
     name: str = field(default="transport", init=False)
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width of the maps [px]."""
-        height, width = self.response.seen.shape
-        return height, width
-
-    @property
-    def recipe(self) -> Recipe:
-        """The recipe that held-out days chose."""
-        return self.response.recipe
+    def held_out_mse(self) -> Array:
+        """Log10 MSE of each capture, predicted from other days, [n]."""
+        return self.uncertainty.held_out_mse
 
     @property
     def parameters(self) -> int:
         """Number of fitted values: those of the pixels, and the projector from captured hours."""
-        pixels = self.response.pixels
-        count = pixels.b.size + pixels.second.size + 4 * len(pixels.scale)
-        return int(count + self.response.basis.projector.size)
+        count = sum(getattr(self.pixels, f.name).size for f in fields(PixelFit))
+        return int(count + self.projector.size)
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps [n, H, W] of the n hours of `light`, with their uncertainty.
@@ -107,72 +128,88 @@ class Transport:
         used. Only the result's memory grows with n. Raises InputError for required patches that
         are missing, or patches of another shape.
         """
-        self._check(light, patch_cdm2)
-        seen_mask, count = self.response.seen, len(light)
-        maps = np.zeros((count, *self.shape), np.float32)
+        patch = self._checked(light, patch_cdm2)
+        count = len(light)
+        maps = np.zeros((count, *self.seen.shape), np.float32)
         sd = np.zeros_like(maps)
         expected, trusted = np.empty(count), np.empty(count, bool)
-        with_patch = patch_cdm2 is not None and self.response.basis.patches is not None
         for start in range(0, count, HOURS_AT_ONCE):
             rows = slice(start, start + HOURS_AT_ONCE)
-            patch = patch_cdm2[rows] if with_patch and patch_cdm2 is not None else None
-            part = self.response.maps(light[rows], patch)
-            maps[rows][:, seen_mask] = part.luminance
-            sd[rows][:, seen_mask], expected[rows], trusted[rows] = self._belief(
-                light[rows], part, patch
-            )
+            part = self.maps(light[rows], None if patch is None else patch[rows])
+            maps[rows][:, self.seen] = part.luminance
+            shown = None if patch is None else patch[rows]
+            sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part, shown)
         return Prediction(maps, sd, expected, trusted)
 
-    def _belief(
-        self, light: Light, maps: SurfaceMaps, patch: Floats32 | None
-    ) -> tuple[Floats, Array, Mask]:
-        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n]."""
-        basis, recipe, unsure = self.response.basis, self.recipe, self.uncertainty
-        features, luminance = maps.features, np.maximum(maps.luminance, np.float32(LEAST_CDM2))
-        variance = unsure.variance(maps.cross, basis.kernel.diagonal(features))  # [n]
-        share = 0.0 if maps.patch is None else maps.patch / luminance  # [n, P]
-        sd = unsure.log10_sd(maps.unit / luminance, share, variance, features.beam, maps.second)
-        weights = self._weights()
-        expected = unsure.mse * np.einsum("ij,ij,j->i", sd, sd, weights, dtype=np.float64)
-        trusted = unsure.trusted(variance)
-        if recipe.second and self.held_out_mse is not None:
-            captured = basis.captured_light, basis.captured.beam, self.held_out_mse
-            expected = experience(light, features.beam, *captured, expected)
-        if self.response.pixels.computed.any() and self.held_out_mse is not None:
-            # Around computed light the kernel's variance is too small where captures are few.
-            held_out = seen_mse(
-                features.beam,
-                sun_is_unmeasured(light, features.beam),
-                basis.captured.beam,
-                sun_is_unmeasured(basis.captured_light, basis.captured.beam),
-                self.held_out_mse,
-            )  # [n]
-            wider = np.maximum(np.sqrt(held_out / expected), 1.0).astype(sd.dtype)
-            sd, expected = sd * wider[:, None], np.maximum(expected, held_out)
-        if patch is None or unsure.slip_deg <= 0.0:
-            return sd, expected, trusted
-        dark = np.maximum(luminance * (1.0 - share), np.float32(LEAST_CDM2))
-        slip = unsure.slip_log10_variance(patch, self.response.seen, self.response.patch_gain, dark)
-        off = (slip @ weights).astype(float)  # [n]
-        return np.sqrt(sd**2 + slip), expected + off, trusted & unsure.slip_trusted(off)
-
-    def _check(self, light: Light, patch: Floats32 | None) -> None:
-        if self.response.basis.patches is not None and patch is None:
+    def _checked(self, light: Light, patch: Floats32 | None) -> Floats32 | None:
+        """Return the patches, None if they are not used; raise InputError as `predict` does."""
+        if self.patch_scale is None:
+            return None
+        if patch is None:
             raise InputError(
                 "the model",
                 "fitted with sun patches, but the hours to predict have no sun patches",
                 "sun patches of these hours",
                 "add [room] to the site, or train with --patch none",
             )
-        if patch is not None and patch.shape != (len(light), *self.shape):
+        if patch.shape != (len(light), *self.seen.shape):
             raise InputError(
                 "sun patches",
                 f"an array of {' x '.join(map(str, patch.shape))}",
-                f"{len(light)} x {self.shape[0]} x {self.shape[1]} (hours, height, width)",
+                f"{len(light)} x {self.seen.shape[0]} x {self.seen.shape[1]} "
+                "(hours, height, width)",
                 "compute the sun patches at the model's size",
             )
+        return patch
 
-    def doubting(self, slip_deg: float) -> Transport:
+    def maps(self, light: Light, patch: Floats32 | None) -> SurfaceMaps:
+        """Predict n hours at the seen pixels, without the sun's disc.
+
+        patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun.
+        """
+        pixels, features = self.pixels, self.states.features(light)
+        sunlight = None
+        if self.physics is not None:
+            sunlight = self.physics.sunlight(light)
+            features = replace(features, bounced=self.physics.features(light, sunlight))
+        cross = self.kernel(features, self.captured)  # [n, captures]
+        unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale
+        surface = (cross @ self.projector).astype(np.float32) @ pixels.b.T  # [n, P]
+        if self.physics is not None and sunlight is not None:
+            computed = self.physics.luminance(light, sunlight, self.seen)
+            surface += computed * pixels.computed_gain / unit
+        luminance = np.maximum(surface, pixels.minimum) * unit  # [n, P] cd/m2
+        direct = None
+        if patch is not None and self.patch_scale is not None:
+            direct = patch[:, self.seen] * (np.float32(self.patch_scale) * pixels.patch_gain)
+            luminance += direct
+        window = self.open_sky.index  # [k]
+        luminance[:, window] += pixels.sky_gain[window] * self.open_sky.luminance(light)
+        second = second_covariance(features, self.captured).astype(np.float32)
+        luminance *= np.exp(second @ pixels.second)
+        return SurfaceMaps(luminance, direct, unit, features, cross)
+
+    def _belief(self, maps: SurfaceMaps, patch: Floats32 | None) -> tuple[Floats, Array, Mask]:
+        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n]."""
+        unsure, features = self.uncertainty, maps.features
+        luminance = np.maximum(maps.luminance, np.float32(MIN_CDM2))
+        variance = unsure.variance(maps.cross, self.kernel.diagonal(features))  # [n]
+        share = 0.0 if maps.patch is None else maps.patch / luminance  # [n, P]
+        surface = maps.unit / luminance
+        sd = unsure.log10_sd(surface, share, variance, features.beam, self.pixels.noise)
+        weights = equirect_solid_angles(*self.seen.shape)[self.seen]
+        guess = unsure.mse * ((sd.astype(float) ** 2) @ (weights / weights.sum()))  # [n]
+        expected = unsure.experience(features, self.captured, guess)
+        wider = np.sqrt(expected / np.maximum(guess, 1e-12)).astype(sd.dtype)
+        sd, trusted = sd * wider[:, None], unsure.trusted(variance)
+        if patch is None or unsure.slip_deg <= 0.0:
+            return sd, expected, trusted
+        dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
+        slip = LOG10_E**2 * slip_variance(patch, self.seen, dark, unsure.slip_deg)
+        off = slip @ (weights / weights.sum())
+        return np.hypot(sd, np.sqrt(slip)), expected + off, trusted & (off < SLIP_MSE)
+
+    def with_displaced_patches(self, slip_deg: float) -> Transport:
         """Return the same model, with a larger uncertainty near the edges of sun patches.
 
         slip_deg: how far captured patches are displaced from computed ones [deg], as seen from the
@@ -180,28 +217,35 @@ class Transport:
         """
         return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
 
-    def _weights(self) -> Array:
-        """Return each seen pixel's share of the solid angle of all seen pixels, [P]."""
-        weights = equirect_solid_angles(*self.shape)[self.response.seen]
-        return (weights / weights.sum()).astype(np.float32)
-
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
-        arrays = arrays_of(self.response, self.uncertainty)
-        if self.held_out_mse is not None:
-            arrays["held_out_mse"] = self.held_out_mse
-        config = {
-            "heading_deg": self.heading_deg,
-            "with_patch": self.response.basis.patches is not None,
-            "transport": self._table(),
-        }
+        arrays: dict[str, Array] = {}
+        parts = ("captured", "open_sky", "pixels", "uncertainty", "physics")
+        table: dict[str, Any] = {"format": FORMAT, "noise": self.noise}
+        table |= {"patch_scale": self.patch_scale, "states": asdict(self.states)}
+        table["sky_field"] = None if self.sky_field is None else asdict(self.sky_field)
+        for name in parts:
+            part = getattr(self, name)
+            if part is not None:
+                table[name] = _flattened(part, name, arrays)
+        arrays["seen"] = self.seen
+        arrays["projector"], facades = self.projector, self.kernel.facades
+        arrays |= {"facade_azimuths": facades.azimuths_deg, "facade_weights": facades.weights}
+        with_patch = self.patch_scale is not None
+        config = {"heading_deg": self.heading_deg, "with_patch": with_patch, "transport": table}
         return ModelState(config, arrays)
 
-    def _table(self) -> TransportTable:
-        table = table_of(self.response, self.uncertainty, self.table)
-        if self.sky_field is not None:
-            table["sky_field"] = asdict(self.sky_field)
-        return table
+
+def _flattened(part: object, name: str, arrays: dict[str, Array]) -> dict[str, Any]:
+    """Add the arrays of a dataclass to `arrays`, by NAME.FIELD; return its other values."""
+    table: dict[str, Any] = {}
+    for f in fields(part):  # pyright: ignore[reportArgumentType]
+        value = getattr(part, f.name)
+        if isinstance(value, np.ndarray):
+            arrays[f"{name}.{f.name}"] = value
+        elif f.init and value is not None:
+            table[f.name] = plain(value) if isinstance(value, Room) else value
+    return table
 
 
 def from_state(state: ModelState) -> Transport:
@@ -209,19 +253,53 @@ def from_state(state: ModelState) -> Transport:
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
-    own: TransportTable = state.config["transport"]
+    table, arrays = state.config["transport"], state.arrays
+    if table.get("format") != FORMAT:
+        raise ValueError("a transport model of an earlier version")
+
+    def rebuilt(cls: type, name: str) -> Any:
+        prefix = f"{name}."
+        own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        return cls(**own, **table[name])
+
+    if "physics" in table:
+        room = build(Room, table["physics"]["room"], "the model's room")
+        table = {**table, "physics": {"room": room}}
+    states, sky_field = table["states"], table["sky_field"]
     return Transport(
-        response_of(own, state.arrays),
+        arrays["seen"].astype(bool),
         float(state.config["heading_deg"]),
-        uncertainty_of(own, state.arrays),
-        state.arrays.get("held_out_mse"),
-        tuple(own["tried"]),
-        SkyField(**own["sky_field"]) if "sky_field" in own else None,
+        float(table["noise"]),
+        Kernel(Facades(arrays["facade_azimuths"], arrays["facade_weights"])),
+        rebuilt(Features, "captured"),
+        arrays["projector"],
+        StateColumns(states["always"], tuple(states["lamps"]), tuple(states["changed"])),
+        rebuilt(OpenSky, "open_sky"),
+        rebuilt(PixelFit, "pixels"),
+        rebuilt(Uncertainty, "uncertainty"),
+        table["patch_scale"],
+        rebuilt(Physics, "physics") if "physics" in table else None,
+        None if sky_field is None else SkyField(**sky_field),
     )
 
 
 # ----------------------------------------------------------------------------------------------
 # fit
+
+
+class _Inputs(NamedTuple):
+    """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
+
+    arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
+    n]; basis: its eigenvectors; sky_field: statistics of the skies in the windows, None under
+    Perez's skies.
+    """
+
+    arrays: TrainingArrays
+    perez: Features
+    covariance: Array
+    basis: Basis
+    sky_field: SkyField | None = None
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
@@ -237,120 +315,130 @@ def fit(
 
     patch: "none" ignores the sun patches of `data`. With any other value, one factor on all patches
     is fitted, so that "absolute" (patches in cd/m2) and "gain" (patches known up to a factor) give
-    the same model. seed: of the random draw of pixels that choose the recipe. budget_s: ignored.
-    Raises NotEnoughDataError for fewer than three captures.
+    the same model. seed: of the random draw of pixels that choose inputs and noise. budget_s:
+    ignored. Raises NotEnoughDataError for fewer than three captures.
     """
-    if len(data) < LEAST_HOURS:
+    if len(data) < MIN_HOURS:
         raise NotEnoughDataError(
-            f"{counted(len(data), 'capture')}; light transport needs at least {LEAST_HOURS}; "
+            f"{counted(len(data), 'capture')}; light transport needs at least {MIN_HOURS}; "
             "capture more hours"
         )
-    with_patch = patch != "none" and data.patch_cdm2 is not None
     progress(0, 100, "describing light")
-    arrays = training_arrays_of(data, with_patch=with_patch)
+    arrays, scale = _scaled(data, patch)
     kernel = Kernel(arrays.facades)
-    scale = find_patch_gain(arrays, kernel) if with_patch else 1.0
-    if with_patch:
-        arrays = without_refuted(arrays.with_patch_scaled(scale), data)
     progress(5, 100, "light between surfaces")
-    physics = physics_of(data.setup, data.light, data.heading_deg)
+    physics = physics_of(data.setup, data.heading_deg)
+    every = _inputs(arrays, kernel, physics, data.seen)
     progress(10, 100, "choosing by held-out days")
-    drawn = _draw(arrays, seed)
-    bounced = under_sky = None
-    sky = seen_sky(arrays)
-    if physics is not None:
-        sunlight, window = physics.sunlight(data.light), arrays.open_sky.index
-        bounced = physics.features(sunlight)
-        perez = physics.luminance(data.light, sunlight, data.seen)
-        arrays = replace(arrays, computed=computed_light(arrays, window, perez))
-        if sky is not None:
-            light = physics.luminance(data.light, sunlight, data.seen, sky.luminance_cdm2)
-            under_sky = replace(computed_light(arrays, window, light), perez=perez)
-    some = None if under_sky is None else under_sky[drawn]
-    progress(12, 100, "choosing by held-out days")
-    chosen = choose_model(arrays[drawn], kernel, bounced, sky, some)
+    rng = np.random.default_rng(seed)
+    count = min(CALIBRATING, len(arrays.weights))
+    share = arrays.weights / arrays.weights.sum()
+    drawn = rng.choice(len(arrays.weights), count, p=share)
+    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days)
+    arrays, basis = chosen.arrays, chosen.basis
     progress(20, 100, "fitting")
-    light = arrays.computed if chosen.sky_field is None else under_sky
-    arrays = replace(
-        arrays,
-        features=chosen.features,
-        states=chosen.states,
-        computed=light if chosen.computed else None,
-    )
-    pixels = fit_pixels(
-        arrays,
-        chosen.basis,
-        chosen.recipe,
-        lambda finished, total: progress(20 + 70 * finished // total, 100, "fitting"),
-    )
+
+    def tick(finished: int, total: int) -> None:
+        progress(20 + 70 * finished // total, 100, "fitting")
+
+    pixels = fit_pixels(arrays, basis, noise, tick)
     progress(90, 100, "calibrating uncertainty")
-    kept = physics if chosen.computed or chosen.features.bounced is not None else None
-    basis = LightBasis(
-        chosen.kernel,
-        arrays.features,
-        data.light,
-        chosen.basis.projector,
-        kept,
-        arrays.patches,
-        arrays.states,
-    )
-    response = RoomResponse(data.seen, basis, pixels, arrays.open_sky, scale, chosen.recipe)
+    own = pixels.noise_overcast[drawn], pixels.noise_sun[drawn]
     return Transport(
-        response,
+        data.seen,
         data.heading_deg,
-        _uncertainty(response, data, arrays, chosen, drawn),
-        chosen.held.per_hour,
-        tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table),
+        noise,
+        kernel,
+        arrays.features,
+        basis.projector,
+        arrays.states,
+        arrays.open_sky,
+        pixels,
+        calibrate(arrays[drawn], basis, chosen.covariance, noise, own),
+        scale,
+        physics,
         chosen.sky_field,
     )
 
 
-def held_out_errors(data: Dataset) -> HeldOutErrors:
-    """Return the errors of each capture by a fit without its day, of log10 luminance alone.
+def _chosen(
+    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray
+) -> tuple[_Inputs, float]:
+    """Return the inputs and the noise with the smallest error on held-out days at some pixels.
 
-    It serves to compare two descriptions of the same captures: a plain recipe is faster than `fit`.
+    A lamp that is on in all hours must explain much of the error, by two standard errors.
     """
-    with_patch = data.patch_cdm2 is not None
-    arrays = training_arrays_of(data, with_patch=with_patch)
-    kernel = Kernel(arrays.facades)
-    if with_patch:
-        arrays = arrays.with_patch_scaled(find_patch_gain(arrays, kernel))
-    return plain_held_out(arrays[_draw(arrays, seed=0)], kernel).errors
+    best = every[choose([_errors(i, pixels) for i in every]).best]
+    lit = _with_lamp(best, kernel)
+    without, with_lamp = (_errors(i, pixels) for i in (best, lit))
+    gain, error = difference(without, with_lamp, "log10")
+    if gain > max(LAMP_GAIN * without.figure("log10"), 2.0 * error):
+        best = lit
+    noises = NOISES[1:] if one_season(days) else NOISES  # whose held-out days are too close
+    return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
 
 
-def _draw(arrays: TrainingArrays, seed: int) -> Indices:
-    """Return indices of some pixels, drawn with probabilities by solid angle."""
-    rng = np.random.default_rng(seed)
-    count = min(SAMPLE, len(arrays.weights))
-    return rng.choice(len(arrays.weights), count, p=arrays.weights / arrays.weights.sum())
+def _errors(inputs: _Inputs, pixels: Indices, noise: float = NOISES[1]) -> HeldOutErrors:
+    return hold_out(inputs.arrays[pixels], inputs.basis, noise).errors
 
 
-def _uncertainty(
-    response: RoomResponse,
-    data: Dataset,
-    arrays: TrainingArrays,
-    chosen: SelectedRecipe,
-    drawn: Indices,
-) -> Uncertainty:
-    """Calibrate the uncertainty by the held-out errors of the pixels `drawn`.
+def _scaled(data: Dataset, patch: Patch) -> tuple[TrainingArrays, float | None]:
+    """Return the captures with patches at the level they show, and the factor on all patches.
 
-    The residuals of each pixel are included.
+    The patches of a fitted scene have that level already. None without patches.
     """
-    patch = None if arrays.patch is None else data.patch_cdm2
-    fitted = [
-        response.maps(data.light[rows], None if patch is None else patch[rows]).luminance
-        for rows in (slice(i, i + HOURS_AT_ONCE) for i in range(0, len(data), HOURS_AT_ONCE))
-    ]
-    doubt = sun_doubt(arrays, chosen.recipe)  # [n]
-    noise = residual_noise(arrays, np.concatenate(fitted), doubt)  # [P] each
-    some = arrays[drawn]
-    seasons = hold_out_seasons(some, chosen.basis, chosen.recipe)
-    return calibrate(
-        some,
-        chosen,
-        noise,
-        (noise[0][drawn], noise[1][drawn]),
-        doubt,
-        second_inverse(arrays, chosen.recipe),
-        seasons,
+    arrays = training_arrays_of(data, with_patch=patch != "none")
+    if arrays.patch is None:
+        return arrays, None
+    scale = 1.0 if data.scene is not None else patch_scale(arrays)
+    return replace(arrays, patch=arrays.patch * np.float32(scale)), scale
+
+
+def _compared(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _Inputs:
+    """Return inputs by what the kernel compares; perez: features under Perez's skies."""
+    covariance = kernel(arrays.features, arrays.features)
+    basis = basis_of(covariance, kernel(perez, arrays.features))
+    return _Inputs(arrays, perez, covariance, basis)
+
+
+def _with_lamp(inputs: _Inputs, kernel: Kernel) -> _Inputs:
+    """Return inputs with a lamp that is on in all hours, unless they are marked."""
+    states = replace(inputs.arrays.states, always=True)
+    lamps = states.features(inputs.arrays.light).lamps
+    arrays = replace(
+        inputs.arrays, states=states, features=replace(inputs.arrays.features, lamps=lamps)
     )
+    lit = _compared(arrays, kernel, replace(inputs.perez, lamps=lamps))
+    return lit._replace(sky_field=inputs.sky_field)
+
+
+def _inputs(
+    arrays: TrainingArrays, kernel: Kernel, physics: Physics | None, seen: Mask
+) -> list[_Inputs]:
+    """Return the inputs among which held-out days choose.
+
+    These are Perez's skies or, with at least four days, those that windows showed, each with and
+    without the light of the stated room.
+    """
+    sunlight = None if physics is None else physics.sunlight(arrays.light)
+    if physics is not None and sunlight is not None:
+        bounced = physics.features(arrays.light, sunlight)
+        arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
+    light = arrays.light
+    sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= SKY_DAYS else None
+    out = [_compared(arrays, kernel, arrays.features)]
+    if sky is not None:
+        shown = replace(arrays, features=sky.features(arrays))
+        out.append(_compared(shown, kernel, arrays.features)._replace(sky_field=sky.field))
+    if physics is None or sunlight is None:
+        return out
+    perez = physics.luminance(light, sunlight, seen)
+    under = [computed_light(arrays, perez)]
+    if sky is not None:
+        shown_light = physics.luminance(light, sunlight, seen, sky.luminance_cdm2)
+        under.append(computed_light(arrays, shown_light, perez))
+    lit = [
+        i._replace(arrays=replace(i.arrays, computed=computed))
+        for i, computed in zip(out, under, strict=True)
+    ]
+    return [*out, *lit]

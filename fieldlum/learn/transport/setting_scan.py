@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from fieldlum.core.arrays import Array
 from fieldlum.core.records import Progress, quiet
@@ -23,7 +24,6 @@ from fieldlum.learn.transport.misalignment import (
     Evidence,
     evidence_of,
 )
-from fieldlum.learn.transport.patch_edges import edge_range
 from fieldlum.learn.transport.room_errors import RoomError, room_error
 
 Amount = tuple[float, ...]
@@ -290,7 +290,11 @@ def _slip_deg(evidence: Evidence, cause: str, best: Array) -> float:
     assert evidence.data.patch_cdm2 is not None
     maps = evidence.data.patch_cdm2[evidence.rows] if camera else evidence.computed(full_maps=True)
     gain = evidence.gains[0 if camera else 1]
-    low, high, _ = edge_range(maps, 1.0)
+    modes = ("nearest", "nearest", "wrap")
+    low, high = (
+        np.asarray(near(maps, (1, 3, 3), mode=modes))  # pyright: ignore[reportArgumentType]
+        for near in (minimum_filter, maximum_filter)
+    )
     flat = [part.reshape(len(part), -1)[:, evidence.pixels] for part in (maps, low, high)]
     stated, darkest, brightest = (evidence.light(part, gain) for part in flat)
     change = ((evidence.light(best, gain) - stated) ** 2).sum()

@@ -15,9 +15,8 @@ from itertools import product
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats32, Indices, Mask
-from fieldlum.core.statistics import robust_sigma
-from fieldlum.learn.transport.features import LEAST_CDM2, TrainingArrays
+from fieldlum.core.arrays import Array, Floats32, Indices
+from fieldlum.learn.transport.arrays import MIN_CDM2, TrainingArrays
 from fieldlum.sky.light import Features
 from fieldlum.sky.perez import reinhart_patches
 
@@ -29,12 +28,12 @@ NOISES = (0.01, 0.03, 0.06, 0.12, 0.25)
 # of a window pixel's luminance: with more direct sun the pixel does not show the sky; chosen
 LIT_SHARE = 0.02
 # cd/m2: a darker sky cannot be separated from the room's reflection in the glass; chosen
-LEAST_SKY_CDM2 = 5.0
-LEAST_CHANGE = 0.05  # least rms of ln luminance that is worth a test: half of the least sd; chosen
+MIN_SKY_CDM2 = 5.0
+MIN_CHANGE = 0.05  # least rms of ln luminance that is worth a test: half of the least sd; chosen
 # least number of captures that show a sky patch, so that its median is its usual share; chosen
-FEWEST_HOURS = 5
-MOST_HOURS = 48  # number of captures from which the likelihood chooses; chosen, limits the time
-MOST_PATCHES = 80  # most sky patches that are used; chosen, limits the time
+MIN_HOURS = 5
+MAX_HOURS = 48  # number of captures from which the likelihood chooses; chosen, limits the time
+MAX_PATCHES = 80  # most sky patches that are used; chosen, limits the time
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,7 @@ class SkyField:
         """
         return self.sd**2 * np.exp((a @ b.T - 1.0) / self.width**2)
 
-    def noisy(self, directions: Array) -> Array:
+    def measured_covariance(self, directions: Array) -> Array:
         """Return the covariance of the measured ln ratio at k unit vectors [k, 3], [k, k].
 
         It is `covariance` plus the variance of the noise on the diagonal.
@@ -92,7 +91,7 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     """
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
     finite = ratios[np.isfinite(ratios)]
-    if not len(finite) or float(np.sqrt((finite**2).mean())) < LEAST_CHANGE:
+    if not len(finite) or float(np.sqrt((finite**2).mean())) < MIN_CHANGE:
         return None
     field = _likeliest(ratios, directions)
     if field is None:
@@ -102,26 +101,8 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     perez = arrays.light.sky_cdm2
     horizontal = patches.solid_angles_sr * patches.directions[:, 2]  # [2305] sr
     sky = perez * factor
-    kept = (perez @ horizontal) / np.maximum(sky @ horizontal, LEAST_CDM2)  # [n]
+    kept = (perez @ horizontal) / np.maximum(sky @ horizontal, MIN_CDM2)  # [n]
     return SeenSky((sky * kept[:, None]).astype(np.float32), field)
-
-
-def scatter_of_skies(arrays: TrainingArrays, groups: Sequence[Mask]) -> list[float | None]:
-    """Return how far the skies in the windows differ from Perez's, a value for each group.
-
-    groups: masks [n] of captures. The value is the robust standard deviation of the ln of sky
-    luminance over Perez's, relative to the median over captures; None for a group with under five
-    captures that show the sky. It is not `SkyField.sd`, which a few captures with a wrong diffuse
-    irradiance can multiply.
-    """
-    ratios, _ = _patch_ratios(arrays)  # [n, k]
-    finite = np.isfinite(ratios)
-    out: list[float | None] = []
-    for rows in groups:
-        values = ratios[rows][finite[rows]]
-        enough = finite[rows].any(axis=1).sum() >= FEWEST_HOURS
-        out.append(robust_sigma(values, 0.0) if enough else None)
-    return out
 
 
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
@@ -132,16 +113,16 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     """
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]
-    captured = np.maximum(arrays.luminance[:, window], LEAST_CDM2)
-    valid = ~arrays.filled[:, window] & (perez > LEAST_SKY_CDM2)
+    captured = np.maximum(arrays.luminance[:, window], MIN_CDM2)
+    valid = ~arrays.filled[:, window] & (perez > MIN_SKY_CDM2)
     if arrays.patch is not None:
         valid &= arrays.patch[:, window] < LIT_SHARE * captured
     # omit hours with a blind, or with a lamp that the glass reflects
     if arrays.light.states is not None:
         valid &= np.array([not state for state in arrays.light.states])[:, None]
-    often = np.flatnonzero(valid.sum(axis=0) >= FEWEST_HOURS)
+    often = np.flatnonzero(valid.sum(axis=0) >= MIN_HOURS)
     valid, captured, perez = valid[:, often], captured[:, often], perez[:, often]
-    ratios = np.where(valid, np.log(captured / np.maximum(perez, LEAST_CDM2)), np.nan)
+    ratios = np.where(valid, np.log(captured / np.maximum(perez, MIN_CDM2)), np.nan)
     ratios = ratios - np.nanmedian(ratios, axis=0)  # [n, w]
     everywhere = reinhart_patches().directions
     nearest = np.argmax(arrays.open_sky.directions[often] @ everywhere.T, axis=1)  # [w]
@@ -151,7 +132,7 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
         counts[:, k] = valid[:, member == k].sum(axis=1)
         sums[:, k] = np.nansum(ratios[:, member == k], axis=1)
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    some = _spread(len(names), MOST_PATCHES)
+    some = _spread(len(names), MAX_PATCHES)
     return means[:, some], everywhere[names[some]]
 
 
@@ -163,7 +144,7 @@ def _spread(count: int, most: int) -> Indices:
 def _likeliest(ratios: Array, directions: Array) -> SkyField | None:
     """Return the most likely field for the ratios; None if noise alone is as likely."""
     with_ratio = np.flatnonzero(np.isfinite(ratios).any(axis=1))
-    hours = ratios[with_ratio[_spread(len(with_ratio), MOST_HOURS)]]
+    hours = ratios[with_ratio[_spread(len(with_ratio), MAX_HOURS)]]
     values = hours[np.isfinite(hours)]
     flat = max(-0.5 * float(((values / n) ** 2 + 2.0 * np.log(n)).sum()) for n in NOISES)
     fields = [SkyField(*settings) for settings in product(SDS, WIDTHS, NOISES)]
@@ -182,7 +163,7 @@ def _log_likelihood(
 
     groups: results of `_by_patches_seen`, each with its ratios [k, n]; directions: of all patches.
     """
-    covariance, total = field.noisy(directions), 0.0
+    covariance, total = field.measured_covariance(directions), 0.0
     for seen, rows, ratios in groups:
         lower = np.linalg.cholesky(covariance[np.ix_(seen, seen)])
         white = np.linalg.solve(lower, ratios)
@@ -194,7 +175,7 @@ def _log_likelihood(
 def _interpolated(field: SkyField, ratios: Array, directions: Array, asked: Array) -> Array:
     """Return the expected ln of the field in directions `asked` [m, 3], [n, m]."""
     out = np.zeros((len(ratios), len(asked)))
-    covariance, cross = field.noisy(directions), field.covariance(directions, asked)
+    covariance, cross = field.measured_covariance(directions), field.covariance(directions, asked)
     for patches, rows in _by_patches_seen(ratios):
         weights = np.linalg.solve(covariance[np.ix_(patches, patches)], cross[patches])  # [k, m]
         out[rows] = ratios[np.ix_(rows, patches)] @ weights

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from fieldlum.core.arrays import Indices
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Room, quiet
-from fieldlum.learn.train.room_changes import find_changes
+from fieldlum.learn.train.outliers import find_changes
 from fieldlum.room.fit.corrected import corrected, with_patches
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.room.fit.guess import Guess, room_of

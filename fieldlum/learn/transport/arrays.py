@@ -1,0 +1,323 @@
+"""Arrange captures as arrays [hours, seen pixels] for the solver, with features of their light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.core.room_states import ADDED, OFF, indicators, parse_state
+from fieldlum.core.statistics import cauchy_weights, nan_percentiles
+from fieldlum.learn.models.hour_weights import light_variance, weight_of_variance
+from fieldlum.optics.projection import equirect_pixel, equirect_rays
+from fieldlum.sky.light import LAMP_LX, Facades, Features, Light, facades_of, light_features
+
+if TYPE_CHECKING:
+    from fieldlum.learn.models.data import Dataset
+
+MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
+DISC_MARGIN = 2  # pixels around the sun that may have changed when its disc was removed; chosen
+WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky counts as a surface; chosen
+# Largest ratio of two scatters for a window pixel: of its luminance over the sky behind it, and
+# over the total light. Chosen.
+WINDOW_SCATTER = 0.5
+# How far the patches of a fitted scene are displaced, seen from the camera. In rooms of
+# bench/scene_judge.py edges are 1 to 2 cm off, at some 3 m, and the sun 0.2 degrees. With 1 degree
+# errors are the same within 3 %.
+SCENE_SLIP_DEG = 0.5
+# Standard deviation of ln L at which a value next to an edge has half weight; that of the robust
+# rounds.
+_HALF_WEIGHT_SD = 0.15
+# Computed light has no meaning below; far under that of any wall by day. Chosen.
+MIN_COMPUTED_CDM2 = 1e-3
+# Largest gain of a pixel's computed light over the median of all pixels; chosen: black to white
+MAX_GAIN = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class StateColumns:
+    """The states of the room with which captures are marked, as columns of features.
+
+    always: whether there is also a lamp that is on in every hour not marked lamp=off; lamps: states
+    that add light, such as "lamp=on"; changed: states that change the response to daylight, such as
+    "blind=half".
+    """
+
+    always: bool = False
+    lamps: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, light: Light) -> StateColumns:
+        """Return the states with which any hour of `light` is marked."""
+        parts = sorted({part for text in light.states or () for part in parse_state(text)})
+        lamps = tuple(part for part in parts if part.startswith(ADDED))
+        return cls(False, lamps, tuple(part for part in parts if part not in lamps))
+
+    def features(self, light: Light) -> Features:
+        """Return the features of the hours of `light`, with these states."""
+        features, states = light_features(light), light.states or ("",) * len(light)
+        if self.always or self.lamps:
+            lit = np.array([float(OFF not in text) for text in states])[:, None]
+            on = np.hstack((lit[:, : int(self.always)], indicators(states, self.lamps)))
+            features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
+        if self.changed:
+            features = replace(features, changed=indicators(states, self.changed))
+        return features
+
+
+# ----------------------------------------------------------------------------------------------
+# window pixels
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSky:
+    """The k window pixels: those of the camera's pixels that show sky through glass.
+
+    index: their positions in the list of the P pixels that the lens saw [k]; share: captured
+    luminance over that of the sky behind the glass (transmittance times unobstructed share, 0 to 1)
+    [k]; directions: unit vectors from the camera, x east, y north, z up [k, 3].
+    """
+
+    index: Indices
+    share: Floats32
+    directions: Array
+
+    def luminance(self, light: Light) -> Floats32:
+        """Return the Perez sky's luminance behind these pixels times `share`, [n, k] cd/m2."""
+        return light.sky_at(self.directions) * self.share
+
+
+def open_sky_from_captures(
+    luminance: Floats, patch: Floats | None, light: Light, rays: Array
+) -> OpenSky:
+    """Find the window pixels without any geometry: they follow the Perez sky behind them.
+
+    luminance, patch: of captures and of sun patches [n, P] cd/m2, patch is None if unknown; rays:
+    unit vectors of the pixels [P, 3]. A pixel above the horizon is a window if, over the hours, the
+    logarithm of luminance over sky scatters less than half as much as that of luminance over total
+    light, and luminance over sky is that of glass (0.05 to 1.2). Its `share` is the 10th
+    percentile of luminance over sky, so that the sky rarely exceeds the captured luminance.
+    """
+    above = np.flatnonzero(rays[:, 2] > 0.0)
+    captured = np.maximum(luminance[:, above], MIN_CDM2)
+    ratio = np.log(captured / light.sky_at(rays[above]))
+    plain = np.log(captured / light.total_lx[:, None].astype(np.float32))
+    if patch is not None:
+        lit = patch[:, above] > 0.3 * captured
+        lit[:, lit.all(axis=0)] = False  # a pixel without any other hour is no window below
+        ratio, plain = np.where(lit, np.nan, ratio), np.where(lit, np.nan, plain)
+    low, middle, high = nan_percentiles(ratio, (10, 50, 90))
+    spread = np.subtract(*nan_percentiles(plain, (90, 10)))
+    share = np.exp(low)
+    keep = (high - low < WINDOW_SCATTER * spread) & (share > WINDOW_SHARE) & (middle < np.log(1.2))
+    return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
+
+
+# ----------------------------------------------------------------------------------------------
+# training arrays
+
+
+@dataclass(frozen=True, slots=True)
+class ComputedLight:
+    """Luminance that was computed for the room in SITE.toml, at n hours and P pixels.
+
+    luminance: of surfaces, without direct sun on them [n, P] cd/m2, at the level of the captures;
+    perez: the same under Perez's skies, as a year is predicted, where `luminance` is under the
+    skies that captures show through the windows; gain: captured over computed luminance of each
+    pixel, 0 at window pixels [P], which both contain.
+    """
+
+    luminance: Floats32
+    perez: Floats32
+    gain: Array
+
+    def __getitem__(self, pixels: Indices | slice) -> ComputedLight:
+        """Return the computed light of the selected pixels, at all hours."""
+        return ComputedLight(self.luminance[:, pixels], self.perez[:, pixels], self.gain[pixels])
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingArrays:
+    """Captures as arrays for the solver: n hours, and the P pixels that the lens saw.
+
+    luminance: captured [n, P] cd/m2; patch: luminance of sun patches [n, P] cd/m2, None if they are
+    not used; sky: light of the sky through windows [n, P] cd/m2; filled: values without weight,
+    where the sun's disc was removed, a blind may hide a patch, or merge flagged [n, P]; trust:
+    weight of each value by irradiance, flags, uncertainty and nearness to the edge of a sun patch,
+    0 to 1 [n, P]; weights: solid angles [P]; unsure: relative variance of the irradiance
+    (`light_variance`) [n]; computed: light of the stated room, None if it is not used.
+    """
+
+    light: Light
+    features: Features
+    luminance: Floats32
+    patch: Floats32 | None
+    sky: Floats32
+    filled: Mask
+    trust: Floats
+    weights: Array
+    days: NDArray
+    unsure: Array
+    open_sky: OpenSky
+    facades: Facades
+    states: StateColumns
+    computed: ComputedLight | None = None
+
+    @property
+    def sureness(self) -> Array:
+        """Weight of each hour, [n]: 1 for exact irradiance, less if unsteady or unmeasured."""
+        return weight_of_variance(self.unsure)
+
+    def __getitem__(self, pixels: Indices | slice) -> TrainingArrays:
+        """Return the arrays of some pixels."""
+        return replace(
+            self,
+            luminance=self.luminance[:, pixels],
+            patch=None if self.patch is None else self.patch[:, pixels],
+            sky=self.sky[:, pixels],
+            filled=self.filled[:, pixels],
+            trust=self.trust[:, pixels],
+            weights=self.weights[pixels],
+            computed=None if self.computed is None else self.computed[pixels],
+        )
+
+
+def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
+    """Return captures as arrays for the solver, with window pixels detected from the captures.
+
+    with_patch: use the sun patches of `data`, if it has any; otherwise `patch` is None.
+    """
+    rays = equirect_rays(*data.shape, data.heading_deg)[data.seen]
+    luminance, light = data.luminance_cdm2[:, data.seen], data.light
+    patches = data.patch_cdm2 if with_patch else None
+    patch = None if patches is None else patches[:, data.seen]
+    open_sky = open_sky_from_captures(luminance, patch, light, rays)
+    sky = np.zeros(luminance.shape, np.float32)
+    sky[:, open_sky.index] = open_sky.luminance(light)
+    filled = around_disc(data)[:, data.seen] | _patches_unknown(data)[:, data.seen]
+    unsure = light_variance(data)
+    trust = np.where(filled, 0.0, weight_of_variance(unsure)[:, None])
+    if data.counts is not None:
+        counts = data.counts[:, data.seen]
+        trust, filled = trust * counts, filled | (counts == 0.0)
+    if data.scene is not None and patches is not None:
+        trust = trust * edge_weights(patches, data.seen, luminance, light.total_lx)
+    states = StateColumns.of(light)
+    return TrainingArrays(
+        light,
+        states.features(light),
+        luminance,
+        patch,
+        sky,
+        filled,
+        trust,
+        data.weights[data.seen],
+        data.days,
+        unsure,
+        open_sky,
+        facades_of(data.setup.room),
+        states,
+    )
+
+
+def _patches_unknown(data: Dataset) -> Mask:
+    """Mark the pixels that a computed sun patch reaches while a blind was not up, [n, H, W]."""
+    out = np.zeros(data.luminance_cdm2.shape, bool)
+    if data.patch_cdm2 is None or data.light.states is None:
+        return out
+    blind = [any(p.startswith("blind") for p in parse_state(s)) for s in data.light.states]
+    rows = np.flatnonzero(blind)
+    out[rows] = data.patch_cdm2[rows] > 0.02 * data.luminance_cdm2[rows]
+    return out
+
+
+def around_disc(data: Dataset) -> Mask:
+    """Return a mask [n, H, W], True at pixels from which the visible sun disc was removed.
+
+    It includes a margin of two pixels; hours without a visible disc have no such pixel.
+    """
+    height, width = data.shape
+    out = np.zeros((len(data), height, width), bool)
+    hours, light = np.flatnonzero(data.disc_lx > 0.0), data.light
+    altitude_deg, azimuth_deg = light.shown_altitude_deg[hours], light.sun_azimuth_deg[hours]
+    row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, data.heading_deg)
+    reach = np.arange(-DISC_MARGIN, DISC_MARGIN + 1)
+    for t, i, j in zip(hours, row.astype(int), column.astype(int), strict=True):
+        out[t, np.clip(reach + i, 0, height - 1)[:, None], (reach + j) % width] = True
+    return out
+
+
+def slip_variance(patch: Floats, seen: Mask, dark: Floats, slip_deg: float) -> Floats:
+    """Return the variance of ln L due to sun patches that are displaced by an angle, [n, P].
+
+    patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; dark:
+    luminance without the patch [n, P] cd/m2.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    slip_px = slip_deg * patch.shape[1] / 180.0
+    reach = max(1, int(np.ceil(slip_px)))
+    size, modes = (1, 2 * reach + 1, 2 * reach + 1), ("nearest", "nearest", "wrap")
+    low, high = (
+        near(patch, size, mode=modes)[:, seen]  # pyright: ignore[reportArgumentType]
+        for near in (minimum_filter, maximum_filter)
+    )
+    odds = slip_px / (2.0 * reach)  # that a pixel is on the other side of a straight edge
+    return odds * np.log((dark + high) / (dark + low)) ** 2
+
+
+def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats) -> Floats:
+    """Return the weight of each captured value next to patches of a fitted scene, 0 to 1, [n, P].
+
+    A value at the edge of a patch may show sun where the scene has shade, so it teaches little.
+    patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; luminance:
+    captured [n, P] cd/m2; total_lx: light of the sky and the sun [n].
+    """
+    total = total_lx[:, None]  # [n, 1]
+    dark = np.median(luminance / total, axis=0) * total  # [n, P]
+    variance = slip_variance(patch, seen, dark, SCENE_SLIP_DEG)
+    return cauchy_weights(np.sqrt(variance), _HALF_WEIGHT_SD)
+
+
+def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
+    """Return each pixel's usual luminance, without sky and sun patch, per lx of total light, [P].
+
+    It is a geometric mean over the hours in which at most half of the pixel's luminance is window
+    sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2 to divide by instead of the total
+    light, None for the total light. A pixel with one or two such hours is limited to the range of
+    the other pixels; a pixel without such hours gets their median.
+    """
+    total = arrays.light.total_lx[:, None] if per is None else per
+    luminance = np.maximum(arrays.luminance, MIN_CDM2)
+    direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
+    unlit = (arrays.sky <= 0.5 * luminance) & ~arrays.filled
+    if arrays.patch is not None:
+        unlit &= arrays.patch <= 0.3 * luminance
+    logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
+    count = unlit.sum(axis=0)
+    mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)
+    many = count >= 3
+    if not many.any():
+        return np.exp(np.where(count > 0, mean, np.median(logs)))
+    low, middle, high = np.percentile(mean[many], (1, 50, 99))
+    return np.exp(np.where(many, mean, np.where(count > 0, np.clip(mean, low, high), middle)))
+
+
+def computed_light(
+    arrays: TrainingArrays, luminance: Floats32, perez: Floats32 | None = None
+) -> ComputedLight:
+    """Return computed luminance [n, P] cd/m2 at the level that the captures show at each pixel.
+
+    The gain is captured over computed luminance, limited to a factor of 20 below or above the
+    median of all pixels. perez: see `ComputedLight`, None if `luminance` is under Perez's skies.
+    """
+    gain = pixel_scale(arrays, np.maximum(luminance, np.float32(MIN_COMPUTED_CDM2)))
+    middle = np.median(gain)
+    gain = np.clip(gain, middle / MAX_GAIN, middle * MAX_GAIN).astype(np.float32)
+    gain[arrays.open_sky.index] = 0.0
+    scaled = luminance * gain
+    return ComputedLight(scaled, scaled if perez is None else perez * gain, gain)
