@@ -67,9 +67,6 @@ NAMED_BY = {
     "knock": "camera was turned",
     "lamps": "a lamp was on, but not marked",
     "blind": "a moved blind",
-    "people": "a person, an object",
-    "chair": "furniture was probably moved",
-    "clipped": "clipped highlights",
 }
 TEST_HOURS = 60  # of the year, with which a model of troubled captures is compared; chosen
 

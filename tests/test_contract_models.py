@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from learning_room import dataset
 
 from fieldlum.cli import main
-from fieldlum.learn import model_registry, models, transport
+from fieldlum.learn import model_registry, models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.year.predict.blocks import wants_patch
@@ -60,16 +60,3 @@ def test_every_model_is_offered(command: str) -> None:
 )
 def test_configs_of_0_1_0_state_whether_patches_are_required(config: dict, wanted: bool) -> None:
     assert wants_patch(ModelConfig(config["model"], state=config)) is wanted
-
-
-def test_a_transport_model_without_the_flux_of_patches_predicts_without_it() -> None:
-    """Models of early 0.2.0 have no flux in their kernel and their captures."""
-    data = dataset(DAYS, height=6)
-    state = transport.fit(data).state()
-    table = dict(state.config["transport"])
-    table["kernel"] = {k: v for k, v in table["kernel"].items() if not k.startswith("flux")}
-    table["patchwork"] = {"cells_norm": table["patchwork"]["cells_norm"]}
-    arrays = {k: v for k, v in state.arrays.items() if k != "train_flux"}
-    old = transport.from_state(models.ModelState({**state.config, "transport": table}, arrays))
-    assert old.response.features(data.light, data.patch_cdm2, None).flux is None
-    assert np.isfinite(old.predict(data.light, data.patch_cdm2).luminance_cdm2).all()
