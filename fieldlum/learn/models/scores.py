@@ -245,7 +245,7 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
         day=data.days,
         weight=np.ones(len(data)),
         slots=data.slots,
-        **glare,
+        **glare,  # pyright: ignore[reportArgumentType]
     )
 
 
