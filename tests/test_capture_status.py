@@ -30,6 +30,18 @@ def test_status_counts_from_files_alone(rig: Field) -> None:
 
 
 @pytest.mark.contract
+def test_pairs_of_a_simulated_truth_are_no_pairs_of_panoramas(rig: Field) -> None:
+    """Otherwise a merged slot would count as paired, and status would not ask for `pair`."""
+    slot = rig.session.slots()[0].id
+    row = f"2027-03-20T15:30:00Z,truth/{slot}.exr,500,100"
+    rig.session.pairs.write_text(f"t_utc,panorama,dni_wm2,dhi_wm2\n{row}\n", encoding="utf-8")
+    rig.session.panoramas.mkdir(exist_ok=True)
+    rig.session.panorama(slot).write_bytes(b"")
+    answer = status(rig.session)["pair"]
+    assert answer == {"done": 0, "usable": 1, "owed": 1}
+
+
+@pytest.mark.contract
 def test_commands_exit_as_documented(rig: Field, tmp_path: Path) -> None:
     from click.testing import CliRunner
 

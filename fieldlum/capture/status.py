@@ -19,7 +19,10 @@ def status(session: Session) -> JsonTable:
     captured = {slot.id for slot in slots if ledger.state(slot.id).frames}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
-    paired = {Path(row.panorama).stem for row in pairs.rows}
+    # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.
+    folder = session.panoramas.name
+    places = [Path(row.panorama) for row in pairs.rows]
+    paired = {place.stem for place in places if place.parts[:1] == (folder,)}
     answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,
@@ -50,7 +53,7 @@ def next_step(answer: JsonTable) -> str:
         return f"fieldlum {during} {root}" + (
             "" if during == "capture" else f", then fieldlum capture {root}"
         )
-    if capture["done"] == 0 and not pair["done"]:
+    if capture["done"] == 0 and not pair["usable"]:
         return f"fieldlum plan {root} --replan, because no slot is left and none was captured"
     if not models:
         return f"fieldlum train {root}"

@@ -50,6 +50,7 @@ def _lines(s: JsonTable) -> list[str]:
 
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]
     merge, pair = s["merge"], s["pair"]
+    truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""
     models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"
     of_set = f" ({plan['set']})" if plan["set"] else ""
     damaged = damage_text(capture["damaged_lines"])
@@ -62,7 +63,7 @@ def _lines(s: JsonTable) -> list[str]:
         + (f"; {damaged}" if damaged else ""),
         f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'day')}",
         f"merge       {merge['done']} done, {merge['owed']} to do",
-        f"pair        {pair['done']} done, {pair['usable']} usable, {pair['owed']} to do",
+        f"pair        {pair['done']} done, {pair['usable']} usable{truth}, {pair['owed']} to do",
         f"train       {models}",
         f"predict     {', '.join(s['predict']['years']) or 'none'}",
         f"report      {'done' if s['report']['done'] else 'none'}",
