@@ -251,7 +251,9 @@ def realise(
         views += _truth(light, shading, true, crop, turn, target)
         mean = _mean_colour(shape, bright, target)
         exposed = (light + flare * mean) * shading[..., None]
-        for i, e in enumerate(bracket_exposures(profile.bracket, "nd5")):
+        for i, e in enumerate(
+            bracket_exposures(profile.bracket, profile.nd[0].name if profile.nd else "")
+        ):
             true_s = true_shutter_s(e.shutter_s, profile)[0] * (
                 off[e.shutter_s] if has_ratios else 1.0
             )
