@@ -29,10 +29,9 @@ from fieldlum.learn.models import trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport.model import fit
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.room.fit.apply import scene_of, with_scene
-from fieldlum.room.fit.corrected import earlier, with_patches
+from fieldlum.room.fit.apply import earlier, with_patches, with_scene
 from fieldlum.room.fit.evidence import PIXELS, gather
-from fieldlum.room.fit.fit import SceneFit, fit_scene
+from fieldlum.room.fit.fit import SceneFit, fit_scene, scene_of
 from fieldlum.room.fit.guess import guess_of, room_of
 from fieldlum.room.fit.parameters import room_parameters
 from fieldlum.room.fit.pictures import draw as draw_scene
@@ -155,7 +154,7 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     cpu = time.process_time() - begin
     if wanted.pictures:
         used = found.used(user)
-        draw_scene(wanted.pictures / path.stem, used, found, gather(used, stated), found.guess)
+        draw_scene(wanted.pictures / path.stem, used, found, gather(used, stated))
     pairs = {
         "none": (with_box(user, None), with_box(test, None)),
         "stated": (with_box(user, stated), with_box(test, stated)),

@@ -12,7 +12,7 @@ from scene_captures import ROOM, window_captures
 from fieldlum.bench import rows
 from fieldlum.core.records import Room, Site
 from fieldlum.learn.models.data import Dataset
-from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.fit.stated_box import judge_box, with_judged_box, with_same_box
 
 HEIGHT = 24
@@ -69,7 +69,7 @@ def test_other_captures_do_not_change(captures: Dataset) -> None:
     other = with_patches(_stated(captures, SHIFTED)).patch_cdm2  # of a 3D model
     modelled = replace(captures, patch_cdm2=other)
     assert with_judged_box(modelled, "absolute")[0] is modelled
-    for own in (with_patches(captures), with_patches(captures, sub=3)):  # 3: of earlier versions
+    for own in (captures, with_patches(captures)):
         assert with_judged_box(own, "absolute")[0].scene is not None
     more = captures.take(np.tile(np.arange(len(captures)), 3))  # twelve clear hours
     assert judge_box(more, ROOM) is None

@@ -15,11 +15,10 @@ from fieldlum.learn.models.year_sample import light_of_year
 from fieldlum.learn.transport import Transport, fit
 from fieldlum.room import scene
 from fieldlum.room.fit import stage
-from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.fit.evidence import gather
-from fieldlum.room.fit.fit import SceneFit
+from fieldlum.room.fit.fit import Misfits, SceneFit
 from fieldlum.room.fit.guess import guess_of
-from fieldlum.room.fit.misfits import Misfits
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
 from fieldlum.room.fit.verdict import (
@@ -229,7 +228,7 @@ def test_overcast_captures_say_what_is_missing() -> None:
 def _fit_of(captures: Dataset) -> SceneFit:
     """A fit whose kept-out misfits speak for the fitted scene, which is the true room."""
     hours = np.arange(6)
-    misfits = Misfits(0.2 + 0.01 * hours, 0.1 + 0.01 * hours, 0.01 * hours, captures.days[:6])
+    misfits = Misfits(0.2 + 0.01 * hours, 0.1 + 0.01 * hours, 0.01 * hours)
     heading_deg = captures.heading_deg
     albedo = stated_albedo(ROOM)
     return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfits, 6, ())
@@ -262,9 +261,7 @@ def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(stage, "judge_fit", lambda *_args, **_more: verdict)
     many = _fit_of(CAPTURES)
     m = many.misfits
-    few = replace(
-        many, hours=15, misfits=Misfits(m.none[:5], m.stated[:5], m.fitted[:5], m.days[:5])
-    )
+    few = replace(many, hours=15, misfits=Misfits(m.none[:5], m.stated[:5], m.fitted[:5]))
     scene_ = stage.judged_scene(CAPTURES, few)
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert any("until there are 18 clear hours in all" in note for note in scene_.notes)

@@ -17,7 +17,7 @@ from fieldlum.learn.transport.arrays import edge_weights, training_arrays_of
 from fieldlum.learn.transport.model import fit
 from fieldlum.learn.transport.solve import basis_of, fit_pixels, patch_scale
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.scene.view import look
 from fieldlum.sky.light import Kernel
 

@@ -18,10 +18,10 @@ from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train.notes import doubts
-from fieldlum.learn.train.setting import scan, settle
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
+from fieldlum.room.fit.setting import scan, settle
 from fieldlum.room.simulate.troubles import (
     LIMITS,
     Trouble,

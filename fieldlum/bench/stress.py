@@ -2,8 +2,8 @@
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
 "Reported" means one of three: the training warned (`train.notes.doubts`,
-`train.setting.settle`); the model expected, on average, more than a third of the error; or it did
-not trust most of the hours, or most of those with a large error.
+`room.fit.setting.settle`); the model expected, on average, more than a third of the error; or it
+did not trust most of the hours, or most of those with a large error.
 
 A gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04). It counts
 as unflagged if the training did not warn, the hour is trusted, and less than a third of the error
@@ -26,9 +26,9 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.train import patch_mode
 from fieldlum.learn.train.notes import doubts
-from fieldlum.learn.train.setting import scan, settle
 from fieldlum.learn.train.trials import fit_timed
-from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.apply import with_patches
+from fieldlum.room.fit.setting import scan, settle
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 

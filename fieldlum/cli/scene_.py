@@ -55,13 +55,14 @@ def fit(
           set by NTP.
     """
     from fieldlum.learn.models.data import load_pairs
+    from fieldlum.learn.train.outliers import find_changes
     from fieldlum.room.fit.stage import run
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "scene"
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
     with progress("fitting the scene") as show:
-        result = run(data, folder, clock_sd_min=clock_sd, progress=show)
+        result = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes, progress=show)
     if as_json:
         emit_json(answer_of(result.scene))
     else:

@@ -30,7 +30,6 @@ from fieldlum.learn.models.year_sample import YearExpectation, expect, light_of_
 from fieldlum.learn.train.captures import how_many
 from fieldlum.learn.train.notes import doubts, hard_captures, notes_of, seen_skies
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.learn.train.setting import scan, settle, with_right_clock
 from fieldlum.learn.train.trials import (
     ModelSelection,
     OutOfTime,
@@ -44,7 +43,7 @@ from fieldlum.learn.train.trials import (
     fit_timed,
     one_day_only,
 )
-from fieldlum.learn.transport.setting_scan import Setting
+from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
@@ -264,7 +263,7 @@ def usable_captures(
     """
     data, changed = without_changes(data, with_patch=patch != "none")
     setting = scan(data, patch, progress)
-    data, clock = with_right_clock(data, setting, progress)
+    data, clock = with_right_clock(data, setting)
     return data, setting, [*changed, *clock]
 
 

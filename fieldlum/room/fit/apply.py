@@ -3,46 +3,82 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
+import numpy as np
+
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import signed_angle_deg
-from fieldlum.room.fit.corrected import corrected, with_patches
-from fieldlum.room.fit.fit import SceneFit
-from fieldlum.room.fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
+from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
+from fieldlum.room.scene import sun_patches
 from fieldlum.session.files.model_config import UsedScene
 from fieldlum.session.site_toml import site_table
+from fieldlum.sky import sun
+from fieldlum.sky.light import Light
 
 # Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which
 # north is determined.
 _SAME_HEADING_DEG = 0.05
 
 
-def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
-    """Return a fit as a `Scene`, which records the choice of geometry.
+def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> Dataset:
+    """Return the captures relative to true north, with the sun at the true times, and a room.
 
-    Its room is the fitted one for every choice, with the azimuth relative to true north: the fitted
-    azimuth plus the correction of north. chosen: "none", "stated" or "fitted"; verdict: the reason.
+    north_deg: correction of the stated heading; clock_min: by how much the stated times are late;
+    room: its azimuth is relative to true north. Sun patches do not change: see `with_patches`.
     """
-    azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
-    room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
-    return Scene(
-        north_deg=fit.guess.north_deg,
-        clock_min=fit.guess.clock_min,
-        room=room,
-        chosen=chosen,
-        verdict=verdict,
-        stated_heading_deg=fit.heading_deg,
-        stated_room=fit.stated,
-        hours=fit.hours,
-        misfit=fit.misfits.mean(),
-        before=fit.before,
-        after=fit.after,
-        u=fit.u,
-        room_draws=fit.room_draws,
-        notes=fit.notes,
+    heading_deg = (data.setup.camera.heading_deg + north_deg) % 360.0
+    camera = replace(data.setup.camera, heading_deg=heading_deg)
+    return replace(
+        data,
+        light=earlier(data.light, clock_min, data),
+        heading_deg=(data.heading_deg + north_deg) % 360.0,
+        setup=replace(data.setup, camera=camera, room=room),
+        sky_view=None if data.sky_view is None else data.sky_view.turned(north_deg),
+    )
+
+
+def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
+    """Return the captures with sun patches computed from the room of `data.setup`, not None.
+
+    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises
+    InputError for an impossible room.
+    """
+    assert data.setup.room is not None
+    made = sun_patches(
+        data.setup.room,
+        data.setup,
+        data.light.shown_sun_direction,
+        data.light.direct_lx,
+        height=data.shape[0],
+        heading_deg=data.heading_deg,
+        progress=progress,
+    )
+    return replace(data, patch_cdm2=made.luminance_cdm2)
+
+
+def earlier(light: Light, minutes: float | Floats, data: Dataset) -> Light:
+    """Return the light with times and sun `minutes` earlier (negative: later).
+
+    minutes: one number, or one for each time [n]. Irradiance does not change. Recorded sun angles
+    are not computed again, but shifted by the sun's motion in that time, because a rendering has
+    its own formula of the sun. data: the captures, only for their site.
+    """
+    late = np.broadcast_to(minutes, len(light))
+    if not late.any():
+        return light
+    site = data.setup.site
+    times = tuple(t - timedelta(minutes=m) for t, m in zip(light.t_utc, late.tolist(), strict=True))
+    stated, true = sun.position(light.t_utc, site), sun.position(times, site)
+    altitude = light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg
+    turn = signed_angle_deg(np.asarray(true.azimuth_deg - stated.azimuth_deg))
+    azimuth = (light.sun_azimuth_deg + turn) % 360.0
+    return replace(
+        light, t_utc=times, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth, perez=light.perez
     )
 
 

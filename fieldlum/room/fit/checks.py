@@ -1,7 +1,7 @@
 """Reject captures that no scene can explain, before a search.
 
-Two errors are detected: windows at other places in the pictures than in the room, and two views in
-one csv. A compass that was read backwards is noted.
+Windows at other places in the pictures than in the room are an error. A compass that was read
+backwards is noted. Captures of another view are left out when they are read (`learn.models`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
-from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
@@ -32,17 +31,7 @@ _WINDOW_LOG_GAIN = 1.0
 _SUN_ERROR_SHARE = 0.7
 # share of the room's light that must follow the sun in front of the stated windows; chosen
 _SUN_SHARE = 0.05
-# Measured for one room: correlation 0.93 to 0.97, unexplained 0.83 to 0.86. With the office turned
-# by 16 degrees in half of the captures: 0.78 and 0.49. With a second room: 0.54 and 0.31.
-_SAME_VIEW_CORRELATION = 0.88
-_TWO_VIEWS_UNEXPLAINED = 0.65
-# Chosen, not measured: with a smaller share, captures of a second view do not change the fit; rows
-# so coarse that noise averages out; a luminance below that of a room by day; rounds of the
-# grouping, which settles in about five.
-_MIN_VIEW_SHARE = 0.04
-_VIEW_ROWS = 24
-_FLOOR_CDM2 = 0.1
-_ROUNDS = 20
+_FLOOR_CDM2 = 0.1  # chosen: a luminance below that of a room by day
 _REMEDY = (
     "nothing was written, and train uses the stated [room], or no sun patches with --patch none"
 )
@@ -51,32 +40,29 @@ _REMEDY = (
 def check_captures(data: Dataset, room: Room) -> None:
     """Raise InputError for a room or captures that cannot be fitted.
 
-    These are a room that is not a box, has no window or is impossible; captures of two views
-    (judged from 12 captures without a marked room state, such as lamp=on); and captures whose
-    bright windows fit the room only after a turn of 30 degrees or more.
+    These are a room that is not a box, has no window or is impossible, and captures whose bright
+    windows fit the room only after a turn of 30 degrees or more.
     """
     require_box(room)
-    where = data.source or "the captures"
-    views = _two_views(data)
-    if views is not None:
-        first, second, correlation = views
+    turned_windows = turned_windows_note(data, room)
+    if turned_windows:
         raise InputError(
-            where,
-            f"pictures of two views: {first} captures of one, {second} of the other "
-            f"(correlation {correlation:.2f})",
-            "one room from one position of the camera",
-            "if the camera was moved, pair and fit each position separately; if blinds were "
-            f"moved, mark these captures (fieldlum status --mark); {_REMEDY}",
-        )
-    turn_deg = _windows_turned_deg(data, room)
-    if turn_deg is not None:
-        raise InputError(
-            where,
-            f"bright windows about {turn_deg:+.0f} degrees (clockwise) from where [room] and "
-            "heading_deg place windows",
+            data.source or "the captures",
+            turned_windows,
             "windows at the places stated in [room]",
             f"check heading_deg, wall_azimuth_deg and the windows' walls; {_REMEDY}",
         )
+
+
+def turned_windows_note(data: Dataset, room: Room) -> str:
+    """Return a sentence if bright windows fit the room only after 30 degrees or more; "" if not."""
+    turn_deg = _windows_turned_deg(data, room)
+    if turn_deg is None:
+        return ""
+    return (
+        f"bright windows about {turn_deg:+.0f} degrees (clockwise) from where [room] and "
+        "heading_deg place windows"
+    )
 
 
 def reversed_compass_note(data: Dataset, room: Room) -> str:
@@ -151,54 +137,3 @@ def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
     absent = shares[0] < _SUN_SHARE
     clear = absent and errors[best] < _SUN_ERROR_SHARE * errors[0]
     return turn_deg if clear and abs(turn_deg) >= _MIN_TURN_DEG else None
-
-
-def _two_views(data: Dataset) -> tuple[int, int, float] | None:
-    """Return the numbers of captures of two views, and their correlation; None for one view.
-
-    Captures with a marked state of the room, such as lamps, do not count.
-    """
-    states = data.light.states
-    usual = np.ones(len(data), bool) if states is None else np.array([not s for s in states])
-    if usual.sum() < _MIN_HOURS:
-        return None
-    step = max(1, data.shape[0] // _VIEW_ROWS)
-    seen_mask = data.seen[::step, ::step]
-    weights = equirect_solid_angles(*data.shape)[::step, ::step][seen_mask]
-    weights = weights / weights.sum()
-    pictures = np.log(
-        np.maximum(data.luminance_cdm2[usual, ::step, ::step][:, seen_mask], _FLOOR_CDM2)
-    )
-    pictures = pictures - np.median(pictures, axis=1, keepdims=True)
-    scaled = (pictures * np.sqrt(weights)).astype(float)
-    label = _two_groups(scaled)
-    share = float(label.mean())
-    if not _MIN_VIEW_SHARE <= share <= 1.0 - _MIN_VIEW_SHARE:
-        return None
-    centres = np.stack([scaled[label == k].mean(axis=0) for k in (0, 1)])
-    unexplained = ((scaled - centres[label]) ** 2).sum() / ((scaled - scaled.mean(0)) ** 2).sum()
-    medians = np.stack([np.median(pictures[label == k], axis=0) for k in (0, 1)])
-    medians = (medians - (medians @ weights)[:, None]) * np.sqrt(weights)
-    norms = np.linalg.norm(medians, axis=1)
-    correlation = float(medians[0] @ medians[1] / max(norms.prod(), 1e-12))
-    if correlation > _SAME_VIEW_CORRELATION or unexplained > _TWO_VIEWS_UNEXPLAINED:
-        return None
-    return int((label == 0).sum()), int((label == 1).sum()), correlation
-
-
-def _two_groups(points: Floats) -> Indices:
-    """Return the group, 0 or 1, of each of the points [n, k].
-
-    The groups are found by two means that start at the ends of the widest extent.
-    """
-    off = points - points.mean(axis=0)
-    label = (np.linalg.svd(off, full_matrices=False)[0][:, 0] > 0.0).astype(np.intp)
-    for _ in range(_ROUNDS):
-        if len(np.unique(label)) < 2:
-            break
-        centres = np.stack([points[label == k].mean(axis=0) for k in (0, 1)])
-        nearer = ((points[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
-        if (nearer == label).all():
-            break
-        label = nearer
-    return label

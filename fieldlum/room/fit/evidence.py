@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
+from fieldlum.core.arrays import Floats, Floats32, Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
-from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.light_below import LEAST_CDM2, LightBelow, levelled
-from fieldlum.room.fit.lit_misfit import lit_gain
-from fieldlum.room.fit.renderer import FLOOR, SHELL, Surfaces, lit_entries, surfaces, unit_patches
-from fieldlum.room.fit.sampling import draw_pixels, rays_of
+from fieldlum.room.fit.renderer import FLOOR, SHELL, Surfaces, surfaces, unit_patches
 from fieldlum.room.fit.sunny import (
     MIN_SUNNY_HOURS,
     SUNSHINE_WM2,
     direct_on_windows_lx,
     sunny_hours,
 )
-from fieldlum.room.fit.window_view import WindowView, window_view
+from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
 
 if TYPE_CHECKING:
@@ -46,7 +45,8 @@ SUB = 2  # rays into which a pixel is divided, in each direction
 # tenth (docs/validation.md, rooms of other renderers).
 WIDTH = 1.5
 _WALLS_FACTOR = 2.0  # between the albedos of walls; chosen
-_KNOWN = 4  # answers that are kept: a search steps to and fro about one scene; chosen
+# pixels nearer to a window are omitted, because they may look through it; chosen
+_WINDOW_MARGIN_DEG = 4.0
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
 
 
@@ -59,8 +59,7 @@ class SceneEvidence:
     [m]; rays: sub x sub in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel:
     index below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the
     stated time were -20, -19 ... 20 min after the true time [41, n, 2]; rows: indices of the hours
-    in the captures [n]; pixels: flat indices in the panorama of `shape` [m], which stand for
-    `solid_angle_sr` of it; view: the median picture of the windows.
+    in the captures [n]; pixels: flat indices in the panorama of `shape` [m].
     """
 
     log_seen: Array
@@ -73,9 +72,7 @@ class SceneEvidence:
     clock: Array
     rows: NDArray[np.intp]
     pixels: NDArray[np.intp]
-    solid_angle_sr: float
     shape: tuple[int, int]
-    view: WindowView
     sub: int = SUB
 
     def __len__(self) -> int:
@@ -98,17 +95,13 @@ class SceneEvidence:
             rows=self.rows[index],
         )
 
-    def thinned(self, every: int) -> SceneEvidence:
-        """Return the evidence of pixels 0, `every`, 2 `every` ..., also in the windows' picture."""
-        thin = self.at_pixels(np.arange(0, len(self.pixels), every))
-        return replace(thin, view=self.view.thinned(every))
-
     def coarse(self) -> SceneEvidence:
-        """Return the evidence thinned to about 1 000 pixels; with under 1 500 it is unchanged."""
-        return self.thinned(max(1, round(len(self.pixels) / COARSE_PIXELS)))
+        """Return the evidence of about 1 000 pixels, evenly from all.
 
-    def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """Return the evidence of the pixels with the indices `keep` [k], with weights of sum 1."""
+        With under 1 500 it is unchanged.
+        """
+        every = max(1, round(len(self.pixels) / COARSE_PIXELS))
+        keep = np.arange(0, len(self.pixels), every)
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -143,71 +136,11 @@ class SceneEvidence:
 
         albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
         """
-        ends = self._ends(guess)
+        ends = surfaces(guess, self.rays, self.spread)
         tone = albedo[ends.surface]
         suns, count = self.suns_room(guess), len(self.pixels)
         shine = unit_patches(guess, ends, suns, self.pixel, count, self.sub, tone)
         return self.direct_lx[:, None] * shine / np.pi
-
-    def mean_misfit(self, guess: Guess, albedo: Array) -> float:
-        """Return the mean of `misfit` over the hours for the guess's patches.
-
-        albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
-        """
-        ends = self._ends(guess)
-        lit = lit_entries(guess, ends, self.suns_room(guess))
-        shine = lit.strength * albedo.astype(np.float32)[ends.surface[lit.ray]]
-        return self.misfit_of_lit(lit.hour, lit.ray, shine)
-
-    def _ends(self, guess: Guess) -> Surfaces:
-        """Return where the rays end; the last few answers are kept, as many moves change none."""
-        key = replace(guess, bars=(), thickness_m=0.0, north_deg=0.0, clock_min=0.0)
-        if key not in self._known_ends:
-            if len(self._known_ends) >= _KNOWN:
-                self._known_ends.pop(next(iter(self._known_ends)))
-            self._known_ends[key] = surfaces(guess, self.rays, self.spread)
-        return self._known_ends[key]
-
-    @cached_property
-    def _known_ends(self) -> dict[Guess, Surfaces]:
-        return {}
-
-    def misfit_of_lit(
-        self, hour: NDArray[np.intp], ray: NDArray[np.intp], shine: NDArray[np.float32]
-    ) -> float:
-        """Return the mean of `misfit` over the hours, if the sun reaches k pairs of hour and ray.
-
-        hour, ray: indices from 0 [k]; shine: the ray's irradiance per lx of the sun, times albedo
-        [k]. Other pairs get no direct sun.
-        """
-        scale = self.direct_lx / (np.pi * self.sub**2)
-        arrays = (self.below, self.log_seen, self.dark_loss, self.weights)
-        gain = lit_gain(hour, ray, shine, self.pixel, scale, *arrays, WIDTH)
-        return self.dark_misfit - gain / len(self)
-
-    @cached_property
-    def dark_misfit(self) -> float:
-        """The mean of `misfit` over the hours if there were no sun patch, 0 to 1."""
-        return float((self.dark_loss @ self.weights).mean())
-
-    @cached_property
-    def dark_loss(self) -> Array:
-        """The loss of each hour and pixel without a patch, 0 to 1, [n, m]; see `loss`."""
-        return _saturated(np.log(self.below) - self.log_seen)
-
-    def loss(self, entry: NDArray[np.intp], patch: Array) -> Array:
-        """Return e^2 / (e^2 + 1.5^2), e the error of ln luminance, of k entries with patches, [k].
-
-        entry: flat indices, hour times m plus pixel [k]; patch: luminance of direct sun, cd/m2 [k].
-        The computed luminance is `below` plus patch.
-        """
-        return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
-
-    def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
-        """Return the mean albedo of what each pixel's rays end on, [m]; 0 if only outside."""
-        value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
-        hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
-        return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
     def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
@@ -305,10 +238,8 @@ def gather(
             f"window, but at least {min_hours} are needed: capture clear hours; until then train "
             f"uses the stated [room] or no sun patch, and states why"
         )
-    chosen, weights, solid_angle_sr = draw_pixels(
-        data, guess, rows, pixels, np.random.default_rng(seed)
-    )
-    rays, pixel = rays_of(data, chosen, SUB)
+    chosen, weights = _draw_pixels(data, guess, rows, pixels, np.random.default_rng(seed))
+    rays, pixel = _rays_of(data, chosen, SUB)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
     evidence = SceneEvidence(
         np.log(seen[rows]),
@@ -321,9 +252,7 @@ def gather(
         _clock_table(data, rows),
         rows,
         chosen,
-        solid_angle_sr,
         data.shape,
-        window_view(data, guess),
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 
@@ -351,3 +280,43 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
         azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
         table.append(np.stack([altitude, azimuth], axis=-1))
     return np.stack(table)
+
+
+def _draw_pixels(
+    data: Dataset, guess: Guess, rows: Indices, count: int, rng: np.random.Generator
+) -> tuple[Indices, Floats]:
+    """Return evenly drawn pixels and their weights.
+
+    rows: captures with direct sun; count: of the pixels, of which a few can coincide. They
+    are spaced by solid angle. Pixels that brighten strongly in some hour are drawn four times as
+    often, which the weights compensate. Pixels that may look through a window of the guess are not
+    drawn.
+    """
+    height, width = data.shape
+    _, middle = pixel_rays(height, data.heading_deg, 1)
+    away = surfaces(guess, middle.astype(np.float32)).surface < 0
+    margin = round(_WINDOW_MARGIN_DEG / 180.0 * height)
+    glass = binary_dilation(away.reshape(height, width), iterations=max(1, margin))
+    usable = data.seen & ~np.asarray(glass, bool)
+    omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
+    bright = data.luminance_cdm2[rows].reshape(len(rows), -1)
+    level = bright / np.maximum(np.median(bright, axis=0), LEAST_CDM2)
+    peaks = (level.max(axis=0) > 2.0) & usable.ravel()
+    boost = np.where(peaks, 4.0, 1.0)
+    chance = omega * boost
+    count = min(count, int((chance > 0.0).sum()))
+    at = (np.arange(count) + rng.random()) / count  # evenly: two draws differ little
+    chosen = np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), at))
+    return chosen, 1.0 / boost[chosen]
+
+
+def _rays_of(data: Dataset, chosen: Indices, sub: int) -> tuple[Floats32, Indices]:
+    """Return sub x sub rays in each chosen pixel [r, 3], and the index of each ray's pixel [r].
+
+    Rays are unit vectors, x east, y north, z up by the stated heading.
+    """
+    pixel, rays = pixel_rays(data.shape[0], data.heading_deg, sub)
+    place = np.full(data.shape[0] * data.shape[1], -1)
+    place[chosen] = np.arange(len(chosen))
+    of = place[pixel] >= 0
+    return rays[of].astype(np.float32), place[pixel[of]]

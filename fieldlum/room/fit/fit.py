@@ -1,43 +1,76 @@
 """Fit a scene to captures: from the stated box to north, clock, edges, bars and furniture.
 
 About a third of the sunny hours is held out of the search, as blocks of sun directions. An element
-remains only if it does not raise the misfit of these hours. The reported misfits (no patch, stated
-box, fitted scene) are those of the held-out hours.
+remains only if these hours agree. The reported misfits (no patch, stated box, fitted scene) are
+those of the held-out hours.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fieldlum.core.arrays import Indices
+from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Room, quiet
-from fieldlum.learn.train.outliers import find_changes
-from fieldlum.room.fit.corrected import corrected, with_patches
+from fieldlum.room.fit.apply import corrected, with_patches
+from fieldlum.room.fit.elements import KINDS, Kind
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, gather
-from fieldlum.room.fit.guess import Guess, room_of
-from fieldlum.room.fit.misfits import Misfits, misfits_of
-from fieldlum.room.fit.parameters import CLOCK_SD_MIN
-from fieldlum.room.fit.posterior import posterior, true_room
-from fieldlum.room.fit.scene_search import SceneSearch
-from fieldlum.room.fit.stated_room import StatedRoom
+from fieldlum.room.fit.guess import Guess, guess_of, room_of
+from fieldlum.room.fit.parameters import (
+    CLOCK_SD_MIN,
+    SUN_DEG_PER_MIN,
+    all_parameters,
+    room_parameters,
+    stated_albedo,
+)
+from fieldlum.room.fit.renderer import SHELL
+from fieldlum.room.fit.scene_file import Chosen, Scene
+from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, moved, prior_unit, search
 from fieldlum.room.fit.verdict import OUTSIDE_EVERY, outside_hours
+from fieldlum.room.fit.window_view import window_view
+from fieldlum.room.scene.room_parameters import room_parameters as uncertain_numbers
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
     from fieldlum.room.fit.pose_prior import PosePrior
 
-Array = NDArray[np.floating]
-
 # Fewer captures of a changed room hardly move a robust search, and imperfect patches, as of trees,
 # can make one look changed. Chosen.
 _FEWEST_CHANGED = 3
 OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
+# Clocks from which searches start if their uncertainty is over a minute: slightly beyond the
+# prior's 5 minutes; chosen.
+START_CLOCKS_MIN, OPEN_CLOCK_MIN = (-6.0, 0.0, 6.0), 1.0
+# Proposals of a kind that are searched, and those of them that held-out hours are asked about;
+# chosen, for time.
+_SEARCHED, _TRIALS = 5, 2
+# Share by which an element must lower the cost of held-out hours: it exceeds rounding. The sun may
+# light an object in no held-out hour: with `UNSEEN_GAIN` in the others these need only not
+# contradict. Chosen.
+KEPT_OUT_GAIN, UNSEEN_GAIN = 0.001, 0.02
+# In four rooms of other renderers north was off by 1.5 to 8 of the search's own uncertainties:
+# boxes lack what the rooms have. No number is less certain than it was stated.
+MODEL_ERROR = 4.0
+DRAWS = 6  # rooms drawn from the fit's covariance; chosen
+
+
+@dataclass(frozen=True)
+class Misfits:
+    """Misfits (`SceneEvidence.misfit`) of n held-out hours [n], by geometry."""
+
+    none: Floats
+    stated: Floats
+    fitted: Floats
+
+    def mean(self) -> dict[str, float]:
+        """Return the mean misfit over the hours: "none", "stated" and "fitted"."""
+        return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
 @dataclass(frozen=True)
@@ -49,15 +82,16 @@ class SceneFit:
     `north_deg` and `clock_min`. albedo: of west, east, south and north wall, floor, ceiling and
     solids [6 + solids]. before, after: values before and after the fit, and u: standard
     uncertainties, by parameter name. misfits: of the held-out hours. hours: number of sunny hours,
-    with the held-out ones. notes: sentences for the user. room_draws: see `posterior.Posterior`.
-    changed: indices of captures of a changed room, which were not used [k].
+    with the held-out ones. notes: sentences for the user. room_draws: values of six rooms that are
+    as likely, by the names of `scene.room_parameters`, azimuths relative to true north. changed:
+    indices of captures of a changed room, which were not used [k].
     """
 
     stated: Room
     heading_deg: float
     guess: Guess
     room: Room
-    albedo: Array
+    albedo: Floats
     before: dict[str, float]
     after: dict[str, float]
     u: dict[str, float]
@@ -80,73 +114,260 @@ def fit_scene(
     clock_sd_min: float = CLOCK_SD_MIN,
     pixels: int = PIXELS,
     seed: int = 0,
+    find_changes: Callable[..., Any] | None = None,
     progress: Progress = quiet,
 ) -> SceneFit:
     """Find the scene that explains the sun patches of the captures, starting from the stated box.
 
     pose: camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of
-    the stated times; it is ignored with `pose`, which includes it. pixels: number to sample. If
-    captures of a changed room are found with the scene's patches, the search is repeated without
-    them. Raises InputError for a room that is not a box, has no window or is impossible,
-    NotEnoughDataError for fewer than six captures with direct sun on a window.
+    the stated times; it is ignored with `pose`, which includes it. pixels: number to sample.
+    find_changes: `learn.train.outliers.find_changes`; if it finds captures of a changed room
+    with the scene's patches, the search is repeated without them. Raises InputError for a room that
+    is not a box, has no window or is impossible, NotEnoughDataError for fewer than six captures
+    with direct sun on a window.
     """
-    prior = StatedRoom(room, pose, clock_sd_min)
+
+    def searched(captures: Dataset) -> SceneSearch:
+        progress(0, 100, "light below the patches")
+        found = SceneSearch(captures, room, pose, clock_sd_min, pixels, seed)
+        found.run(lambda done, text: progress(done, 100, text))
+        return found
+
     with threadpool_limits(1, user_api="blas"):
-        search, guess, misfits = _searched(data, prior, pixels, seed, progress)
-        changed = _changed_captures(data, search, guess)
-        if len(changed) >= _FEWEST_CHANGED:
-            rest = data.take(np.setdiff1d(np.arange(len(data)), changed))
+        found = searched(data)
+        changed = np.empty(0, np.intp)
+        if find_changes is not None:
+            changed = _changed_captures(found, find_changes)
+        if len(changed):
             try:
-                search, guess, misfits = _searched(rest, prior, pixels, seed, progress)
+                found = searched(data.take(np.setdiff1d(np.arange(len(data)), changed)))
             except NotEnoughDataError:
                 changed = changed[:0]
-        else:
-            changed = changed[:0]
         progress(90, 100, "uncertainties")
-        spread = posterior(search.objective(search.evidence), guess, room, seed)
+        u, draws = found.spread(seed)
     progress(100, 100, "")
+    guess, parameters = found.guess, found.parameters
     return SceneFit(
         stated=room,
         heading_deg=data.heading_deg,
         guess=guess,
-        room=_with_albedo(room_of(guess, room), search.albedo),
-        albedo=search.albedo_with_solids(guess),
-        before={p.name: p.read(search.start) for p in search.parameters},
-        after={p.name: p.read(guess) for p in search.parameters},
-        u=spread.u,
-        misfits=misfits,
-        hours=len(search.evidence),
-        notes=(*_notes(spread.u, search.evidence), *_changed_notes(len(changed), len(data))),
-        room_draws=spread.room_draws,
+        room=_with_albedo(room_of(guess, room), found.albedo),
+        albedo=found.albedo_with_solids(),
+        before={p.name: p.measured(found.start) for p in parameters},
+        after={p.name: p.measured(guess) for p in parameters},
+        u=u,
+        misfits=found.misfits(),
+        hours=len(found.evidence),
+        notes=(*_notes(u, found.evidence), *_changed_notes(len(changed), len(data))),
+        room_draws=draws,
         changed=changed,
     )
 
 
-def _searched(
-    data: Dataset, prior: StatedRoom, pixels: int, seed: int, progress: Progress
-) -> tuple[SceneSearch, Guess, Misfits]:
-    """Search the scene at random pixels drawn with `seed`; return it with its held-out misfits."""
-    progress(0, 100, "light below the patches")
-    evidence = gather(data, prior.room, pixels=pixels, seed=seed)
-    kept_out = _kept_out(data, prior.room, evidence)
-    search = SceneSearch(data, evidence, np.flatnonzero(~kept_out), np.flatnonzero(kept_out), prior)
-    guess = search.run(lambda done, text: progress(done, 100, text))
-    held_out = search.evidence.hours(search.kept_out)
-    misfits = misfits_of(held_out, search.start, guess, search.albedo_with_solids(guess))
-    return search, guess, misfits
+class SceneSearch:
+    """State of one fit: the guess, and the evidence and albedos that belong to it."""
+
+    def __init__(
+        self,
+        data: Dataset,
+        room: Room,
+        pose: PosePrior | None = None,
+        clock_sd_min: float = CLOCK_SD_MIN,
+        pixels: int = PIXELS,
+        seed: int = 0,
+    ) -> None:
+        self.data, self.room, self.pose = data, room, pose
+        self.evidence = gather(data, room, pixels=pixels, seed=seed)
+        kept_out = _kept_out(data, room, self.evidence)
+        self.fit_hours, self.kept_out = np.flatnonzero(~kept_out), np.flatnonzero(kept_out)
+        self.start = self.guess = guess_of(room, data.heading_deg)
+        self.view = window_view(data, self.start)
+        self.parameters = room_parameters(self.start, clock_sd_min)
+        clock_u_min = clock_sd_min if pose is None else pose.u_clock_min
+        self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else (None,)
+        self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
+        self.unit = prior_unit(self.evidence, self.start, self.albedo_with_solids())
+
+    def cost(self, hours: Indices | None = None, *, coarse: bool = False) -> SceneCost:
+        """Return the cost of a guess in the hours of the search, or in others [k]."""
+        evidence = self.evidence.hours(self.fit_hours if hours is None else hours)
+        evidence = evidence.coarse() if coarse else evidence
+        return SceneCost(
+            evidence, self.start, self.parameters, self.albedo, self.unit, self.pose, self.view
+        )
+
+    def run(self, step: Callable[[int, str], None], kinds: Sequence[Kind] = KINDS) -> Guess:
+        """Search everything from the stated box; the state becomes the result's."""
+        step(10, "box and clock")
+        cost = self.cost(coarse=True)
+        tries = [search(cost, start, self.parameters) for start in self._starts()]
+        self._accept(min(tries, key=lambda pair: pair[1])[0])
+        self._settle(coarse=True)
+        self._prune(kinds)
+        for number, kind in enumerate(kinds):
+            for _ in range(kind.most):
+                step(20 + 20 * number, kind.name)
+                more = self._with_one(kind)
+                if more is None:
+                    break
+                self._accept(more)
+            self._settle(coarse=True)
+        self._prune(kinds)
+        step(80, "all together")
+        self._settle()
+        self._settle()
+        return self.guess
+
+    def _settle(self, *, coarse: bool = False) -> None:
+        """Search all numbers again, under the light that the last ones left."""
+        guess, _ = search(self.cost(coarse=coarse), self.guess, self._all(self.guess), LEVELS[1:])
+        self._accept(guess)
+
+    def _starts(self) -> list[Guess]:
+        """Return the stated box at each clock, with a pose to match.
+
+        With discs of the sun the pose is the most likely one for this clock; without, north
+        decreases by 0.25 degrees a minute, so that noon patches stay.
+        """
+        clocks = [c for c in self.clocks_min if c is not None]
+        if self.pose is not None:
+            pose = self.pose
+            return [pose.at_clock(self.start, c) for c in clocks or [float(pose.values[3])]]
+        return [
+            replace(self.start, clock_min=c, north_deg=-SUN_DEG_PER_MIN * c)
+            for c in clocks or [0.0]
+        ]
+
+    def _all(self, guess: Guess) -> list[Any]:
+        return all_parameters(guess, self.parameters)
+
+    def _with_one(self, kind: Kind) -> Guess | None:
+        """Return the guess with an element more, or None if none pays."""
+        cost = self.cost(coarse=True)
+        proposals = list(kind.propose(self.guess))
+        costs = np.array([cost(proposal) for proposal in proposals])
+        found = [
+            search(cost, trial, kind.parameters(trial), LEVELS[:2])
+            for trial in kind.best(proposals, costs, _SEARCHED)
+        ]
+        for trial, _ in sorted(found, key=lambda pair: pair[1])[:_TRIALS]:
+            more, _ = search(cost, trial, self._all(trial), LEVELS[1:2])
+            if self._pays(self.guess, more, kind.gain):
+                return more
+        return None
+
+    def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
+        """Return whether an element lowers the cost enough, in fitted and in held-out hours."""
+        costs = (replace(self.cost(hours), view=None) for hours in (self.fit_hours, self.kept_out))
+        fitted, held_out = (1.0 - cost(with_it) / cost(without) for cost in costs)
+        if fitted < least:
+            return False
+        return held_out >= (KEPT_OUT_GAIN if fitted < UNSEEN_GAIN else -KEPT_OUT_GAIN)
+
+    def _prune(self, kinds: Sequence[Kind]) -> None:
+        """Take away bars and added solids that do not pay."""
+        guess, least = self.guess, min((kind.gain for kind in kinds), default=0.0)
+        for bar in guess.bars:
+            without = replace(guess, bars=tuple(b for b in guess.bars if b is not bar))
+            guess = guess if self._pays(without, guess, least) else without
+        for solid in guess.solids[len(self.start.solids) :]:
+            without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
+            guess = guess if self._pays(without, guess, least) else without
+        self.guess = guess
+
+    def _accept(self, guess: Guess) -> None:
+        """Set guess and albedos, and estimate the light without direct sun again."""
+        self.guess = guess
+        self.albedo = self.evidence.albedos(guess, self.albedo)
+        patch = self.evidence.patches(guess, self.albedo_with_solids())
+        self.evidence = self.evidence.relit(self.data, patch)
+
+    def albedo_with_solids(self) -> Floats:
+        """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
+        return np.concatenate([self.albedo[:SHELL], [s.albedo for s in self.guess.solids]])
+
+    def misfits(self) -> Misfits:
+        """Return the misfits of held-out hours with three geometries.
+
+        The stated box gets albedos of its own from these hours.
+        """
+        evidence = self.evidence.hours(self.kept_out)
+        of_fitted = evidence.patches(self.guess, self.albedo_with_solids())
+        albedo = evidence.albedos(self.start, self.albedo[:SHELL])
+        of_stated = evidence.patches(self.start, albedo)
+        patches = (np.zeros_like(of_fitted), of_stated, of_fitted)
+        return Misfits(*(evidence.misfit(patch) for patch in patches))
+
+    def spread(self, seed: int) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
+        """Return the standard uncertainty of each parameter, and the numbers of likely rooms."""
+        hours = np.arange(len(self.evidence))
+        noise = covariance(self.cost(hours), self.guess, self.parameters)
+        own = np.sqrt(np.diag(noise))
+        stated = np.array([p.sd / p.step for p in self.parameters])
+        wider = np.clip(stated / own, 1.0, MODEL_ERROR)
+        noise *= wider[:, None] * wider
+        u = (wider * own).tolist()
+        drawn = np.random.default_rng(seed).multivariate_normal(
+            np.zeros(len(u)), noise, DRAWS, method="eigh"
+        )
+        rooms = [
+            uncertain_numbers(true_room(moved(self.guess, self.parameters, steps), self.room))
+            for steps in drawn
+        ]
+        return (
+            {p.name: share * p.step for p, share in zip(self.parameters, u, strict=True)},
+            {name: tuple(room[name] for room in rooms) for name in rooms[0]},
+        )
 
 
-def _changed_captures(data: Dataset, search: SceneSearch, guess: Guess) -> Indices:
+def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
+    """Return a fit as a `Scene`, which records the choice of geometry.
+
+    Its room is the fitted one for every choice, with the azimuth relative to true north: the fitted
+    azimuth plus the correction of north. chosen: "none", "stated" or "fitted"; verdict: the reason.
+    """
+    azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
+    return Scene(
+        north_deg=fit.guess.north_deg,
+        clock_min=fit.guess.clock_min,
+        room=replace(fit.room, wall_azimuth_deg=azimuth_deg),
+        chosen=chosen,
+        verdict=verdict,
+        stated_heading_deg=fit.heading_deg,
+        stated_room=fit.stated,
+        hours=fit.hours,
+        misfit=fit.misfits.mean(),
+        before=fit.before,
+        after=fit.after,
+        u=fit.u,
+        room_draws=fit.room_draws,
+        notes=fit.notes,
+    )
+
+
+def true_room(guess: Guess, stated: Room) -> Room:
+    """Return the guess as a `Room` whose wall azimuth is relative to true north.
+
+    The azimuth is the guess's plus its correction of north; stated: the room for fields that are
+    not fitted.
+    """
+    azimuth_deg = (guess.wall_azimuth_deg + guess.north_deg) % 360.0
+    return replace(room_of(guess, stated), wall_azimuth_deg=azimuth_deg)
+
+
+def _changed_captures(found: SceneSearch, find_changes: Callable[..., Any]) -> Indices:
     """Return the captures with a lamp, or that contradict the other days, under a scene's patches.
 
-    They are indices from 0 [k].
+    They are indices from 0 [k]; none if they are fewer than three.
     """
-    room = _with_albedo(true_room(guess, search.stated.room), search.albedo)
-    lit = with_patches(corrected(data, guess.north_deg, guess.clock_min, room))
+    guess = found.guess
+    room = _with_albedo(true_room(guess, found.room), found.albedo)
+    lit = with_patches(corrected(found.data, guess.north_deg, guess.clock_min, room))
     changes = find_changes(lit, with_patch=True)
-    if changes is None:
-        return np.empty(0, np.intp)
-    return np.union1d(changes.lamp, changes.unexplained)
+    changed = np.empty(0, np.intp)
+    if changes is not None:
+        changed = np.union1d(changes.lamp, changes.unexplained)
+    return changed if len(changed) >= _FEWEST_CHANGED else changed[:0]
 
 
 def _kept_out(data: Dataset, room: Room, evidence: SceneEvidence) -> NDArray[np.bool_]:
@@ -163,7 +384,7 @@ def _kept_out(data: Dataset, room: Room, evidence: SceneEvidence) -> NDArray[np.
     return kept_out
 
 
-def _with_albedo(room: Room, albedo: Array) -> Room:
+def _with_albedo(room: Room, albedo: Floats) -> Room:
     """Return the room with the fitted albedos; solids already have theirs."""
     return replace(
         room,

@@ -16,6 +16,9 @@ from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import rotation
 from fieldlum.room.scene.geometry import WALLS, build, room_axes
 
+# thinner ones only explain noise; chosen
+_THIN_SOLID_M, _THIN_BAR_M = 0.04, 0.01
+
 
 @dataclass(frozen=True, slots=True)
 class WindowRect:
@@ -99,12 +102,28 @@ class Guess:
         return _camera_turn(self.wall_azimuth_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
 
 
-def camera_is_free(guess: Guess) -> bool:
-    """Return whether the camera is in the room and in none of its solids."""
+def is_possible(guess: Guess) -> bool:
+    """Return whether the camera is free, and nothing is thinner than 4 cm, bars than 1 cm."""
     inside = all(0.0 < e < size for e, size in zip(guess.camera_m, guess.size_m, strict=True))
-    return inside and not any(
-        all(a < e < b for a, e, b in zip(s.low_m, guess.camera_m, s.high_m, strict=True))
-        for s in guess.solids
+    spans = [(s.low_m, s.high_m) for s in guess.solids]
+    free = inside and not any(
+        all(a < e < b for a, e, b in zip(low, guess.camera_m, high, strict=True))
+        for low, high in spans
+    )
+    return (
+        free
+        and all(
+            b - a > _THIN_SOLID_M for low, high in spans for a, b in zip(low, high, strict=True)
+        )
+        and all(b - a > _THIN_BAR_M for bar in guess.bars for a, b in (bar.span_m, bar.depth_m))
+        and all(b > a for rect in guess.windows for a, b in (rect.u_m, rect.z_m))
+    )
+
+
+def is_outside(guess: Guess, solid: Solid) -> bool:
+    """Return whether a solid is beyond the inner face of a wall with its full extent."""
+    return any(
+        solid.high_m[axis] <= 0.0 or solid.low_m[axis] >= guess.size_m[axis] for axis in (0, 1)
     )
 
 

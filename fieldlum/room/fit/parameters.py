@@ -2,197 +2,146 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Room
-from fieldlum.room.fit.guess import Bar, Guess
+from fieldlum.room.fit.guess import Guess, is_outside
 from fieldlum.room.scene.geometry import WALLS
-
-Change = Callable[[Guess, float], Guess]
 
 # Standard deviations of values measured with a tape measure and a compass (docs/scene.md).
 NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
 POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
+CLOCK_REACH_MIN = 19.0  # of the table of suns in `evidence`
 # The mean sun's 360 degrees in 24 hours, by definition: a late clock and a turned north have
 # similar effects.
 SUN_DEG_PER_MIN = 0.25
+# First steps of the search, chosen: m of the room, degrees, m of a solid inside and outside.
+_STEP_M, _STEP_DEG, _SOLID_STEP_M, _OUTSIDE_STEP_M = 0.04, 0.5, 0.16, 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """A number of the scene that a search changes, in m, degrees, minutes or, for an albedo, 1.
 
-    read(guess) returns its value; change(guess, by) returns a guess in which it is changed by `by`,
-    as far as its limits allow; for u0 and u1 of a window in the south or east wall `read` counts
-    from the opposite end and falls. first_step, last_step: step at the start and the end of the
-    search; sd: standard deviation of its prior, inf without one.
+    path: attributes and indices that lead from a guess to the number; step: the first of the
+    search; sd: standard deviation of its prior, inf without one; least, most: limits.
     """
 
     name: str
-    read: Callable[[Guess], float]
-    change: Change
-    first_step: float
-    last_step: float
-    sd: float
+    path: tuple[str | int, ...]
+    step: float
+    sd: float = np.inf
+    least: float = -np.inf
+    most: float = np.inf
+
+    def read(self, guess: Guess) -> float:
+        """Return the number's value in a guess."""
+        value: Any = guess
+        for key in self.path:
+            value = value[key] if isinstance(key, int) else getattr(value, key)
+        return value
+
+    def measured(self, guess: Guess) -> float:
+        """Return the value as a tape measures it.
+
+        The ends of windows in south and east walls count from the left end, as seen from inside.
+        """
+        value = self.read(guess)
+        if self.path[0] == "windows" and self.path[2] == "u_m":
+            wall = guess.windows[int(self.path[1])].wall
+            return guess.size_m[1 - WALLS[wall][0]] - value if wall in ("south", "east") else value
+        return value
+
+    def change(self, guess: Guess, by: float) -> Guess:
+        """Return a guess in which the number is changed by `by`, as far as its limits allow."""
+        value = float(np.clip(self.read(guess) + by, self.least, self.most))
+        return _with(guess, self.path, value)
 
 
-def _tuple_at(values: tuple[float, ...], index: int, by: float) -> tuple[float, ...]:
-    return (*values[:index], values[index] + by, *values[index + 1 :])
+def _with(whole: Any, path: tuple[str | int, ...], value: float) -> Any:
+    """Return a record or tuple with the number at the end of `path` replaced."""
+    if not path:
+        return value
+    key, rest = path[0], path[1:]
+    if isinstance(key, int):
+        return (*whole[:key], _with(whole[key], rest, value), *whole[key + 1 :])
+    return replace(whole, **{key: _with(getattr(whole, key), rest, value)})
 
 
-def room_parameters(
-    guess: Guess, *, with_wall: bool = True, clock_sd_min: float = CLOCK_SD_MIN
-) -> list[Parameter]:
+def room_parameters(guess: Guess, clock_sd_min: float = CLOCK_SD_MIN) -> list[Parameter]:
     """Return a guess's parameters: pose, clock, sizes, camera, wall thickness and window edges.
 
-    Pose is north, tilt and roll; sizes are width and depth; camera is its x and y. with_wall:
-    include the walls' azimuth; clock_sd_min: standard deviation of the clock's prior, in minutes.
-    Priors are relative to the stated values. The camera's height is not a parameter: it sets the
-    scale of all lengths. Nor is the room's height.
+    Pose is north, tilt and roll; sizes are width and depth; camera is its x and y. clock_sd_min:
+    standard deviation of the clock's prior, in minutes. The camera's height is not a parameter: it
+    sets the scale of all lengths. Nor is the room's height.
     """
-    size, camera = guess.size_m, guess.camera_m
-
-    def sized(axis: int) -> Change:
-        return lambda g, by: replace(g, size_m=_tuple_at(g.size_m, axis, by))
-
-    def placed(axis: int) -> Change:
-        return lambda g, by: replace(g, camera_m=_tuple_at(g.camera_m, axis, by))
-
-    parameters = [
-        Parameter(
-            "north_deg",
-            lambda g: g.north_deg,
-            lambda g, by: replace(g, north_deg=g.north_deg + by),
-            0.5,
-            0.03,
-            NORTH_SD_DEG,
+    reach = CLOCK_REACH_MIN
+    level = (_STEP_DEG / 2.0, LEVEL_SD_DEG)
+    sides = [max(LENGTH_SD_SHARE * side, 0.03) for side in guess.size_m]
+    return [
+        Parameter("north_deg", ("north_deg",), _STEP_DEG, NORTH_SD_DEG),
+        Parameter("clock_min", ("clock_min",), 2.0, clock_sd_min, -reach, reach),
+        Parameter("tilt_deg", ("tilt_deg",), *level),
+        Parameter("roll_deg", ("roll_deg",), *level),
+        Parameter("wall_azimuth_deg", ("wall_azimuth_deg",), _STEP_DEG, NORTH_SD_DEG),
+        Parameter("width_m", ("size_m", 0), _STEP_M, sides[0]),
+        Parameter("depth_m", ("size_m", 1), _STEP_M, sides[1]),
+        Parameter("camera_x_m", ("camera_m", 0), _STEP_M, CAMERA_SD_M),
+        Parameter("camera_y_m", ("camera_m", 1), _STEP_M, CAMERA_SD_M),
+        Parameter("thickness_m", ("thickness_m",), _STEP_M, THICKNESS_SD_M, 0.01),
+        *(
+            Parameter(f"window {k + 1} {of[0]}{end}", ("windows", k, of, end), _STEP_M, EDGE_SD_M)
+            for k in range(len(guess.windows))
+            for of in ("u_m", "z_m")
+            for end in (0, 1)
         ),
-        Parameter(
-            "clock_min",
-            lambda g: g.clock_min,
-            lambda g, by: replace(g, clock_min=float(np.clip(g.clock_min + by, -19.0, 19.0))),
-            2.0,
-            0.12,
-            clock_sd_min,
-        ),
-        _level("tilt_deg"),
-        _level("roll_deg"),
     ]
-    if with_wall:
-        parameters.append(
-            Parameter(
-                "wall_azimuth_deg",
-                lambda g: g.wall_azimuth_deg,
-                lambda g, by: replace(g, wall_azimuth_deg=g.wall_azimuth_deg + by),
-                0.5,
-                0.03,
-                NORTH_SD_DEG,
-            )
-        )
-    for axis, name in enumerate(("width_m", "depth_m")):
-        sd = max(LENGTH_SD_SHARE * size[axis], 0.03)
-        reader = _reader(lambda g, a: g.size_m[a], axis)
-        parameters.append(Parameter(name, reader, sized(axis), 0.04, 0.004, sd))
-    for axis, name in enumerate(("camera_x_m", "camera_y_m")):
-        reader = _reader(lambda g, a: g.camera_m[a], axis)
-        parameters.append(Parameter(name, reader, placed(axis), 0.04, 0.004, CAMERA_SD_M))
-    del camera
-    parameters.append(
-        Parameter(
-            "thickness_m",
-            lambda g: g.thickness_m,
-            lambda g, by: replace(g, thickness_m=max(g.thickness_m + by, 0.01)),
-            0.04,
-            0.004,
-            THICKNESS_SD_M,
-        )
-    )
-    for number in range(len(guess.windows)):
-        parameters += _window_parameters(number)
-    return parameters
 
 
-def _level(name: str) -> Parameter:
-    def change(g: Guess, by: float) -> Guess:
-        return replace(g, **{name: getattr(g, name) + by})
-
-    return Parameter(name, lambda g: getattr(g, name), change, 0.25, 0.03, LEVEL_SD_DEG)
-
-
-def _reader(read: Callable[[Guess, int], float], index: int) -> Callable[[Guess], float]:
-    return lambda g: read(g, index)
+def bar_parameters(number: int) -> list[Parameter]:
+    """Return both edges and the outer face of a bar as parameters, m; number: from 0."""
+    name = f"bar {number + 1}"
+    return [
+        Parameter(f"{name} {label}", ("bars", number, of, end), _STEP_M / 2.0)
+        for label, of, end in (("low", "span_m", 0), ("high", "span_m", 1), ("out", "depth_m", 1))
+    ]
 
 
-def _window_parameters(number: int) -> list[Parameter]:
-    def edge(which: str, end: int) -> Parameter:
-        def change(g: Guess, by: float) -> Guess:
-            rect = g.windows[number]
-            spans = _tuple_at(getattr(rect, which), end, by)
-            moved = replace(rect, **{which: spans})
-            return replace(g, windows=(*g.windows[:number], moved, *g.windows[number + 1 :]))
+def solid_parameters(guess: Guess, number: int) -> list[Parameter]:
+    """Return the faces of a solid as parameters, m, and the albedo of one inside; number: from 0.
 
-        def read(g: Guess) -> float:
-            rect = g.windows[number]
-            value = getattr(rect, which)[end]
-            if which == "u_m" and rect.wall in ("south", "east"):
-                # from the left end, as it is measured
-                return g.size_m[1 - WALLS[rect.wall][0]] - value
-            return value
-
-        name = f"window {number + 1} {which[0]}{end}"
-        return Parameter(name, read, change, 0.04, 0.004, EDGE_SD_M)
-
-    return [edge("u_m", 0), edge("u_m", 1), edge("z_m", 0), edge("z_m", 1)]
-
-
-def bar_parameters(guess: Guess) -> list[Parameter]:
-    """Return place, width and depth of each of the guess's bars as parameters without a prior.
-
-    They are in m; depth is the place of the outer face, outwards from the wall's inner face.
+    The lower face counts only if it is above the floor. No patch depends on an albedo outside. What
+    is outside stays there.
     """
-    parameters: list[Parameter] = []
-    for number in range(len(guess.bars)):
-
-        def changed(change: Callable[[Bar, float], Bar], number: int = number) -> Change:
-            def apply(g: Guess, by: float) -> Guess:
-                bars = list(g.bars)
-                bars[number] = change(bars[number], by)
-                return replace(g, bars=tuple(bars))
-
-            return apply
-
-        moves: dict[str, tuple[Callable[[Bar], float], Callable[[Bar, float], Bar]]] = {
-            "place": (lambda b: b.span_m[0], _moved_bar),
-            "width": (lambda b: b.span_m[1] - b.span_m[0], _widened_bar),
-            "depth": (lambda b: b.depth_m[1], _deepened_bar),
-        }
-        for name, (read, change) in moves.items():
-            reader = _bar_reader(read, number)
-            label = f"bar {number + 1} {name}"
-            parameters.append(Parameter(label, reader, changed(change), 0.02, 0.004, np.inf))
-    return parameters
+    solid = guess.solids[number]
+    outside = is_outside(guess, solid)
+    step = _OUTSIDE_STEP_M if outside else _SOLID_STEP_M
+    faces = []
+    for axis, of in product(range(3), ("low_m", "high_m")):
+        if axis == 2 and of == "low_m" and solid.low_m[2] <= 0.0:
+            continue
+        beyond = axis < 2 and of == "low_m" and solid.low_m[axis] >= guess.size_m[axis]
+        before = axis < 2 and of == "high_m" and solid.high_m[axis] <= 0.0
+        limits = guess.size_m[axis] if beyond else -np.inf, 0.0 if before else np.inf
+        name = f"solid {number + 1} {of[0]}{'xyz'[axis]}"
+        faces.append(Parameter(name, ("solids", number, of, axis), step, np.inf, *limits))
+    albedo = Parameter(
+        f"solid {number + 1} albedo", ("solids", number, "albedo"), 0.1, np.inf, 0.03, 0.9
+    )
+    return faces if outside else [*faces, albedo]
 
 
-def _bar_reader(read: Callable[[Bar], float], number: int) -> Callable[[Guess], float]:
-    return lambda g: read(g.bars[number])
-
-
-def _moved_bar(bar: Bar, by: float) -> Bar:
-    return replace(bar, span_m=(bar.span_m[0] + by, bar.span_m[1] + by))
-
-
-def _widened_bar(bar: Bar, by: float) -> Bar:
-    low, high = bar.span_m[0] - by / 2.0, bar.span_m[1] + by / 2.0
-    return replace(bar, span_m=(low, high)) if high > low else bar
-
-
-def _deepened_bar(bar: Bar, by: float) -> Bar:
-    return replace(bar, depth_m=(bar.depth_m[0], max(bar.depth_m[1] + by, bar.depth_m[0] + 0.005)))
+def all_parameters(guess: Guess, of_room: list[Parameter]) -> list[Parameter]:
+    """Return the parameters of the room, its bars and its solids."""
+    bars = [p for k in range(len(guess.bars)) for p in bar_parameters(k)]
+    solids = [p for k in range(len(guess.solids)) for p in solid_parameters(guess, k)]
+    return [*of_room, *bars, *solids]
 
 
 def stated_albedo(room: Room) -> Floats:

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Indices
-from fieldlum.room.fit.apply import scene_of, with_scene
-from fieldlum.room.fit.bars import window_picture
-from fieldlum.room.fit.corrected import with_patches
+from fieldlum.core.arrays import Indices
+from fieldlum.room.fit.apply import with_patches, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence
-from fieldlum.room.fit.fit import SceneFit
+from fieldlum.room.fit.fit import SceneFit, scene_of
 from fieldlum.room.fit.guess import Guess, Solid
 from fieldlum.room.scene.geometry import WALLS, wall_named
 
@@ -27,14 +25,11 @@ PLAN_MARGIN_M = 2.0  # chosen: shows what is next to the walls
 FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
 
 
-def draw(
-    folder: Path, data: Dataset, fit: SceneFit, evidence: SceneEvidence, guess: Guess
-) -> list[Path]:
-    """Write overlay.png, windows.png and plan.png into a folder and return their paths.
+def draw(folder: Path, data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> list[Path]:
+    """Write overlay.png and plan.png into a folder and return their paths.
 
-    overlay.png: edges of fitted and stated patches over up to four captures; windows.png: the share
-    of sun that cells of each window of `guess` let through, with its bars; plan.png: the room from
-    above. The folder is created; existing files are replaced.
+    overlay.png: edges of fitted and stated patches over up to four captures; plan.png: the room
+    from above. The folder is created; existing files are replaced.
     """
     import matplotlib as mpl
 
@@ -44,7 +39,6 @@ def draw(
     folder.mkdir(parents=True, exist_ok=True)
     makers = {
         "overlay.png": lambda: _overlay(data, fit, evidence),
-        "windows.png": lambda: _windows(evidence, guess, fit.albedo),
         "plan.png": lambda: plan_of(fit.guess, fit.stated),
     }
     written = []
@@ -82,35 +76,6 @@ def _telling_rows(evidence: SceneEvidence) -> Indices:
     parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)
     best = [part[np.argmax(excess[part])] for part in parts if len(part)]
     return evidence.rows[np.array(best)]
-
-
-def _windows(evidence: SceneEvidence, guess: Guess, albedo: Floats) -> Any:
-    """Draw the transmitted share of each window, with the fitted bars."""
-    from matplotlib import pyplot
-    from matplotlib.patches import Rectangle
-
-    count = len(guess.windows)
-    figure, axes = pyplot.subplots(count, 1, figsize=(9, 4.5 * count), squeeze=False)
-    for number, axis in enumerate(axes[:, 0]):
-        picture = window_picture(evidence, guess, number, albedo)
-        value = np.where(picture.weight > 0.0, picture.value, np.nan)
-        extent = (picture.u_m[0], picture.u_m[-1], picture.z_m[0], picture.z_m[-1])
-        shares = axis.imshow(value, origin="lower", extent=extent, vmin=0, vmax=1.1, cmap="viridis")
-        figure.colorbar(shares, ax=axis, label="0: bar, 1: clear glass")
-        rect = guess.windows[number]
-        for bar in guess.bars:
-            if bar.window != number:
-                continue
-            u, z = (bar.span_m, rect.z_m) if bar.upright else (rect.u_m, bar.span_m)
-            outline = Rectangle(
-                (u[0], z[0]), u[1] - u[0], z[1] - z[0], fill=False, edgecolor=FITTED_COLOUR
-            )
-            axis.add_patch(outline)
-        wall = wall_named(rect.wall, guess.wall_azimuth_deg)
-        axis.set_title(f"window {number + 1}, {wall}: share of sun let through", fontsize=9)
-        axis.set_xlabel("along the wall [m]")
-        axis.set_ylabel("height [m]")
-    return figure
 
 
 def _is_above(solid: Solid, place: tuple[float, float], top: float) -> bool:

@@ -29,10 +29,13 @@ class PosePrior:
     values: Floats
     covariance: Floats
 
-    def cost(self, guess: Guess) -> float:
-        """Return the squared Mahalanobis distance of the guess's pose and clock from the mean."""
+    def deviations(self, guess: Guess) -> Floats:
+        """Return the guess's pose and clock off the mean, in standard deviations [4].
+
+        Their squares add up to the squared Mahalanobis distance.
+        """
         off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
-        return float(off @ np.linalg.solve(self.covariance, off))
+        return np.linalg.solve(np.linalg.cholesky(self.covariance), off)
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
         """Return the guess with clock_min set, and the most likely north, tilt and roll for it."""
@@ -40,11 +43,6 @@ class PosePrior:
         pose = self.values[:3] + slopes * (clock_min - self.values[3])
         fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
         return replace(guess, **fields)
-
-    def drawn(self, rng: np.random.Generator) -> PosePrior:
-        """Return a prior with the same covariance around a mean drawn at random from this one."""
-        values = rng.multivariate_normal(self.values, self.covariance, method="cholesky")
-        return replace(self, values=values)
 
     @property
     def u_clock_min(self) -> float:

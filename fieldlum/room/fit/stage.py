@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
+
+import numpy as np
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
-from fieldlum.core.statistics import is_no_worse
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.year_sample import Predictor
-from fieldlum.room.fit.apply import scene_of, with_scene
+from fieldlum.room.fit.apply import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
 from fieldlum.room.fit.evidence import gather
-from fieldlum.room.fit.fit import SceneFit, fit_scene
-from fieldlum.room.fit.misfits import Misfits
+from fieldlum.room.fit.fit import SceneFit, fit_scene, scene_of
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pictures import draw
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
-from fieldlum.room.fit.verdict import OUTSIDE_EVERY, GeometryCandidate, SceneVerdict, judge
+from fieldlum.room.fit.verdict import (
+    OUTSIDE_EVERY,
+    GeometryCandidate,
+    GeometryScore,
+    SceneVerdict,
+    choose_geometry,
+    judge,
+)
 from fieldlum.session import Session, check_writable
 from fieldlum.sky.sky_view.measured_discs import read_discs
 
@@ -32,7 +40,7 @@ MIN_HOURS_OUTSIDE = 6
 
 @dataclass(frozen=True, slots=True)
 class SceneResult:
-    """A fitted scene, and the files that were written: scene.toml and three pictures."""
+    """A fitted scene, and the files that were written: scene.toml and two pictures."""
 
     scene: Scene
     files: tuple[Path, ...]
@@ -44,16 +52,17 @@ def run(
     *,
     clock_sd_min: float = CLOCK_SD_MIN,
     seed: int = 0,
+    find_changes: Callable[..., Any] | None = None,
     progress: Progress = quiet,
 ) -> SceneResult:
-    """Fit the scene of captures and write scene.toml, overlay.png, windows.png and plan.png.
+    """Fit the scene of captures and write scene.toml, overlay.png and plan.png.
 
     out: the folder, created if needed. Centres of the sun's disc that merge measured are used if
-    there are at least three. clock_sd_min: standard uncertainty of the captures' times. Raises
-    InputError without a `[room]`, for one that is not a box, has no window or is impossible, for
-    captures that contradict it (`checks.check_captures`), and for a damaged sidecar;
-    NotEnoughDataError for fewer than six captures with direct sun on a window. Nothing is written
-    then.
+    there are at least three. find_changes: see `fit_scene`. clock_sd_min: standard uncertainty of
+    the captures' times. Raises InputError without a `[room]`, for one that is not a box, has no
+    window or is impossible, for captures that contradict it (`checks.check_captures`), and for a
+    damaged sidecar; NotEnoughDataError for fewer than six captures with direct sun on a window.
+    Nothing is written then.
     """
     room = data.setup.room
     if room is None:
@@ -75,6 +84,7 @@ def run(
             pose=pose and prior_of(pose),
             clock_sd_min=clock_sd_min,
             seed=seed,
+            find_changes=find_changes,
             progress=progress,
         )
     except NotEnoughDataError as error:
@@ -86,7 +96,7 @@ def run(
         scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     files = [write_scene(out, scene)]
     used = fit.used(data)
-    files += draw(out, used, fit, gather(used, room, seed=seed), fit.guess)
+    files += draw(out, used, fit, gather(used, room, seed=seed))
     return SceneResult(scene, tuple(files))
 
 
@@ -96,15 +106,16 @@ def judged_scene(
     """Return the fit as a scene, with the geometry that `judge_fit` chooses.
 
     If the sunny hours have fewer than three blocks of sun directions (`outside_hours`), the misfit
-    of patches on held-out hours chooses alone (`choose_by_misfit`), the expected error is unknown
+    of patches on held-out hours chooses alone, the expected error is unknown
     (None), and the choice is not trusted. The choice is not trusted either with fewer than six
     held-out hours. data: all captures that the fit was given.
     """
-    data = fit.used(data)
+    data, mean = fit.used(data), fit.misfits.mean()
     try:
         verdict = judge_fit(data, fit, seed=seed, progress=progress)
     except NotEnoughDataError as error:
-        scene = scene_of(fit, *choose_by_misfit(fit.misfits))
+        verdict = choose_geometry([GeometryScore(k, np.nan, m) for k, m in mean.items()])
+        scene = scene_of(fit, cast("Chosen", verdict.chosen), verdict.reason)
         return replace(scene, trusted=False, notes=(*scene.notes, str(error)))
     scene = scene_of(fit, cast("Chosen", verdict.chosen), verdict.reason)
     outside = len(fit.misfits.none)
@@ -151,22 +162,3 @@ def judge_fit(
         GeometryCandidate("fitted", fitted, mean["fitted"]),
     ]
     return judge(candidates, fit_model, seed=seed, progress=progress)
-
-
-def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
-    """Return the geometry that the held-out hours support, and why.
-
-    In the order none, stated, fitted, a geometry replaces the one chosen so far if its mean misfit
-    is lower by more than one standard error of the difference over the hours.
-    """
-    order: tuple[Chosen, ...] = ("none", "stated", "fitted")
-    chosen: Chosen = "none"
-    for name in order[1:]:
-        if not is_no_worse(getattr(misfits, chosen), getattr(misfits, name)):
-            chosen = name
-    mean = misfits.mean()
-    shares = ", ".join(f"{name} {mean[name]:.3f}" for name in order)
-    return chosen, (
-        f"{chosen}: chosen by the misfit of sun patches (lower is better) in "
-        f"{len(misfits.none)} held-out hours: {shares}"
-    )

@@ -13,14 +13,12 @@ import numpy as np
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.learn.models.data import Dataset
-from fieldlum.room.fit.apply import in_scene, with_scene
-from fieldlum.room.fit.corrected import with_patches
+from fieldlum.room.fit.apply import in_scene, with_patches, with_scene
 from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.scene_file import Chosen, Scene
 from fieldlum.room.fit.sunny import MIN_SUNNY_HOURS, sunny_hours
-from fieldlum.room.scene.view import LEAST_RAYS
 
 # With fewer clear hours, held-out days chose plain recipes for patches of a tape-measured box in
 # two rooms of four, with up to 2.6 times the error.
@@ -136,10 +134,7 @@ def _has_patches_of_room(data: Dataset) -> bool:
     """Return whether the captures have no patches, or those of their `[room]`."""
     if data.patch_cdm2 is None:
         return True
-    for sub in (None, LEAST_RAYS):  # versions before 0.2.0 had the least number of rays
-        made = with_patches(data, sub=sub).patch_cdm2
-        assert made is not None
-        difference = float(np.abs(made - data.patch_cdm2).sum())
-        if difference <= MAX_OTHER_SHARE * float(made.sum() + data.patch_cdm2.sum()):
-            return True
-    return False
+    made = with_patches(data).patch_cdm2
+    assert made is not None
+    difference = float(np.abs(made - data.patch_cdm2).sum())
+    return difference <= MAX_OTHER_SHARE * float(made.sum() + data.patch_cdm2.sum())

@@ -54,8 +54,8 @@ class GeometryCandidate:
 class GeometryScore:
     """How well a geometry predicts: errors expected in a year, and misfit of its sun patches.
 
-    misfit: mean of `SceneEvidence.misfit`, 0 to 1, in the hours held out of the search.
-    trusted_share: of a year's hours, those that the model trusts.
+    expected_log10_mse: NaN if unknown. misfit: mean of `SceneEvidence.misfit`, 0 to 1, in the hours
+    held out of the search. trusted_share: of a year's hours, those that the model trusts.
     """
 
     name: str
@@ -169,12 +169,12 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
         chosen = best if promises or best.misfit < _WORTH_MISFIT * chosen.misfit else chosen
     errors = ", ".join(f"{s.name} {s.expected_log10_mse:.1e}" for s in scores)
     misfits = ", ".join(f"{s.name} {s.misfit:.3f}" for s in scores)
-    share = 100.0 * chosen.trusted_share
-    reason = (
-        f"{chosen.name}, by misfits of sun patches in hours kept out of the search ({misfits}) and "
-        f"expected log10 MSE ({errors}); the model trusts "
-        f"{share:.0f} % of a year's hours"
-    )
+    reason = f"{chosen.name}, by misfits of sun patches in hours kept out of the search ({misfits})"
+    if np.isfinite(chosen.expected_log10_mse):
+        reason += (
+            f" and expected log10 MSE ({errors}); the model trusts "
+            f"{100.0 * chosen.trusted_share:.0f} % of a year's hours"
+        )
     unexplained = chosen.misfit / max(scores[0].misfit, 1e-9)
     if chosen is not scores[0] and unexplained > MAX_UNEXPLAINED:
         reason += (

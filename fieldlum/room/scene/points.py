@@ -1,23 +1,146 @@
-"""Sort the surface points that pixels show into tiles, and test at each hour which are sunlit."""
+"""Sum the direct sun on surface points: compiled loops for panoramas and for scene fits.
+
+A point inside the panes sees the sun through an opening, past bars and boxes; a point outside sees
+it past the building. Lengths are in m, in room axes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.room.scene.geometry import BoxScene, Opening, glass_optics
-from fieldlum.room.scene.trace import EPSILON_M, hides, may_block
+from fieldlum.core.compiled import compiled
+from fieldlum.room.scene.geometry import BoxScene, glass_optics
+from fieldlum.room.scene.trace import EPSILON_M
 
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
-# Sums of weights below about one leave 1e-16 when all points are subtracted; a lit point has more.
-_ROUNDING = 1e-12
-_TILE = 64  # points in a tile, which is skipped by its bounding box; decides speed only; chosen
-_PAIRS = 4096  # pairs of tile and box in work at a time; limits memory to some 10 MB; chosen
+_HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
+_SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero; chosen
+
+
+@compiled
+def _passed(beyond: float, softness: float) -> float:
+    """Return the share of a ray's width that is past an edge; beyond: how far its middle is, m."""
+    return min(max(beyond / softness + 0.5, 0.0), 1.0)
+
+
+@compiled
+def _inverses(sun: Floats) -> Floats:
+    """Return one over each component of a direction [3], at most 10^9."""
+    inverse = np.empty(3)
+    for axis in range(3):
+        inverse[axis] = 1.0 / (sun[axis] if abs(sun[axis]) >= _SMALLEST else _SMALLEST)
+    return inverse
+
+
+@compiled
+def _is_hidden(low: Floats, high: Floats, position: Floats32, point: int, inverse: Floats) -> bool:
+    """Return whether one of the boxes [s, 3] is between a point of [r, 3] and the sun."""
+    for box in range(len(low)):
+        enters, leaves = -np.inf, np.inf
+        for axis in range(3):
+            first = (low[box, axis] - position[point, axis]) * inverse[axis]
+            last = (high[box, axis] - position[point, axis]) * inverse[axis]
+            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
+        if leaves > enters and leaves > EPSILON_M:
+            return True
+    return False
+
+
+@compiled
+def _cosine(face: int, sun: Floats) -> float:
+    """Return the cosine of the sun on a face: 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z."""
+    return sun[face] if face < 3 else -sun[face - 3]
+
+
+@compiled
+def add_through(
+    opening: Floats, bars: Floats, low: Floats, high: Floats, position: Floats32,
+    face: NDArray[np.int8], softness: Floats32, weight: Floats, target: Indices, suns: Floats,
+    glass: Floats, totals: Floats,
+) -> None:  # fmt: skip
+    """Add weight x cosine x glass x visible share of points that see suns through an opening.
+
+    opening: axis of the wall's normal, its sign outwards, inner and outer face, u from and to, z
+    from and to [8]. bars: upright (1 or 0), span from and to, depth from and to, outwards from the
+    inner face [b, 5]. low, high: corners of boxes that shade [s, 3]. For r points: position [r, 3],
+    slightly above its surface; face, as in `_cosine`, -1 for one that no sun reaches; softness:
+    width over which an edge's shade grows, m; weight; target: column of `totals`. suns: unit
+    vectors [n, 3]; glass: transmittance at each [n]; totals [n, targets].
+    """
+    axis, outward = int(opening[0]), opening[1]
+    along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
+    for hour in range(len(suns)):
+        toward = suns[hour, axis] * outward
+        if toward <= _GRAZING or suns[hour, 2] <= 0.0:
+            continue
+        inverse = _inverses(suns[hour])
+        slope_u, slope_z = suns[hour, along] / toward, suns[hour, 2] / toward
+        shift_u, shift_z = slope_u * thickness, slope_z * thickness
+        low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
+        low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
+        for point in range(len(face)):
+            if face[point] < 0:
+                continue
+            across = (inner - position[point, axis]) * outward
+            u = position[point, along] + slope_u * across
+            z = position[point, 2] + slope_z * across
+            soft = softness[point]
+            if across > 2.0 * EPSILON_M:
+                share = _passed(u - low_u, soft) * _passed(high_u - u, soft)
+                if share <= 0.0:
+                    continue
+                share *= _passed(z - low_z, soft) * _passed(high_z - z, soft)
+            elif across > -thickness / 2.0:  # in the reveal: only the outer end is ahead
+                share = _passed(u + shift_u - opening[4], soft)
+                share *= _passed(opening[5] - u - shift_u, soft)
+                share *= _passed(z + shift_z - opening[6], soft)
+                share *= _passed(opening[7] - z - shift_z, soft)
+            else:
+                continue
+            cosine = _cosine(face[point], suns[hour])
+            if share <= 0.0 or cosine <= _GRAZING:
+                continue
+            for bar in range(len(bars)):
+                upright = bars[bar, 0] > 0.0
+                at, slope = (u, slope_u) if upright else (z, slope_z)
+                near, far = slope * bars[bar, 3], slope * bars[bar, 4]
+                below, above = (
+                    at + max(near, far) - bars[bar, 1],
+                    bars[bar, 2] - at - min(near, far),
+                )
+                share *= 1.0 - _passed(below, soft) * _passed(above, soft)
+            if share > 0.0 and not _is_hidden(low, high, position, point, inverse):
+                light = share * cosine * glass[hour] * weight[point]
+                totals[hour, target[point]] += light
+
+
+@compiled
+def _add_outside(
+    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
+    target: Indices, sun: Floats, total: Floats,
+) -> None:  # fmt: skip
+    """Add weight x cosine of points from which no box hides the sun; see `add_through`."""
+    inverse = _inverses(sun)
+    for point in range(len(face)):
+        cosine = _cosine(face[point], sun)
+        if cosine > _GRAZING and not _is_hidden(low, high, position, point, inverse):
+            total[target[point]] += cosine * weight[point]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Points of one kind, as `add_through` describes them, and corners of the boxes that shade."""
+
+    position: Floats32
+    face: NDArray[np.int8]
+    weight: Floats
+    target: Indices
+    low: Floats
+    high: Floats
 
 
 @dataclass(frozen=True)
@@ -27,182 +150,33 @@ class SunPoints:
     `direct(toward)` returns, for each target, the sum over its points of weight x cosine x
     glass x visibility: a luminance for weights of reflectance / pi, an irradiance for weights
     of 1 / count, both per lx on the sun's normal. Points inside the panes see the sun only
-    through an opening; points outside see it past the building. For m points: position [m, 3]
-    in m, slightly above the surface; axis and sign of the surface's normal; weight; target:
-    index of the target that the point belongs to; inside: whether it is inside the panes.
-    tile_low, tile_high: corners of boxes [tiles, 3] that hold neighbouring points. targets:
-    their number.
+    through an opening; points outside see it past the building: those within its shell are shaded
+    by its parts, others by the shell. targets: their number.
     """
 
     scene: BoxScene
-    position: Floats32
-    axis: NDArray[np.int8]
-    sign: NDArray[np.int8]
-    weight: Floats32
-    target: NDArray[np.int32]
-    inside: Mask
-    tile_low: Floats32
-    tile_high: Floats32
+    inside: _Group
+    outside: tuple[_Group, _Group]
     targets: int
 
     def direct(self, toward: Floats) -> Floats32:
         """Return each target's sum for a sun in direction `toward` [3] in room axes, [targets]."""
-        total = np.zeros(self.targets)
-        if toward[2] <= 0.0:
-            return total.astype(np.float32)
-        cosines = np.concatenate((toward, -toward))  # by face, as in `_face`
+        total = np.zeros((1, self.targets))
+        sun = np.asarray(toward, float)
+        if sun[2] <= 0.0:
+            return total[0].astype(np.float32)
+        group = self.inside
+        softness = np.full(len(group.face), _HARD_M, np.float32)
         for o in self.scene.openings:
-            if toward[o.axis] * o.outward > _GRAZING:
-                glass = float(glass_optics(o.transmittance, toward[o.axis])[0])
-                total += glass * self._sum(self._through(o, toward), cosines)
-        # Most points outside are lit: from the sum over all, those in shade are subtracted.
-        total += np.where(cosines > _GRAZING, cosines, 0.0) @ self._sums_outside
-        total -= self._sum(self._dark_outside(cosines, toward), cosines)
-        total[total < _ROUNDING] = 0.0
-        return total.astype(np.float32)
-
-    def _sum(self, rows: Indices, cosines: Floats) -> Floats:
-        """Return the sums of weight x cosine over some of the points, [targets]."""
-        terms = self._weight[rows] * cosines[self._face[rows]]
-        return np.bincount(self.target[rows], terms, self.targets).astype(float)
-
-    @cached_property
-    def _weight(self) -> Floats:
-        return self.weight.astype(float)
-
-    @cached_property
-    def _face(self) -> NDArray[np.int8]:
-        """Direction that a point faces, [m]: 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z."""
-        return np.where(self.sign > 0, self.axis, self.axis + 3).astype(np.int8)
-
-    @cached_property
-    def _sums_outside(self) -> Floats:
-        """Sums of the weights of points outside, by face and target, [6, targets]."""
-        rows = self._outside_rows
-        flat = self._face[rows].astype(np.intp) * self.targets + self.target[rows]
-        sums = np.bincount(flat, self._weight[rows], 6 * self.targets).astype(float)
-        return sums.reshape(6, self.targets)
-
-    def _facing(self, rows: Indices, toward: Floats) -> Indices:
-        return rows[self.sign[rows] * toward[self.axis[rows]] > _GRAZING]
-
-    def _through(self, o: Opening, toward: Floats) -> Indices:
-        """Return the inside points that see the sun through this opening.
-
-        Their ray to the sun meets no frame and no furniture.
-        """
-        rows = self._facing(self._near(o, toward), toward)
-        rows = rows[self.inside[rows]]
-        p = self.position[rows]
-        slope_u, slope_z = toward[o.along] / toward[o.axis], toward[2] / toward[o.axis]
-
-        def passes(plane_m: float) -> Mask:
-            across = np.float32(plane_m) - p[:, o.axis]
-            u = p[:, o.along] + across * np.float32(slope_u)
-            z = p[:, 2] + across * np.float32(slope_z)
-            return o.contains(u, z)
-
-        # A point within the wall need not pass the inner end: the opening is convex.
-        behind = (p[:, o.axis] - o.inner_m) * o.outward > -2 * EPSILON_M
-        ahead = (o.pane_m - p[:, o.axis]) * o.outward > 0  # not beyond the pane
-        good = ahead & passes(o.outer_m) & (behind | passes(o.inner_m))
-        rows = rows[good]
-        return rows[~self._shaded(rows, toward, "frame", "obstruction")]
-
-    def _near(self, o: Opening, toward: Floats) -> Indices:
-        """Return the points of tiles whose bounding box may see the opening's outer end."""
-        axis, reach = o.axis, np.float32(o.outward)
-        near = (np.float32(o.outer_m) - self.tile_high[:, axis]) * reach
-        far = (np.float32(o.outer_m) - self.tile_low[:, axis]) * reach
-        least, most = np.minimum(near, far), np.maximum(near, far)
-        keep = most > 0
-        least = np.maximum(least, 0)
-        for k, (low, high) in ((o.along, o.u_m), (2, o.z_m)):
-            slope = np.float32(toward[k] / abs(toward[axis]))
-            shift = np.sort(np.stack((least * slope, most * slope)), axis=0)
-            keep &= (self.tile_high[:, k] + shift[1] > low) & (
-                self.tile_low[:, k] + shift[0] < high
-            )
-        return _rows_of(keep, len(self.position))
-
-    @cached_property
-    def _outside_rows(self) -> Indices:
-        return np.flatnonzero(~self.inside)
-
-    @cached_property
-    def _outside_by_face(self) -> tuple[tuple[Indices, Indices], ...]:
-        """Points outside that face each of six directions, in the order of `_face`.
-
-        For each direction: the points within the building's shell, then the others, ascending.
-        """
-        rows = self._outside_rows
-        face, own = self._face[rows], self._in_shell[rows]
-        return tuple((rows[(face == f) & own], rows[(face == f) & ~own]) for f in range(6))
-
-    @cached_property
-    def _in_shell(self) -> Mask:
-        """Mask of the points within the building's shell, [m]."""
-        low, high = np.array(self.scene.shell)
-        return ((self.position > low) & (self.position < high)).all(axis=1)
-
-    @cached_property
-    def _boxes_outside(self) -> tuple[Floats, Floats]:
-        """Low and high corners of the shell and of the boxes that are not within it, [b, 3]."""
-        (low, high), which = self.scene.shell, self.scene.of_kind("obstruction")
-        lows, highs = self.scene.low[which], self.scene.high[which]
-        beyond = ((lows < low) | (highs > high)).any(axis=1)
-        return np.vstack((low, lows[beyond])), np.vstack((high, highs[beyond]))
-
-    def _dark_outside(self, cosines: Floats, toward: Floats) -> Indices:
-        """Return the points beyond the panes that face the sun, but that a box hides from it.
-
-        cosines: of the sun with the six directions of `_face` [6].
-        """
-        facing = [self._outside_by_face[f] for f in np.flatnonzero(cosines > _GRAZING)]
-        own, other = (_merged(rows) for rows in zip(*facing, strict=True))
-        # Points of outer reveals and frames are inside the shell: the walls themselves shade them.
-        kinds = ("obstruction", "wall", "ceiling", "floor", "frame")
-        own = own[self._shaded(own, toward, *kinds)]
-        other = other[self._hidden(other, *self._boxes_outside, toward)]
-        return _merged((own, other))
-
-    def _shaded(self, rows: Indices, toward: Floats, *kinds: str) -> Mask:
-        """Return which points are hidden from the sun by a box of these kinds."""
-        which = self.scene.of_kind(*kinds)
-        return self._hidden(rows, self.scene.low[which], self.scene.high[which], toward)
-
-    def _hidden(self, rows: Indices, low: Floats, high: Floats, toward: Floats) -> Mask:
-        """Return which points, in ascending order, are hidden from the sun by boxes [b, 3].
-
-        Tiles that no box can hide are skipped.
-        """
-        out = np.zeros(len(rows), bool)
-        if not len(low) or not len(rows):
-            return out
-        tile = rows // _TILE
-        starts = np.flatnonzero(np.concatenate(([True], tile[1:] != tile[:-1])))  # [t], in `rows`
-        counts = np.diff(starts, append=len(rows))
-        tiles = tile[starts]
-        possible = may_block(low, high, self.tile_low[tiles], self.tile_high[tiles], toward)
-        which, box = np.nonzero(possible)  # pairs of tile and box
-        for part in range(0, len(which), _PAIRS):
-            some, boxes = which[part : part + _PAIRS], box[part : part + _PAIRS]
-            size = counts[some]
-            at = np.arange(size.sum()) + np.repeat(starts[some] - np.cumsum(size) + size, size)
-            hit = hides(low, high, np.repeat(boxes, size), self.position[rows[at]], toward)
-            out[at[hit]] = True
-        return out
-
-
-def _merged(rows: Sequence[Indices]) -> Indices:
-    """Return all of `rows`, of which each part is ascending, in ascending order."""
-    return np.sort(np.concatenate(rows), kind="stable")  # a merge, linear for few ascending parts
-
-
-def _rows_of(tiles: Mask, count: int) -> Indices:
-    which = np.flatnonzero(tiles)
-    rows = (which[:, None] * _TILE + np.arange(_TILE)).ravel()
-    return rows[rows < count]
+            glass = glass_optics(o.transmittance, sun[o.axis : o.axis + 1])[0]
+            add_through(
+                np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float),
+                np.empty((0, 5)), group.low, group.high, group.position, group.face, softness,
+                group.weight, group.target, sun[None], glass, total,
+            )  # fmt: skip
+        for g in self.outside:
+            _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, sun, total[0])
+        return total[0].astype(np.float32)
 
 
 def sun_points(
@@ -214,42 +188,38 @@ def sun_points(
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
-    """Return surface points as `SunPoints`, sorted into compact tiles for fast shadow tests.
+    """Return surface points as `SunPoints`.
 
     position : [m, 3] in room axes; axis, sign : of the surface's normal [m]; weight : factor on a
     point's light [m]; target : index of the sum, below `targets`, to which a point adds [m].
     """
     inside = _inside(scene, position)
-    low, high = position.min(axis=0), position.max(axis=0)
-    grid = np.clip((position - low) / np.maximum(high - low, 1e-9) * 255, 0, 255).astype(np.int64)
-    grid = np.where(
-        inside[:, None], np.clip((position - scene.shell[0]) / _extent(scene) * 255, 0, 255), grid
-    )
-    face = axis.astype(np.int64) * 2 + (sign > 0)
-    order = np.lexsort((_interleave(grid.astype(np.int64)), face, inside))
     raised = position.copy()
     raised[np.arange(len(raised)), axis] += sign * 2 * EPSILON_M
-    p = raised[order].astype(np.float32)
-    starts = np.arange(0, len(p), _TILE)
-    tile_low, tile_high = np.minimum.reduceat(p, starts), np.maximum.reduceat(p, starts)
-    pad = np.float32(10 * EPSILON_M)
-    return SunPoints(
-        scene,
-        p,
-        axis[order].astype(np.int8),
-        sign[order].astype(np.int8),
-        weight[order].astype(np.float32),
-        target[order].astype(np.int32),
-        inside[order],
-        tile_low - pad,
-        tile_high + pad,
-        targets,
-    )
+    shell_low, shell_high = np.array(scene.shell)
+    own = ((raised > shell_low) & (raised < shell_high)).all(axis=1) & ~inside
+    face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
 
+    def group(rows: Mask, low: Floats, high: Floats) -> _Group:
+        return _Group(
+            raised[rows].astype(np.float32),
+            face[rows],
+            weight[rows].astype(float),
+            np.asarray(target)[rows].astype(np.intp),
+            np.ascontiguousarray(low),
+            np.ascontiguousarray(high),
+        )
 
-def _extent(scene: BoxScene) -> Floats:
-    low, high = np.array(scene.shell)
-    return high - low
+    def boxes(*kinds: str) -> tuple[Floats, Floats]:
+        which = scene.of_kind(*kinds)
+        return scene.low[which].reshape(-1, 3), scene.high[which].reshape(-1, 3)
+
+    lows, highs = boxes("obstruction")
+    beyond = ((lows < shell_low) | (highs > shell_high)).any(axis=1)
+    around = np.vstack((shell_low, lows[beyond])), np.vstack((shell_high, highs[beyond]))
+    parts = boxes("obstruction", "wall", "ceiling", "floor", "frame")
+    outside = group(own, *parts), group(~inside & ~own, *around)
+    return SunPoints(scene, group(inside, *boxes("frame", "obstruction")), outside, targets)
 
 
 def _inside(scene: BoxScene, p: Floats) -> Mask:
@@ -259,12 +229,3 @@ def _inside(scene: BoxScene, p: Floats) -> Mask:
     for o in scene.openings:
         inside &= (o.pane_m - p[:, o.axis]) * o.outward > 0
     return inside
-
-
-def _interleave(grid: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the Morton code of 8-bit coordinates [n, 3], [n]."""
-    code = np.zeros(len(grid), np.int64)
-    for bit in range(8):
-        for k in range(3):
-            code |= ((grid[:, k] >> bit) & 1) << (3 * bit + k)
-    return code

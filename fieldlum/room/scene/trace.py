@@ -1,4 +1,4 @@
-"""Cast rays among boxes and panes exactly, vectorised over rays."""
+"""Cast rays among boxes and panes exactly."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.compiled import compiled
 from fieldlum.room.scene.geometry import BoxScene, Opening, glass_optics
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
-# rays in work at a time; limits memory only; chosen; any value gives the same result
-_CHUNK = 150_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,34 +34,40 @@ def first_hits(scene: BoxScene, origins: Floats, directions: Floats) -> Hits:
     origins, directions: [n, 3]. A box that contains the ray's origin is ignored. A ray without a
     box has box -1 and an infinite distance.
     """
-    n = len(directions)
-    distance, box = np.full(n, np.inf), np.full(n, -1, np.int32)
-    axis, sign = np.zeros(n, np.int8), np.zeros(n, np.int8)
-    for start in range(0, n, _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        distance[rows], box[rows], axis[rows], sign[rows] = _first(
-            scene, origins[rows], directions[rows]
-        )
-    return Hits(distance, box, axis, sign)
+    origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
+    return Hits(*nearest_box(scene.low, scene.high, origins, np.ascontiguousarray(directions)))
 
 
-def _first(scene: BoxScene, origins: Floats, directions: Floats) -> tuple[Array, ...]:
-    d = np.where(np.abs(directions) < 1e-12, 1e-12, directions).T  # [3, n]
-    inverse = np.ascontiguousarray(1.0 / d)
-    start = np.ascontiguousarray(origins.T)  # [3, n]; a reduction over a last axis of 3 is slow
-    best = np.full(d.shape[1], np.inf)
-    box, axis = np.full(d.shape[1], -1, np.int32), np.zeros(d.shape[1], np.int8)
-    for k in range(len(scene.boxes)):
-        a = (scene.low[k][:, None] - start) * inverse
-        b = (scene.high[k][:, None] - start) * inverse
-        enter, leave = np.minimum(a, b), np.maximum(a, b)
-        near = np.maximum(np.maximum(enter[0], enter[1]), enter[2])  # [n]
-        far = np.minimum(np.minimum(leave[0], leave[1]), leave[2])  # [n]
-        hit = np.flatnonzero((near < far) & (near > EPSILON_M / 10) & (near < best))
-        best[hit], box[hit] = near[hit], k
-        axis[hit] = enter[:, hit].argmax(axis=0)
-    sign = -np.sign(d[axis, np.arange(d.shape[1])]).astype(np.int8)
-    return best, box, axis, sign
+@compiled
+def nearest_box(
+    low: Floats, high: Floats, origins: Floats, directions: Floats
+) -> tuple[Floats, NDArray[np.int32], NDArray[np.int8], NDArray[np.int8]]:
+    """Return distance, box, and axis and sign of the face, as `Hits`, of n rays [n, 3] each.
+
+    low, high: corners of the boxes [b, 3] m.
+    """
+    count = len(directions)
+    distance, box = np.full(count, np.inf), np.full(count, -1, np.int32)
+    axis, sign = np.zeros(count, np.int8), np.zeros(count, np.int8)
+    for ray in range(count):
+        d = directions[ray]
+        by_x = 1.0 / (d[0] if abs(d[0]) >= 1e-12 else 1e-12)
+        by_y = 1.0 / (d[1] if abs(d[1]) >= 1e-12 else 1e-12)
+        by_z = 1.0 / (d[2] if abs(d[2]) >= 1e-12 else 1e-12)
+        x, y, z = origins[ray, 0], origins[ray, 1], origins[ray, 2]
+        for k in range(len(low)):
+            x0, x1 = (low[k, 0] - x) * by_x, (high[k, 0] - x) * by_x
+            y0, y1 = (low[k, 1] - y) * by_y, (high[k, 1] - y) * by_y
+            z0, z1 = (low[k, 2] - z) * by_z, (high[k, 2] - z) * by_z
+            in_x, in_y, in_z = min(x0, x1), min(y0, y1), min(z0, z1)
+            near = max(in_x, in_y, in_z)
+            far = min(max(x0, x1), max(y0, y1), max(z0, z1))
+            if near < far and EPSILON_M / 10 < near < distance[ray]:
+                distance[ray], box[ray] = near, k
+                axis[ray] = 0 if near == in_x else (1 if near == in_y else 2)
+        if box[ray] >= 0:
+            sign[ray] = -1 if d[axis[ray]] > 0.0 else 1
+    return distance, box, axis, sign
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,27 +124,6 @@ def blocked(low: Floats, high: Floats, points: Floats, toward: Floats) -> Mask:
     return ((first < last) & (last > EPSILON_M)).any(axis=0)
 
 
-def hides(
-    low: Array, high: Array, box: NDArray[np.intp], points: NDArray[np.floating], toward: Array
-) -> NDArray[np.bool_]:
-    """Return whether one box hides a far light from each point, as a mask [k].
-
-    low, high : corners of the boxes [b, 3] m; box : index of each point's box [k]; points : [k, 3]
-    m; toward : direction of the light [3].
-    """
-    kind = points.dtype
-    d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
-    near, far = np.where(d > 0, low, high), np.where(d > 0, high, low)
-    enter, leave = (near / d).astype(kind), (far / d).astype(kind)  # [b, 3]
-    inverse = (1.0 / d).astype(kind)
-    first, last = np.full(len(points), -np.inf, kind), np.full(len(points), np.inf, kind)
-    for axis in range(3):
-        scaled = points[:, axis] * inverse[axis]
-        np.maximum(first, enter[box, axis] - scaled, out=first)
-        np.minimum(last, leave[box, axis] - scaled, out=last)
-    return (first < last) & (last > EPSILON_M)
-
-
 def blocked_rays(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
     """Return the rays [k, 3] from the point `eye` [3] that meet any of the boxes, as a mask [k].
 
@@ -150,21 +134,3 @@ def blocked_rays(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np
     first = (np.where(d > 0, low, high) / d - start).max(axis=2)  # [k, b]
     last = (np.where(d > 0, high, low) / d - start).min(axis=2)
     return ((first < last) & (last > EPSILON_M)).any(axis=1)
-
-
-def may_block(
-    low: Floats, high: Floats, tile_low: Floats, tile_high: Floats, toward: Floats
-) -> Mask:
-    """Return which boxes [b, 3] (m) may be between a point of a tile [t, 3] and the light, [t, b].
-
-    toward : [3] direction of the light. The result may contain too many boxes, never too few.
-    """
-    d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
-    near, far = np.where(d > 0, low, high) / d, np.where(d > 0, high, low) / d
-    first, last = tile_low / d, tile_high / d
-    least, most = np.minimum(first, last), np.maximum(first, last)  # [t, 3]
-    enters = [near[:, k] - most[:, k, None] for k in range(3)]  # [t, b] each
-    leaves = [far[:, k] - least[:, k, None] for k in range(3)]
-    enter = np.maximum(np.maximum(enters[0], enters[1]), enters[2])
-    leave = np.minimum(np.minimum(leaves[0], leaves[1]), leaves[2])
-    return (enter < leave) & (leave > 0)

@@ -1,0 +1,185 @@
+"""Propose what a stated box lacks: shade outside, bars in windows, furniture.
+
+Proposals are a coarse grid of usual sizes; the search moves their faces, and keeps an element only
+if hours that it did not see agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.room.fit.parameters import Parameter, bar_parameters, solid_parameters
+from fieldlum.room.scene.geometry import WALLS
+
+# Facades: a farther and higher one gives nearly the same shade, so that a factor of two in distance
+# is fine enough; the angle of elevation decides which suns it hides. Its thickness hardly changes
+# the shade; it reaches beyond every sun that enters. Canopies: gap above the window, depth,
+# thickness, overhang to either side. No patch shows their albedo. All chosen, not measured.
+FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
+FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
+FACADE_THICKNESS_M, REACH_M = 2.0, 40.0
+CANOPY_GAPS_M, CANOPY_DEPTHS_M = (0.05, 0.3), (0.4, 0.8, 1.3, 2.0)
+CANOPY_THICKNESS_M, CANOPY_OVERHANG_M = 0.1, 1.5
+ALBEDO = 0.4  # of anything that is added; chosen
+# Bars: width, spacing and half depth, chosen.
+BAR_M, BAR_SPACING_M, BAR_HALF_DEPTH_M = 0.06, 0.06, 0.06
+# Furniture: boxes and tables at every 0.5 m, cabinets against walls. A desk has 0.74 m (EN 527-1);
+# the others are chosen so that a search reaches every size between.
+LATTICE_M, CLEAR_M, TABLE_TOP_M = 0.5, 0.1, 0.05
+BOX_M, COLUMN_M, HEIGHTS_M, TABLE_M = 0.8, 0.3, (0.4, 0.75, 1.1), 0.74
+CABINET_DEPTHS_M, CABINET_LENGTH_M, CABINET_HEIGHTS_M = (0.3, 0.6), 1.6, (0.75, 1.1, 2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of element.
+
+    propose: returns guesses with one element more; parameters: of the element that was added last;
+    gain: share by which it must lower the cost; most: of them in a scene; apart_m: distance from
+    which two proposals are different.
+    """
+
+    name: str
+    propose: Callable[[Guess], Iterator[Guess]]
+    parameters: Callable[[Guess], list[Parameter]]
+    gain: float
+    most: int
+    apart_m: float
+
+    def best(self, proposals: list[Guess], costs: Floats, count: int) -> list[Guess]:
+        """Return the proposals of the lowest costs, at most `count`, that are different."""
+        chosen: list[Guess] = []
+        for k in np.argsort(costs):
+            place = _place(proposals[k])
+            if all(np.abs(place - _place(c)).max() >= self.apart_m for c in chosen):
+                chosen.append(proposals[k])
+            if len(chosen) == count:
+                break
+        return chosen
+
+
+def _place(guess: Guess) -> Floats:
+    """Return numbers that differ if the last elements of two guesses are at different places, m."""
+    solid, bar = guess.solids[-1:], guess.bars[-1:]
+    middles = [np.add(s.low_m, s.high_m)[:2] / 2.0 for s in solid]
+    spans = [np.array([1e3 * b.window, 1e2 * b.upright, b.span_m[0]]) for b in bar]
+    return np.concatenate([*middles, *spans])
+
+
+def _shades(guess: Guess) -> Iterator[Guess]:
+    """Yield guesses with a facade opposite, or a canopy above, one of the windows."""
+    for rect in guess.windows:
+        middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
+        low, high = middle_u - REACH_M, middle_u + REACH_M
+        sides = ((low, high), (low, middle_u), (middle_u, high))
+        for out, tilt, along in product(FACADE_DISTANCES_M, FACADE_ELEVATIONS_DEG, sides):
+            top = middle_z + out * float(np.tan(np.radians(tilt)))
+            yield outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
+        along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
+        for gap, depth in product(CANOPY_GAPS_M, CANOPY_DEPTHS_M):
+            z = rect.z_m[1] + gap
+            out_m = (guess.thickness_m, guess.thickness_m + depth)
+            yield outside(guess, rect, along, out_m, (z, z + CANOPY_THICKNESS_M))
+
+
+def outside(
+    guess: Guess,
+    rect: WindowRect,
+    along: tuple[float, float],
+    out: tuple[float, float],
+    height: tuple[float, float],
+) -> Guess:
+    """Return the guess with a box in front of a window.
+
+    along: its extent along the window's wall; out: outwards from the wall's inner face; height: in
+    height.
+    """
+    axis, side = WALLS[rect.wall]
+    across = (guess.size_m[axis] + out[0], guess.size_m[axis] + out[1])
+    across = across if side else (-out[1], -out[0])
+    spans = (across, along) if axis == 0 else (along, across)
+    return _with_solid(guess, (*spans, height))
+
+
+def _with_solid(guess: Guess, spans: tuple[tuple[float, float], ...]) -> Guess:
+    """Return the guess with one more solid, by its extents along x, y and z."""
+    (x0, x1), (y0, y1), (z0, z1) = spans
+    return replace(guess, solids=(*guess.solids, Solid((x0, y0, z0), (x1, y1, z1), ALBEDO)))
+
+
+def _barred(guess: Guess) -> Iterator[Guess]:
+    """Yield guesses with an upright or a level bar, at every 6 cm of each window."""
+    middle = guess.thickness_m / 2.0
+    half = min(BAR_HALF_DEPTH_M, 0.8 * middle)
+    for number, rect in enumerate(guess.windows):
+        for upright, (low, high) in ((True, rect.u_m), (False, rect.z_m)):
+            for at in np.arange(low, high - BAR_M, BAR_SPACING_M).tolist():
+                bar = Bar(number, upright, (at, at + BAR_M), (middle - half, middle + half))
+                yield replace(guess, bars=(*guess.bars, bar))
+
+
+def _furnished(guess: Guess) -> Iterator[Guess]:
+    """Yield guesses with a box, column, table or cabinet that is cut off by walls.
+
+    Boxes (0.8 m) are 0.4, 0.75 or 1.1 m high, columns (0.3 m) reach the ceiling, cabinets of 1.6 m
+    are 0.3 or 0.6 m deep and 0.75, 1.1 or 2 m high.
+    """
+    width, length, height = guess.size_m
+    shapes = [(BOX_M, 0.0, min(top, height)) for top in HEIGHTS_M]
+    shapes += [(COLUMN_M, 0.0, height), (BOX_M, TABLE_M - TABLE_TOP_M, TABLE_M)]
+    spans = [
+        (_around(x, side, width), _around(y, side, length), (bottom, top))
+        for side, bottom, top in shapes
+        for x, y in product(_places(width), _places(length))
+    ]
+    for (axis, side), deep, top in product(WALLS.values(), CABINET_DEPTHS_M, CABINET_HEIGHTS_M):
+        extent, along = guess.size_m[axis], guess.size_m[1 - axis]
+        across = (extent - deep, extent) if side else (0.0, deep)
+        for middle in _places(along):
+            beside = _around(middle, CABINET_LENGTH_M, along)
+            plan = (across, beside) if axis == 0 else (beside, across)
+            spans.append((*plan, (0.0, min(top, height))))
+    for span in spans:
+        if not _holds_camera(guess, span):
+            yield _with_solid(guess, span)
+
+
+def _places(extent_m: float) -> list[float]:
+    """Return the lattice's coordinates along one side of the room."""
+    return np.arange(LATTICE_M / 2.0, extent_m, LATTICE_M).tolist()
+
+
+def _around(middle: float, side: float, extent: float) -> tuple[float, float]:
+    """Return an interval around `middle`, cut off at 0 and at the wall."""
+    return max(middle - side / 2.0, 0.0), min(middle + side / 2.0, extent)
+
+
+def _holds_camera(guess: Guess, span: tuple[tuple[float, float], ...]) -> bool:
+    """Return whether the camera is in a solid, or at most 0.1 m from its sides or 0.2 m above."""
+    beside = all(
+        low - CLEAR_M < at < high + CLEAR_M
+        for at, (low, high) in zip(guess.camera_m[:2], span[:2], strict=True)
+    )
+    return beside and span[2][1] > guess.camera_m[2] - 2.0 * CLEAR_M
+
+
+def _of_last_solid(guess: Guess) -> list[Parameter]:
+    return solid_parameters(guess, len(guess.solids) - 1)
+
+
+def _of_last_bar(guess: Guess) -> list[Parameter]:
+    return bar_parameters(len(guess.bars) - 1)
+
+
+# Gains are chosen, not varied. A bar shades few pixels; a solid that only explains noise gains
+# less; a wrong facade moves north, clock and edges.
+SHADES = Kind("shade outside", _shades, _of_last_solid, 0.02, 2, 0.0)
+BARS = Kind("bars", _barred, _of_last_bar, 0.002, 6, 0.15)
+FURNITURE = Kind("furniture", _furnished, _of_last_solid, 0.01, 8, 0.45)
+KINDS = (SHADES, BARS, FURNITURE)

@@ -1,0 +1,295 @@
+"""Test north, clock and the room's measures by the places of captured sun patches, before training.
+
+Sun patches have sharp edges. If computed patches are displaced from captured ones, held-out days
+have large errors, but do not show the cause. Here the numbers of the stated room are searched as in
+a scene fit, on the same evidence and cost; a number is wrong if its correction is far from zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.records import Progress, SiteFile, quiet
+from fieldlum.learn.models import Fitted, Patch
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport.model import Transport
+from fieldlum.room.fit.apply import earlier, with_patches
+from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
+from fieldlum.room.fit.evidence import SceneEvidence, gather
+from fieldlum.room.fit.guess import Guess, guess_of
+from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, stated_albedo
+from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
+
+TURNED_DEG = 30.0  # least turn of windows that is noted (`checks`)
+LEAST_HOURS = 3  # sunny captures that a test needs; chosen
+SURE = 3.0  # least ratio of a correction to its standard uncertainty; chosen
+# Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
+LEAST_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
+TAPE_SDS = 3.0  # from which a length of the room counts as wrong, not as inaccurate; chosen
+# Share of the misfit that a setting must explain, and moved patches of another source. Chosen.
+LEAST_GAIN, LEAST_SHIFT_GAIN, MOST_SHIFT_PX = 0.02, 0.1, 3
+EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: length over 3 m; chosen
+# Offsets of a day's clock that are tried, min: a clock that is 5 min off on one day only was set.
+TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
+FEWEST_DAYS = 3  # with three or more sunny captures each; chosen
+# Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
+# clock that drifts by 2 min in a week 0.6 min. Chosen between the two.
+LEAST_SPREAD_MIN = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Which wrong settings would explain that sun patches are not where they are computed.
+
+    off: by name of a number, how much must be added to the stated one, and the standard uncertainty
+    (deg, min, m; clock_min: stated times are later than the true ones); shift_px: by how many
+    pixels given patches must move right and down. gain: share of the misfit that this explains, in
+    `hours` sunny hours. slip_deg: displacement of the computed patches from the captured ones as
+    seen from the camera, about; 0 if nothing is certain. note: directions that are grossly wrong,
+    which leaves the rest untested. late_min: by day, stated less true time, if the clock differs
+    between days.
+    """
+
+    off: dict[str, tuple[float, float]] = field(default_factory=dict)
+    shift_px: tuple[int, int] = (0, 0)
+    gain: float = 0.0
+    hours: int = 0
+    slip_deg: float = 0.0
+    late_min: dict[np.datetime64, float] = field(default_factory=dict)
+    note: str = ""
+
+
+def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | None:
+    """Test north, clock and the room's measures against the sun patches in the captures.
+
+    Return None if patches are not used (patch "none", or `data` has none), without a box room with
+    windows, or if under three captures show direct sun.
+    """
+    room = data.setup.room
+    if patch == "none" or data.patch_cdm2 is None or room is None:
+        return None
+    if room.kind != "box" or not room.window:
+        return None
+    if note := turned_windows_note(data, room):
+        note += "; check heading_deg, wall_azimuth_deg and the windows' walls"
+        return Setting(slip_deg=TURNED_DEG, note=note)
+    if note := reversed_compass_note(data, room):
+        return Setting(note=note)
+    progress(0, 100, "setting: light without patches")
+    try:
+        evidence = gather(data, room, min_hours=LEAST_HOURS)
+    except NotEnoughDataError:
+        return None
+    start = guess_of(room, data.heading_deg)
+    # A wrong north or clock has no prior: a compass near steel is off by any angle.
+    parameters = [
+        replace(p, sd=np.inf) if p.name in ("north_deg", "clock_min") else p
+        for p in room_parameters(start)
+    ]
+    guess, albedo = start, evidence.albedos(start, stated_albedo(room))
+    progress(30, 100, "setting: north, clock and room")
+    unit = prior_unit(evidence, start, albedo)
+    for levels in (LEVELS, LEVELS[1:]):  # light below patches includes a part of them at first
+        cost = SceneCost(evidence.coarse(), start, parameters, albedo, unit)
+        guess, least = search(cost, guess, parameters, levels)
+        albedo = evidence.albedos(guess, albedo)
+        evidence = evidence.relit(data, evidence.patches(guess, albedo))
+    evidence = evidence.coarse()
+    cost = SceneCost(evidence, start, parameters, albedo, unit)
+    guess, least = search(cost, guess, parameters, LEVELS[1:])
+    u = np.sqrt(np.diag(covariance(cost, guess, parameters)))
+    off: dict[str, tuple[float, float]] = {}
+    for p, sd in zip(parameters, u.tolist(), strict=True):
+        by, error = p.measured(guess) - p.measured(start), sd * p.step
+        enough = LEAST_OFF.get(p.name, TAPE_SDS * p.sd)
+        if abs(by) > max(SURE * error, enough) and p.name not in ("tilt_deg", "roll_deg"):
+            off[p.name] = (by, error)
+    # Lengths also absorb what the room has and a box lacks: they count if nothing else is wrong.
+    off = {name: value for name, value in off.items() if name in LEAST_OFF} or off
+    gain = 1.0 - least / cost(start)
+    if off and gain > LEAST_GAIN:
+        return Setting(off, (0, 0), gain, len(evidence), _slip_deg(off))
+    shift, shift_gain = _shift_px(evidence, data)
+    if shift_gain > LEAST_SHIFT_GAIN:
+        slip_deg = float(np.hypot(*shift)) * 360.0 / data.shape[1]
+        return Setting({}, shift, shift_gain, len(evidence), slip_deg)
+    progress(80, 100, "clock of each day")
+    return Setting(hours=len(evidence), late_min=_late_by_day(evidence, start, albedo))
+
+
+def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
+    """Return by what angle corrections move patches, seen from the camera: root sum of squares."""
+    degrees = []
+    for name, (by, _) in off.items():
+        if name == "clock_min":
+            by *= SUN_DEG_PER_MIN
+        elif name not in ("north_deg", "wall_azimuth_deg"):
+            by = float(np.degrees(np.arctan2(by, EDGE_AWAY_M)))
+        degrees.append(by)
+    return float(np.sqrt(np.sum(np.square(degrees))))
+
+
+def _shift_px(evidence: SceneEvidence, data: Dataset) -> tuple[tuple[int, int], float]:
+    """Return by how many pixels the captures' own patches must move right and down, and the gain.
+
+    They can be of another source than the room. The gain is the share of the misfit.
+    """
+    assert data.patch_cdm2 is not None
+    maps = data.patch_cdm2[evidence.rows]
+    steps = range(-MOST_SHIFT_PX, MOST_SHIFT_PX + 1)
+    misfits: dict[tuple[int, int], float] = {}
+    for right in steps:
+        for down in steps:
+            patch = np.roll(maps, (down, right), (1, 2)).reshape(len(maps), -1)[:, evidence.pixels]
+            misfits[right, down] = float(evidence.misfit(patch).mean())
+    best = min(misfits, key=lambda shift: misfits[shift])
+    return best, 1.0 - misfits[best] / misfits[0, 0]
+
+
+def _late_by_day(
+    evidence: SceneEvidence, guess: Guess, albedo: Floats
+) -> dict[np.datetime64, float]:
+    """Return stated less true time of each day, min; empty if it does not differ between days.
+
+    It must be right for other hours, too: offsets of each day's even hours must lower the misfit
+    of its odd ones, and the other way round, by over a standard error.
+    """
+    tried = [evidence.patches(replace(guess, clock_min=float(t)), albedo) for t in TRIED_MIN]
+    misfits = np.array([evidence.misfit(patch) for patch in tried])  # [offsets, n]
+    names, counts = np.unique(evidence.days, return_counts=True)
+    days = [np.flatnonzero(evidence.days == day) for day in names[counts >= LEAST_HOURS]]
+    if len(days) < FEWEST_DAYS:
+        return {}
+    late = np.array([_least(misfits[:, rows]) for rows in days])
+    if late.std() < LEAST_SPREAD_MIN:
+        return {}
+    common = _least(misfits)
+    gains = [
+        _at(misfits[:, judged], common) - _at(misfits[:, judged], _least(misfits[:, rows[k::2]]))
+        for rows in days
+        for k in (0, 1)
+        for judged in (rows[1 - k :: 2],)
+    ]
+    gain = np.concatenate(gains)
+    if gain.mean() < gain.std(ddof=1) / np.sqrt(len(gain)):
+        return {}
+    return dict(zip(names[counts >= LEAST_HOURS], late.tolist(), strict=True))
+
+
+def _least(misfits: Floats) -> float:
+    """Return the offset of the least misfit [offsets, n], by a parabola between those tried."""
+    total = misfits.sum(axis=1)
+    best = int(np.argmin(total))
+    if not 0 < best < len(total) - 1:
+        return float(TRIED_MIN[best])
+    x, y = TRIED_MIN[best - 1 : best + 2], total[best - 1 : best + 2]
+    square, slope, _ = np.polyfit(x - x[1], y, 2)
+    vertex = 0.0 if square <= 0.0 else -slope / (2.0 * square)
+    return float(np.clip(x[1] + vertex, x[0], x[2]))
+
+
+def _at(misfits: Floats, offset_min: float) -> Floats:
+    """Return the misfits [offsets, n] at an offset between those tried, [n]."""
+    return np.array([np.interp(offset_min, TRIED_MIN, column) for column in misfits.T])
+
+
+def with_right_clock(data: Dataset, setting: Setting | None) -> tuple[Dataset, list[str]]:
+    """Return the captures at corrected times, and a warning, if the clock differs between days.
+
+    Other days get the median offset. Otherwise return the captures and an empty list.
+    """
+    if setting is None or not setting.late_min:
+        return data, []
+    middle = float(np.median(list(setting.late_min.values())))
+    late = np.array([setting.late_min.get(day, middle) for day in data.days])
+    days = ", ".join(f"{day} {-late:+.1f} min" for day, late in setting.late_min.items())
+    warning = (
+        f"WARNING: the clock of the pictures differs between days. Sun patches agree best after "
+        f"these corrections of the stated times: {days}. This training uses the corrections; set "
+        f"the camera's clock on every day of captures"
+    )
+    return with_patches(replace(data, light=earlier(data.light, late, data))), [warning]
+
+
+def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
+    """Return the model with a larger uncertainty near sun patches, and warnings.
+
+    Both apply only if the captures contradict the computed sun patches; the uncertainty is that of
+    patches displaced as far as the captures show, for a transport model only. Nothing is corrected:
+    a wrong north must be corrected in SITE.toml, which all stages read.
+    """
+    if setting is None:
+        return fitted, []
+    if setting.slip_deg > 0.0 and isinstance(fitted, Transport):
+        fitted = cast("Fitted", fitted.doubting(setting.slip_deg))
+    return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
+
+
+def warnings_of(setting: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
+    """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
+
+    pixel_deg: width of a pixel of the maps. The list is empty if nothing is certain.
+    """
+    if setting.note:
+        return [f"WARNING: {setting.note}"]
+    if setting.slip_deg == 0.0:
+        return []
+    words = [_words(name, by, u) for name, (by, u) in setting.off.items()]
+    if setting.shift_px != (0, 0):
+        right, down = setting.shift_px
+        words = [f"they are {right:+d} pixels to the right of those and {down:+d} below"]
+    lines = [
+        f"WARNING: captured sun patches are displaced from the computed ones ({setting.hours} "
+        f"hours): {', '.join(words)}, which explains {setting.gain:.0%} of the misfit. Until this "
+        "is fixed, the transport model has a larger uncertainty in hours that depend on sun patches"
+    ]
+    lines += [f"to fix {name}: {_remedy(name, by, setup)}" for name, (by, _) in setting.off.items()]
+    if not setting.off:
+        heading = (setup.camera.heading_deg - setting.shift_px[0] * pixel_deg) % 360.0
+        lines.append(
+            "to fix this, check the camera's place and level; if only its heading is wrong, in "
+            f"SITE.toml [camera] heading_deg = {heading:.1f}, then merge, pair and train again"
+        )
+    return lines
+
+
+def _words(name: str, by: float, u: float) -> str:
+    if name == "north_deg":
+        return f"north is wrong by {by:+.1f} +- {u:.1f} degrees"
+    if name == "clock_min":
+        return f"the clock is wrong by {by:+.1f} +- {u:.1f} minutes"
+    if name == "wall_azimuth_deg":
+        return f"the room, not the camera, is turned clockwise by {by:+.1f} +- {u:.1f} degrees"
+    return f"{name} would have to be {by:+.2f} +- {u:.2f} m off"
+
+
+def _remedy(name: str, by: float, setup: SiteFile) -> str:
+    """Return what to write into SITE.toml, or what else to do."""
+    room = setup.room
+    azimuth = ((room.wall_azimuth_deg if room else 180.0) + by) % 360.0
+    wall = f"[room] wall_azimuth_deg = {azimuth:.1f}"
+    if name == "north_deg":
+        heading = (setup.camera.heading_deg + by) % 360.0
+        return (
+            f"check the compass; in SITE.toml {wall} and [camera] heading_deg = {heading:.1f}, "
+            "then merge, pair and train again"
+        )
+    if name == "clock_min":
+        return (
+            f"the recorded times of the pictures are {abs(by):.1f} min too "
+            f"{'late' if by > 0 else 'early'}: correct the clock that recorded them (the "
+            "computer's for fieldlum capture, else the camera's), or import the card again with "
+            f"--utc-offset {'increased' if by > 0 else 'decreased'} by {abs(by):.1f} min, then "
+            "merge, pair and train again"
+        )
+    if name == "wall_azimuth_deg":
+        return f"check where the window wall faces; in SITE.toml {wall}, then train again"
+    return (
+        "measure the camera's place and the windows again; if they are right, the room has what "
+        "[room] lacks: run fieldlum scene fit"
+    )

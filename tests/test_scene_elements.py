@@ -1,0 +1,154 @@
+"""What is outside a window, bars, and furniture: proposals and their acceptance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.text import Annotation
+from test_scene_search import HEIGHT, ROOM, captures
+
+from fieldlum.core.records import Obstruction, Room
+from fieldlum.room.fit.elements import BARS, FURNITURE, KINDS, SHADES, Kind
+from fieldlum.room.fit.evidence import PIXELS
+from fieldlum.room.fit.fit import SceneSearch
+from fieldlum.room.fit.guess import Guess, Solid, guess_of, is_outside, is_possible
+from fieldlum.room.fit.pictures import plan_of
+from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
+
+HIDDEN_ELEVATION_DEG = 22.0
+
+
+def _search(room: Room, height: int = HEIGHT, pixels: int = 1500) -> SceneSearch:
+    """Return a search of captures of `room`, which the user states as ROOM."""
+    data = captures(room, height=height)
+    data = replace(data, setup=replace(data.setup, room=ROOM))
+    return SceneSearch(data, ROOM, None, 5.0, pixels)
+
+
+def _one(kind: Kind, *obstruction: Obstruction) -> tuple[SceneSearch, Guess | None]:
+    """Return a search of ROOM with obstructions, and its scene with an element of a kind."""
+    search = _search(replace(ROOM, obstruction=obstruction))
+    return search, search._with_one(kind)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_facade_opposite_is_found_by_the_suns_that_it_hides() -> None:
+    middle = float(np.mean(guess_of(ROOM).windows[0].z_m))
+    top = middle + 10.0 * np.tan(np.radians(HIDDEN_ELEVATION_DEG))
+    search, shaded = _one(SHADES, Obstruction(-30.0, -12.0, 0.0, 60.0, 2.0, top))
+    assert shaded is not None and search.cost()(shaded) < 0.6 * search.cost()(search.start)
+    (solid,) = shaded.solids
+    rise = solid.high_m[2] - float(np.mean(shaded.windows[0].z_m))
+    elevation_deg = float(np.degrees(np.arctan2(rise, -solid.high_m[1])))
+    assert elevation_deg == pytest.approx(HIDDEN_ELEVATION_DEG, abs=3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+@pytest.mark.parametrize("kind", [SHADES, BARS], ids=["shade", "bars"])
+def test_what_is_not_there_is_not_found(kind: Kind) -> None:
+    search = _search(ROOM)
+    search.run(lambda *_: None, ())  # the numbers alone
+    assert search._with_one(kind) is None
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    "solid",
+    [
+        Obstruction(0.6, 1.3, 0.7, 1.4, 0.8, 0.05, 0.4),  # a table
+        Obstruction(0.7, 1.2, 0.4, 1.1, 0.6, 0.05, 0.4),  # a low one
+        Obstruction(0.6, 1.1, 0.55, 1.2, 0.8, 0.05, 0.5),
+        Obstruction(3.4, 1.0, 0.0, 0.8, 0.8, 0.4, 0.5),  # a chest
+        Obstruction(0.0, 1.4, 0.0, 0.4, 1.8, 2.0, 0.5),  # a cabinet at the west wall
+    ],
+    ids=["table", "low table", "table of unusual height", "chest", "cabinet"],
+)
+def test_furniture_is_found_where_it_is(solid: Obstruction) -> None:
+    _, guess = _one(FURNITURE, solid)
+    assert guess is not None
+    (found,) = guess.solids
+    low = (solid.x_m, solid.y_m)
+    high = (solid.x_m + solid.width_m, solid.y_m + solid.depth_m, solid.z_m + solid.height_m)
+    # pixels are 2.8 degrees wide: 0.15 m at the distance of the furniture
+    np.testing.assert_allclose(found.low_m[:2], low, atol=0.25)
+    np.testing.assert_allclose(found.high_m, high, atol=0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_an_empty_room_gets_no_furniture() -> None:
+    """Pixels of 0.8 degrees; in pixels of 2.8 degrees, edges of patches look like furniture."""
+    search = _search(ROOM, 230, PIXELS)
+    search.run(lambda *_: None, ())
+    assert search._with_one(FURNITURE) is None
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("azimuth_deg", "right", "up"), [(180.0, 0, 1), (90.0, 1, 0), (0.0, 0, -1)]
+)
+def test_the_plan_shows_north(azimuth_deg: float, right: int, up: int) -> None:
+    """A wall that faces south is at the bottom, so that north is up."""
+    room = replace(ROOM, wall_azimuth_deg=azimuth_deg)
+    figure = plan_of(guess_of(room), room)
+    (label,) = (text for text in figure.axes[0].texts if text.get_text() == "N")
+    assert isinstance(label, Annotation)
+    camera = np.array(guess_of(room).camera_m[:2])
+    away = np.array(label.get_position()) - camera
+    np.testing.assert_allclose(away / np.linalg.norm(away), (right, up), atol=1e-9)
+    assert label.xy == pytest.approx(camera)
+    figure.canvas.draw()
+    assert label.arrow_patch is not None
+    drawn = np.asarray(label.arrow_patch.get_path().vertices, float)
+    along = drawn[0] - drawn[2] if np.ptp(drawn[:3], axis=0).any() else drawn[-1] - drawn[0]
+    np.testing.assert_allclose(
+        np.abs(along / np.linalg.norm(along)), np.abs((right, up)), atol=0.01
+    )
+
+
+@pytest.mark.analytic
+def test_the_plan_states_what_is_too_far_to_draw() -> None:
+    facade = Solid((-30.0, -14.0, 0.0), (30.0, -12.0, 3.1), 0.4)
+    figure = plan_of(replace(guess_of(ROOM), solids=(facade,)), ROOM)
+    assert 'outside: 3.1 m high, 12 m from the S wall ("south")' in figure.axes[0].get_title()
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("kind", KINDS, ids=[kind.name for kind in KINDS])
+def test_proposals_add_one_possible_element(kind: Kind) -> None:
+    guess = guess_of(ROOM)
+    proposals = list(kind.propose(guess))
+    assert len(proposals) > 50
+    for trial in proposals:
+        assert is_possible(trial)
+        assert len(trial.solids) + len(trial.bars) == len(guess.solids) + len(guess.bars) + 1
+        if kind is SHADES:
+            assert is_outside(trial, trial.solids[-1])
+        if kind is FURNITURE:
+            solid = trial.solids[-1]
+            assert min(solid.low_m) >= 0.0
+            assert all(b <= size for b, size in zip(solid.high_m, guess.size_m, strict=True))
+
+
+@pytest.mark.property
+def test_a_shade_stays_outside() -> None:
+    moved = list(SHADES.propose(guess_of(ROOM)))[-1]
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        for parameter in SHADES.parameters(moved):
+            moved = parameter.change(moved, float(rng.normal(0.0, 0.5)))
+    assert is_outside(moved, moved.solids[0])
+
+
+@pytest.mark.analytic
+def test_stated_values_count_more_with_few_sunny_hours() -> None:
+    search = _search(ROOM)
+    few = search.evidence.hours(np.arange(6))
+    misfit = few.misfit(few.patches(search.start, search.albedo)).mean()
+    unit = prior_unit(few, search.start, search.albedo)
+    assert unit == pytest.approx(PRIOR_HOURS / 6 * PRIOR_SHARE * misfit)
