@@ -5,11 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from learning_room import dataset, write_pairs
 
-from fieldlum.core.records import Site
+from fieldlum.core.records import Panorama, Site
+from fieldlum.learn import models
+from fieldlum.optics.images import read_panorama, write_panorama
+from fieldlum.optics.photometry.melanopic import attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.light import Light, light_at
-from fieldlum.year.predict.melanopic import MelanopicYear, _without_sun, fit_year
+from fieldlum.year.predict.blocks import room_of
+from fieldlum.year.predict.melanopic import MelanopicYear, _without_sun, fit_year, has_colour
+from fieldlum.year.predict.year import measure
 
 SITE = Site("x", 47.6, -122.3)
 
@@ -71,3 +77,30 @@ def test_columns_of_colour_are_written_only_if_measured(tmp_path: Path) -> None:
         assert (",melanopic_edi_lx@180" in text) == named
         found = HourlyFile.read(tmp_path, np.array([180.0]), 1).views["melanopic_edi_lx"]
         assert found[0, 0] == pytest.approx(edi, nan_ok=True)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_the_captures_colour_reaches_the_year(tmp_path: Path) -> None:
+    data = dataset(("2027-03-20", "2027-06-21"), height=12)
+    models.save(tmp_path / "m", models.fit("nearest", data, patch="none"), data)
+    pairs = write_pairs(tmp_path, data)
+    assert not has_colour(pairs)
+    text = attribute_text(np.array([0.2, 0.5, 0.1]), np.eye(3), 0.03)  # 0.8 of white
+    for path in tmp_path.glob("m*.exr"):
+        light = read_panorama(path).luminance_cdm2
+        rgb = np.repeat(light[..., None], 3, axis=2) / 179.0
+        white = Panorama(light, data.heading_deg, rgb=rgb, attributes={"melanopic": text})
+        write_panorama(path, white)
+    room = room_of(models.read_config(tmp_path / "m"), tmp_path / "m")
+    found = measure(
+        tmp_path / "m",
+        room,
+        data.light[:6],
+        np.array([0.0, 180.0]),
+        tmp_path / "y",
+        coloured_pairs=pairs if has_colour(pairs) else None,
+    )[0]
+    edi, ev = found.views["melanopic_edi_lx"], found.views["ev_lx"]
+    assert edi / ev == pytest.approx(0.8, rel=0.08)
+    assert np.isnan(found.views["u_melanopic_edi_lx"]).all()  # this model states no error

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,12 @@ from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import models, train
 from fieldlum.report import annual as annual_page
 from fieldlum.report import captured, evidence
+from fieldlum.report.assessor import melanopic_shares
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.year import predict
 
@@ -245,3 +248,50 @@ def test_one_best_direction_in_headline_figures_and_pictures(page: Path, session
     assert {k.split()[-1] for k in kinds if " best " in k} == {f"{ends[0].azimuth_deg:g}"}
     assert f"best: {best.split()[0]} {ends[0].azimuth_deg:.0f}°" in text
     assert "1 days" not in text
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_the_page_for_an_assessor_has_requirements_evidence_and_what_is_missing(
+    session: Session, tmp_path: Path
+) -> None:
+    text = report.run(session, tmp_path, for_assessor=True).read_text(encoding="utf-8")
+    for word in (
+        "EN 17037",
+        "BREEAM",
+        "KBCN1800",
+        "LEED",
+        "WELL v2 L03",
+        "GA",
+        "sDG",
+        "cannot tell",
+    ):
+        assert word in text, word
+    for word in (
+        "what is missing",
+        "Instruments",
+        "sha256",
+        "signature",
+        "Nothing on this page is",
+    ):
+        assert word in text, word
+    assert "no melanopic colour was measured" in text and "index.html" not in text
+    assert not (tmp_path / "index.html").exists()
+
+
+@pytest.mark.analytic
+def test_shares_of_the_year_with_enough_melanopic_light() -> None:
+    """Two days of hours: one of 300 lx with u of 10 %, one of 300 lx with u of 1 lx."""
+    start = datetime(2027, 3, 1, 0, 30, tzinfo=UTC)
+    times = tuple(start + timedelta(hours=h) for h in range(48))
+    day = np.repeat([0, 1], 24)[:, None]
+    views = {
+        "melanopic_edi_lx": np.full((48, 1), 300.0),
+        "u_melanopic_edi_lx": np.where(day == 0, 30.0, 1.0),
+    }
+    year = predict.Annual(Path("x"), PredictFile(days=2), times, np.zeros(1), {}, views)
+    ((hours, days),) = melanopic_shares(year, "UTC")
+    assert (hours.value, hours.low, hours.high) == (100.0, 50.0, 100.0)
+    assert hours.above(60.0) == "cannot tell" and hours.above(40.0) == "yes"
+    assert [share.value for share in days] == [100.0] * 4
+    assert days[-1].low == 50.0 and days[0].low == 100.0

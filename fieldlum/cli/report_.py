@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -11,10 +12,15 @@ from fieldlum.cli.terminal import progress, say
 
 
 @command_of("report")
-def command(session_folder: Path, out: Path | None = None) -> None:
+def command(
+    session_folder: Path,
+    out: Path | None = None,
+    for_reader: Literal["user", "assessor"] = "user",
+) -> None:
     """Write a page that shows in which direction to sit, and why.
 
-    Writes index.html, which loads no other file, and report.json.
+    Writes index.html, which loads no other file, and report.json. For an assessor it writes
+    assessor.html: EN 17037, BREEAM, LEED and WELL, with instruments, method and intervals.
 
     \b
     Example:
@@ -22,11 +28,14 @@ def command(session_folder: Path, out: Path | None = None) -> None:
 
     Options:
       --out: Folder of the page to write. [default: SESSION/report]
+      --for: The reader of the page.
     """
     from fieldlum.report import run
     from fieldlum.session import open_session
 
     with progress("report") as shown:
-        page = run(open_session(session_folder), out, progress=shown)
+        page = run(
+            open_session(session_folder), out, for_assessor=for_reader == "assessor", progress=shown
+        )
     say(f"report: {page.stat().st_size / 1e6:.1f} MB")
     click.echo(str(page))

@@ -14,6 +14,7 @@ import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, quiet, slot_id
+from fieldlum.report import assessor
 from fieldlum.report.page import Page, Section, Table, render
 from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -187,11 +188,18 @@ def _spoken(warning: str) -> str:
     return f"From training: {text}{'' if text.endswith('.') else '.'}"
 
 
-def run(session: Session, out: Path | None = None, *, progress: Progress = quiet) -> Path:
+def run(
+    session: Session,
+    out: Path | None = None,
+    *,
+    for_assessor: bool = False,
+    progress: Progress = quiet,
+) -> Path:
     """Write index.html and report.json into `out`, by default report/; return the page's path.
 
-    Raises NotEnoughDataError if the session has no pairs.csv yet, InputError for results that
-    cannot be read.
+    for_assessor: write assessor.html instead of index.html. Raises NotEnoughDataError if the
+    session has no pairs.csv yet, InputError for results that cannot be read, and for an assessor
+    also without a predicted year.
     """
     if not session.pairs.is_file():
         raise NotEnoughDataError(
@@ -201,9 +209,12 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
     artefacts = find(session)
     folder = out or session.report
     remove_scraps(folder)
-    page = folder / "index.html"
+    page = folder / ("assessor.html" if for_assessor else "index.html")
     progress(0, 1, "page")
-    text = render(_page(session, artefacts))
+    if for_assessor:
+        text = render(assessor.page_of(session, artefacts.annual))
+    else:
+        text = render(_page(session, artefacts))
     progress(1, 1, "")
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(text)

@@ -1,0 +1,320 @@
+"""The page for an assessor: what requirements ask, what was found, and what is missing.
+
+It certifies nothing. Figures are those of the predicted year; an interval that spans a limit is
+"cannot tell". Names of columns follow honeybee (GA) and ClimateStudio (sDG).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import SiteFile
+from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
+from fieldlum.report.page import Page, Section, Table, named
+from fieldlum.session import Session, sha256
+from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.sky.sun import standard_time
+from fieldlum.version import __version__
+from fieldlum.year.predict import Annual
+
+_GA_DGP, _SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
+_SHARE = 0.05  # of the occupied hours, EN 17037 and ClimateStudio
+BROWN_EDI_LX, BROWN_HOURS = 250.0, (6, 19)  # Brown et al., PLOS Biology 20 (2022)
+WELL_EDI_LX, WELL_HOURS = (109.0, 136.0, 163.0, 250.0), (9, 13)  # WELL v2, L03
+_NORMAL_95 = 1.96
+_WORDS = {"none": "below minimum"}
+NOT_MEASURED = "cannot tell: no melanopic colour was measured"
+METHOD = (
+    "A camera of known calibration captured luminance maps of the room under many suns and skies, "
+    "while irradiance was measured outside. A model learned how the room responds to sky and sun. "
+    "It was tested on days that it had not seen, and predicted each daylight hour of the weather "
+    "year. DGP, vertical illuminance and melanopic EDI were computed from the predicted maps at "
+    "the camera's place and height. Intervals are for 95 %."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Counted:
+    """A share in percent: its best value, and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self) -> str:
+        return f"{self.value:.0f} % ({self.low:.0f} to {self.high:.0f})"
+
+    def above(self, limit: float) -> str:
+        """Return whether the share exceeds a limit [%]: yes, no, or cannot tell."""
+        return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
+
+
+def _hours_over(annual: Annual, limit: float) -> list[_Counted]:
+    """Return the share of the occupied hours whose DGP exceeds a limit, for each direction."""
+    used, count = annual.occupied, max(annual.summary.occupancy.hours, 1)
+    dgp, low, high = (annual.views[name][used] for name in ("dgp", "dgp_low", "dgp_high"))
+    low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
+    shares = [100.0 * (values > limit).sum(axis=0) / count for values in (dgp, low, high)]
+    return [_Counted(*map(float, row)) for row in zip(*shares, strict=True)]
+
+
+def _glare_table(annual: Annual) -> Table:
+    rows = []
+    over, over_sdg = _hours_over(annual, _GA_DGP), _hours_over(annual, _SDG_DGP)
+    for k, row in enumerate(annual.summary.protection):
+        if not annual.judged[k]:
+            rows.append((named(row.azimuth_deg), "not seen", "–", "–", "–", "–"))
+            continue
+        interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
+        settled = row.glare_class if row.certain else f"cannot tell ({row.glare_class} likeliest)"
+        free = _Counted(100 - over[k].value, 100 - over[k].high, 100 - over[k].low)
+        disturbed = over_sdg[k].above(100 * _SHARE)
+        exceeded = "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
+        rows.append((named(row.azimuth_deg), settled, exceeded, interval, free.text(), disturbed))
+    head = ("view direction", "EN 17037 class", "DGP in 5 %", "95 % interval")
+    return Table((*head, "GA (DGP ≤ 0.40)", "DGP > 0.38 in over 5 %"), tuple(rows))
+
+
+def _sdg(annual: Annual) -> str:
+    """Return how many of the judged directions are disturbed as sDG counts them, as text."""
+    answers = [
+        share.above(100 * _SHARE)
+        for share, good in zip(_hours_over(annual, _SDG_DGP), annual.judged, strict=True)
+        if good
+    ]
+    unsure = answers.count("cannot tell")
+    text = f"{answers.count('yes')} of {len(answers)} directions are disturbed"
+    return f"{text}, {unsure} cannot be decided" if unsure else text
+
+
+# ----------------------------------------------------------------------------------------------
+# melanopic light
+
+
+def melanopic_shares(annual: Annual, zone: str) -> list[tuple[_Counted, list[_Counted]]]:
+    """Return shares of the year with enough melanopic light, for each direction.
+
+    The first is of the hours from 06:00 to 19:00 with 250 lx or more; the others are of the days
+    with each of `WELL_EDI_LX` in all four hours from 09:00 to 13:00. Hours in the dark count as
+    without light. Hours are those of local standard time; zone : its IANA name.
+    """
+    local = [standard_time(t, zone) for t in annual.t_utc]
+    hour, day = np.array([t.hour for t in local]), np.array([t.toordinal() for t in local])
+    edi, u = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]
+    ends = [edi, edi - _NORMAL_95 * u, edi + _NORMAL_95 * u]
+    brown = (hour >= BROWN_HOURS[0]) & (hour < BROWN_HOURS[1])
+    days = max(annual.summary.days, 1)
+    hours = days * (BROWN_HOURS[1] - BROWN_HOURS[0])
+    every = [(end[brown] >= BROWN_EDI_LX).sum(axis=0) / hours for end in ends]
+    well = [[_days_with(end >= limit, hour, day) / days for end in ends] for limit in WELL_EDI_LX]
+    return [
+        (_counted(every, k), [_counted(shares, k) for shares in well]) for k in range(edi.shape[1])
+    ]
+
+
+def _counted(shares: Sequence[Floats], k: int) -> _Counted:
+    value, low, high = (100.0 * float(share[k]) for share in shares)
+    return _Counted(value, low, high)
+
+
+def _days_with(bright: Mask, hour: Floats, day: Floats) -> Floats:
+    """Return the number of days that are bright in all of the hours of WELL, [d]."""
+    first, last = WELL_HOURS
+    rows = (hour >= first) & (hour < last)
+    days, index = np.unique(day[rows], return_inverse=True)
+    counts = np.zeros((len(days), bright.shape[1]))
+    np.add.at(counts, index, bright[rows])
+    return (counts >= last - first).sum(axis=0)
+
+
+def _melanopic_section(annual: Annual, zone: str) -> Section:
+    title = "Melanopic light of day"
+    if not np.isfinite(annual.views["melanopic_edi_lx"]).any():
+        text = (
+            f"{NOT_MEASURED[0].upper()}{NOT_MEASURED[1:]}. Calibrate the camera's colour "
+            "(fieldlum calibrate colour), merge and predict again."
+        )
+        return Section("melanopic", title, text)
+    rows = tuple(
+        (named(azimuth), hours.text(), *(share.text() for share in days))
+        for azimuth, good, (hours, days) in zip(
+            annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True
+        )
+        if good
+    )
+    limits = (f"days ≥ {limit:.0f} lx, 09–13 h" for limit in WELL_EDI_LX)
+    text = "Melanopic EDI of daylight alone, at the camera's place and height, by measured colour."
+    head = ("view direction", "hours ≥ 250 lx, 06–19 h", *limits)
+    return Section("melanopic", title, text, tables=(Table(head, rows),))
+
+
+# ----------------------------------------------------------------------------------------------
+# requirements
+
+
+def _requirements(annual: Annual, zone: str) -> Table:
+    rows = annual.summary.protection
+    decided = [row for row in rows if row.certain]
+    classes = ", ".join(
+        f"{named(row.azimuth_deg)} {_WORDS.get(row.glare_class, row.glare_class)}"
+        for row in decided
+    )
+    found = f"decided in {len(decided)} of {len(rows)} directions: {classes or 'none'}"
+    coloured = bool(np.isfinite(annual.views["melanopic_edi_lx"]).any())
+    edi, well = NOT_MEASURED, NOT_MEASURED
+    if coloured:
+        shares = [
+            s for s, good in zip(melanopic_shares(annual, zone), annual.judged, strict=True) if good
+        ]
+        best = max(shares, key=lambda share: share[0].value)
+        edi = f"best direction: {best[0].text()} of the hours"
+        well = "best direction, daylight alone: " + ", ".join(
+            f"{limit:.0f} lx on {share.text()} of the days"
+            for limit, share in zip(WELL_EDI_LX, best[1], strict=True)
+        )
+    place = "views at other places of the room"
+    return Table(
+        ("requirement", "what it asks", "what was found", "what is missing"),
+        (
+            (
+                "EN 17037:2018+A1:2021, protection from glare",
+                "DGP above 0.35 (high), 0.40 (medium), 0.45 (minimum) in at most 5 % of the "
+                "occupied hours",
+                found,
+                place,
+            ),
+            (
+                "BREEAM, control of glare; KBCN1800, KBCN1821",
+                "hourly DGP of the year with robust reporting; or EN 17037 or LM-83",
+                f"hourly DGP of {len(annual)} daylight hours with intervals (hourly.csv)",
+                f"{place}; the strategy of shading, and the assessor's judgement",
+            ),
+            (
+                "LEED v5, glare under Lighting Environment",
+                "glare control for regularly occupied spaces; a regional path names DGP 0.45 in "
+                "at most 5 % of the hours",
+                f"class minimum or better is DGP 0.45: {found}",
+                f"{place}; shading controls; the credit's own forms",
+            ),
+            (
+                "sDG (ClimateStudio), GA (honeybee)",
+                "share of views with DGP above 0.38 in over 5 % of the occupied hours; share of "
+                "the hours with DGP of at most 0.40",
+                _sdg(annual),
+                f"{place}: a floor area needs a grid of views",
+            ),
+            (
+                "WELL v2 L03, circadian lighting design",
+                "melanopic EDI of 136 lx (250 lx for more points) at the eye from electric light, "
+                "four hours between 09:00 and 13:00; 109 lx (163 lx) with enhanced daylight",
+                well,
+                "melanopic EDI of the electric light, which L03 counts",
+            ),
+            (
+                "WELL v2 L04, electric light glare",
+                "UGR or luminance limits of luminaires",
+                "not examined",
+                "figures of the luminaires, or captures at night",
+            ),
+            (
+                "Brown et al. 2022; DIN/TS 67600:2022",
+                "melanopic EDI of 250 lx or more at the eye throughout the day",
+                edi,
+                "electric light, and the hours in which people are there",
+            ),
+        ),
+        words=True,
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# evidence
+
+
+def _instruments(session: Session, setup: SiteFile) -> Table:
+    rows: list[tuple[str, str]] = []
+    try:
+        path = find_camera_profile(setup.camera.profile)
+        rows = [*_camera_rows(load_camera_profile(path)), ("profile, sha256", sha256(path))]
+    except InputError as error:
+        rows.append(("camera", f"cannot tell: {error}"))
+    meter = setup.pyranometer
+    rows.append(("pyranometer", f"{meter.kind or 'not stated'} {meter.profile}".strip()))
+    rows.append(("pyranometer, calibration", "state the date of its certificate here: ________"))
+    rows.append(("camera's place", f"{setup.camera.height_m:g} m above the floor"))
+    used = PairsFile.find(session.pairs).usable
+    times = sorted(row.t_utc for row in used)
+    span = f"{times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else "none"
+    rows.append(("captures used", f"{len(used)}, {span}"))
+    return Table(("item", "value"), tuple(rows), "Instruments and calibrations", words=True)
+
+
+def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
+    scale, colour = 100 * profile.scale.u_rel, profile.colour
+    melanopic = f"{100 * colour.melanopic_u_rel:.1f} %" if colour.melanopic_from_rgb else "none"
+    origin = profile.provenance.fitted_by or profile.provenance.source or "not stated"
+    return [
+        ("camera", f"{profile.camera.name} ({profile.camera.make} {profile.camera.model})"),
+        ("camera, calibrated", f"{profile.camera.date or 'no date'}, by {origin}"),
+        ("camera, valid until", profile.expires or "not stated"),
+        ("luminance scale, standard uncertainty", f"{scale:.1f} %"),
+        ("melanopic colour, standard uncertainty", melanopic),
+    ]
+
+
+def page_of(session: Session, annual: Annual | None) -> Page:
+    """Return the page. Raises InputError without a predicted year."""
+    if annual is None:
+        raise InputError(
+            session.root, "no predicted year", "a year of figures", "run fieldlum predict first"
+        )
+    setup = session.site_file()
+    zone = setup.site.timezone
+    summary = annual.summary
+    versions = [
+        ("fieldlum", __version__),
+        ("model", str(summary.inputs.get("model", summary.model))),
+        ("weather", f"{summary.weather.name}{' (synthetic)' if summary.weather.synthetic else ''}"),
+        ("occupied hours", summary.occupancy.text),
+        ("hours that the model does not trust", f"{100 * summary.occupancy.untrusted_share:.0f} %"),
+        ("predict.json, sha256", sha256(annual.folder / "predict.json")),
+        ("hourly.csv, sha256", sha256(annual.folder / "hourly.csv")),
+    ]
+    signatures = Table(
+        ("role", "name", "date", "signature"),
+        tuple((role, "", "", "") for role in ("measured by", "calculated by", "checked by")),
+        words=True,
+    )
+    notes = " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in summary.notes)
+    sections = (
+        Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
+        Section("glare", "Glare by view direction", notes, tables=(_glare_table(annual),)),
+        _melanopic_section(annual, zone),
+        Section("method", "Method", METHOD),
+        Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
+        Section(
+            "versions",
+            "Versions and files",
+            tables=(Table(("item", "value"), tuple(versions), words=True),),
+        ),
+        Section("signatures", "Signatures", tables=(signatures,)),
+    )
+    return Page(
+        title=f"{setup.site.name}: glare and daylight for an assessor",
+        answer="What each requirement asks, what was found, and what is missing",
+        why="Nothing on this page is certified. Words in the column of findings are those of the "
+        "predicted year; “cannot tell” means that the interval spans the limit.",
+        facts=(
+            ("place", f"{setup.site.latitude_deg:.3f}, {setup.site.longitude_deg:.3f}"),
+            ("written", f"{datetime.now(UTC):%d %B %Y}"),
+            ("occupied hours", f"{summary.occupancy.hours}"),
+        ),
+        sections=sections,
+        footer=f"Written by fieldlum {__version__}.",
+    )
