@@ -72,7 +72,8 @@ def _glare_table(annual: Annual) -> Table:
             rows.append((named(row.azimuth_deg), "not seen", "–", "–", "–", "–"))
             continue
         interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
-        settled = row.glare_class if row.certain else f"cannot tell ({row.glare_class} likeliest)"
+        word = _WORDS.get(row.glare_class, row.glare_class)
+        settled = word if row.certain else f"cannot tell ({word} likeliest)"
         free = _Counted(100 - over[k].value, 100 - over[k].high, 100 - over[k].low)
         disturbed = over_sdg[k].above(100 * _SHARE)
         exceeded = "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
