@@ -12,11 +12,16 @@ from click.testing import CliRunner
 
 from fieldlum.cli import main
 from fieldlum.core.errors import ChangedFileWarning
+from fieldlum.core.records import Panorama
+from fieldlum.optics.images import write_panorama
+from fieldlum.session import sha256
 from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
+from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
 
@@ -115,3 +120,21 @@ def test_pairs_carry_the_warning_into_training_and_commands_print_it(tmp_path: P
     table.write_text(table.read_text().replace("231", "131"))
     with pytest.warns(ChangedFileWarning):
         assert "delete pairs.csv.sha256" in PairsFile.read(table).warnings[0]
+
+
+@pytest.mark.contract
+def test_a_panorama_that_decays_after_its_merge_is_reported(tmp_path: Path) -> None:
+    """The recorded sha256 is in SLOT.json; one of 0.1.0 has none."""
+    path = tmp_path / "panoramas" / "20270621T120000Z.exr"
+    path.parent.mkdir()
+    write_panorama(path, Panorama(np.full((8, 16), 231.0, np.float32), 180.0))
+    sidecar = Sidecar(path.stem, sha256=sha256(path))
+    sidecar.write(path.with_suffix(".json"))
+    read_panorama_with_sun(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert not sidecar.fits(path) and Sidecar(path.stem).fits(path)
+    with pytest.warns(ChangedFileWarning, match=r"changed after merge wrote it.*fieldlum merge"):
+        warn_if_changed(path)
+    path.write_bytes(whole)
+    warn_if_changed(path)

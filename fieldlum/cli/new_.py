@@ -30,9 +30,9 @@ def command(
 ) -> None:
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
-    Each answer is checked and stored at once: after an interruption, the same command continues.
-    If you describe the room, it is drawn as SITE.svg: check the windows and azimuths there. An
-    existing file is not overwritten.
+    Place, camera and heading give the full answer; a room is an option. Each answer is checked
+    and stored at once: after an interruption, the same command continues. A described room is
+    drawn as SITE.svg: check the windows and azimuths there. An existing file is not overwritten.
 
     \b
     Example:
@@ -70,7 +70,8 @@ def command(
     for note in (*assumed_texts(setup.camera), uncalibrated_text(profile), blind):
         if note:
             click.echo(f"note: {note}")
-    if _ask("Describe the room by tape measure? It allows sun patches (y, n)", _yes, default="y"):
+    question = "Describe the room by tape measure? Not needed; it can sharpen the maps (y, n)"
+    if _ask(question, _yes, default="n"):
         setup = _checked_room(site, setup.camera)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)

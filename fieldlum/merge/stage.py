@@ -128,8 +128,7 @@ def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | 
         sidecar = None if table is None else Sidecar.from_table(table, path)
     except InputError:
         return None
-    same_size = sidecar is not None and sidecar.size_bytes == picture.stat().st_size
-    return sidecar if same_size else None
+    return sidecar if sidecar is not None and sidecar.fits(picture) else None
 
 
 def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> datetime:
@@ -258,7 +257,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
         },
         profile=ProfileNote(p.camera.name, job.profile_sha256),
         inputs=recipe,
-        size_bytes=picture.stat().st_size,
+        sha256=sha256(picture),
         software={"fieldlum": __version__},
     ).write(session.sidecar(job.slot))
 

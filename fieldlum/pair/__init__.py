@@ -25,7 +25,7 @@ from fieldlum.session import Session, marks, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile, keep_simulated_pairs
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
 from fieldlum.session.files.suns_csv import SunRow, write_suns
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
@@ -291,6 +291,7 @@ def _light(session: Session, pairs: Sequence[Pair]) -> Light:
 
 def _shown(taken: Taken, full_normal_lx: float) -> Shown:
     """Return what the panorama of a bracket shows; only a caution if it cannot be read."""
+    warn_if_changed(taken.panorama)
     try:
         panorama = read_panorama(taken.panorama)
     except FieldlumError as error:

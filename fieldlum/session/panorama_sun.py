@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fieldlum.core.records import CLIPPED_SUN, Panorama
 from fieldlum.optics.images import read_panorama
+from fieldlum.session.files.sidecar import warn_if_changed
 from fieldlum.session.files.suns_csv import SunRow, read_suns
 
 # origins with which the picture itself measured the disc
@@ -36,6 +37,7 @@ def read_panorama_with_sun(
     reports a sun that remains a lower bound, because every frame is clipped there. Raises
     InputError for an unusable picture or table.
     """
+    warn_if_changed(path)
     panorama = read_panorama(path, part)
     sun = panorama.sun
     if sun is None or sun.origin in MEASURED_ORIGINS:

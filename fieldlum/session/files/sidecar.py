@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -9,11 +10,12 @@ from typing import Any
 
 from msgspec import Struct, field
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import ChangedFileWarning, InputError
 from fieldlum.core.records import JsonTable
 from fieldlum.session.codec import JsonFile, Utc, to_json
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.folder import Session
+from fieldlum.session.writing import sha256
 
 
 class MeasuredSun(Struct, frozen=True):
@@ -60,7 +62,7 @@ class Sidecar(JsonFile, frozen=True):
 
     t_utc: middle of the bracket; verdict: "good", or what to check; report: the key `quality`; sun:
     None without a disc; factors: of the merge, by name; inputs: what the result depends on;
-    size_bytes: of the panorama, -1 if unknown; software: versions.
+    sha256: of the panorama, "" in a file of 0.1.0; software: versions.
     """
 
     EXPECTED = "the sidecar of a merged panorama"
@@ -74,8 +76,12 @@ class Sidecar(JsonFile, frozen=True):
     factors: JsonTable = field(default_factory=dict)
     profile: ProfileNote = ProfileNote()
     inputs: JsonTable = field(default_factory=dict)
-    size_bytes: int = -1
+    sha256: str = ""
     software: Mapping[str, Any] = {}
+
+    def fits(self, panorama: Path) -> bool:
+        """Return whether a panorama has the recorded content, or none is recorded."""
+        return self.sha256 in ("", sha256(panorama))
 
     @property
     def command_options(self) -> tuple[str, ...]:
@@ -97,6 +103,18 @@ class Sidecar(JsonFile, frozen=True):
     def table(self) -> JsonTable:
         """Return the JSON object, without optional keys of the report that have no value."""
         return {**to_json(self), "quality": self.report.table()}
+
+
+def warn_if_changed(panorama: Path) -> None:
+    """Warn with ChangedFileWarning if a panorama changed after merge wrote it."""
+    with suppress(InputError):
+        sidecar = Sidecar.find(panorama.with_suffix(".json"))
+        if sidecar is not None and not sidecar.fits(panorama):
+            text = (
+                f"{panorama}: the content changed after merge wrote it; expected the sha256 in "
+                f"{panorama.stem}.json; merge it again: fieldlum merge"
+            )
+            warnings.warn(text, ChangedFileWarning, stacklevel=2)
 
 
 def readable_sidecars(paths: Iterable[Path]) -> Iterator[Sidecar]:
