@@ -182,11 +182,11 @@ def fitted() -> Fitted:
 def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     data = stated_otherwise(2.3)
     model = fit(data)
-    doubting, said = settle(cast(Fitted, model), data, scan(data, "absolute"))
+    widened, said = settle(cast(Fitted, model), data, scan(data, "absolute"))
     assert said[0].startswith("WARNING") and "north is wrong by +2" in said[0]
     assert "wall_azimuth_deg = 182" in said[1] and "heading_deg = 182" in said[1]
     plain = model.predict(data.light, data.patch_cdm2)
-    wide = doubting.predict(data.light, data.patch_cdm2)
+    wide = widened.predict(data.light, data.patch_cdm2)
     assert np.array_equal(plain.luminance_cdm2, wide.luminance_cdm2)
     sunny = data.light.dni_wm2 > 0.0
     assert (wide.expected_mse[sunny] > plain.expected_mse[sunny]).mean() > 0.8

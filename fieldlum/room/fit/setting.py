@@ -226,7 +226,7 @@ def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitt
     if setting is None:
         return fitted, []
     if setting.slip_deg > 0.0 and isinstance(fitted, Transport):
-        fitted = cast("Fitted", fitted.doubting(setting.slip_deg))
+        fitted = cast("Fitted", fitted.with_displaced_patches(setting.slip_deg))
     return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
 
 
