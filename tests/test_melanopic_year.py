@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from learning_room import dataset, write_pairs
 
+from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, Site
 from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -68,7 +69,7 @@ def test_columns_of_colour_are_written_only_if_measured(tmp_path: Path) -> None:
     def rows(edi: float) -> HourlyFile:
         views = {name: np.full((1, 1), 1.0) for name in VIEW_COLUMNS}
         views |= {name: np.full((1, 1), edi) for name in ("melanopic_edi_lx", "u_melanopic_edi_lx")}
-        hours = {name: np.ones(1) for name in HOUR_COLUMNS}
+        hours: dict[str, Floats] = {name: np.ones(1) for name in HOUR_COLUMNS}
         return HourlyFile((datetime(2027, 6, 1, tzinfo=UTC),), np.array([180.0]), hours, views)
 
     for edi, named in ((np.nan, False), (250.0, True)):
