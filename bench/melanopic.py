@@ -91,7 +91,7 @@ def held_out(jeti: Floats) -> dict[str, Floats]:
         glass("green", 6),
     )
     day = [daylight(t) * g for t in (4000, 5000, 6500, 8000, 12_000, 20_000) for g in glazings]
-    lamps = [SPECTRA[name] for name in SPECTRA.dtype.names if name.startswith("led")]
+    lamps = [SPECTRA[name] for name in (SPECTRA.dtype.names or ()) if name.startswith("led")]
     day, lamps = normalised(day), normalised([*lamps, planck(3000.0)])
     both = normalised([a + b for a in day[6:9] for b in lamps])
     return dict(zip(SETTINGS, (day, both, lamps, normalised(jeti)), strict=True))
