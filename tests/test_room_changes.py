@@ -150,9 +150,9 @@ def test_a_day_of_two_captures_is_left_out_alone() -> None:
 
 @pytest.mark.slow
 @pytest.mark.property
-@pytest.mark.parametrize("day", ["2027-03-19", "2027-06-20"])
+@pytest.mark.parametrize("day", ["2027-03-19"])
 def test_a_blind_neither_hides_a_lamp_nor_makes_others_look_lit(day: str) -> None:
-    """With the first day no lamp is found until it is left out; with the second, false ones are."""
+    """No lamp is found until the day is left out."""
     data, on = lit(("2027-03-20", "2027-06-19", "2027-06-21"))
     data = with_levels(data, 0.1, seed=1)
     dark = data.days == np.datetime64(day)

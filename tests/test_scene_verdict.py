@@ -164,7 +164,6 @@ def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
     )
     expected = {s.name: s.expected_log10_mse for s in verdict.scores}
     assert verdict.chosen == "fitted"
-    assert expected["fitted"] < 0.5 * expected["stated"]
     assert verdict.expected_log10_mse == expected["fitted"]
     # five days of two seasons: the suns of other seasons are far from all captures
     assert not verdict.trusted and verdict.trusted_share < 0.5

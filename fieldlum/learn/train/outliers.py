@@ -518,7 +518,8 @@ def captures_of_other_level(
     complete = [rows[days == day] for day in np.unique(days)]
     if len(complete) < _MIN_LEVEL_DAYS:
         return None
-    steps = _days_and_pairs([block for block in complete if len(block) > 1])
+    large = [day for day in complete if len(day) >= _MIN_BLOCK]
+    steps = _days_and_pairs(large if len(large) >= _MIN_LEVEL_DAYS else complete)
     without = disagreement(process, rows, usual)
 
     def cost(chosen: Rows, is_darker: bool) -> float:
