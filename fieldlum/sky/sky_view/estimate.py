@@ -40,7 +40,6 @@ SCALE_SD = 0.2
 _LEAST_SHARE = 0.05
 _OPEN_U = 0.05  # of a pane's own transmittance, from direction to direction; chosen
 _OPEN, _LEAST_OPEN = 0.9, 0.02  # openness that counts as all open, and as shut; chosen
-_BLUR = 0.25  # openness below which an edge pixel shows no disc, only bounds; chosen
 _DISC_DEG2 = 0.223  # solid angle of the sun's disc
 # What scatters (curtain, fabric) is this bright, as a share of the brightest ratio, and brighter by
 # this logarithm with the sun behind it: a curtain by 1.1, a facade by less than 0.6.
@@ -222,7 +221,6 @@ def _decided(stack: _Stack, light: Light, pose: CameraPose) -> tuple[SkyView, Ma
         )
     openness[openness < _LEAST_OPEN] = 0.0
     low, high = _bounds(openness, u, mixed, pane, stack.grid.step_deg)
-    openness[_blur(openness)] = 0.0
     apart = ~sky & ~mixed
     scatters = apart & (stack.placed(seen.glow) > _SCATTER_GLOW) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < FOLLOWS_NOT)
@@ -244,14 +242,6 @@ def _near(sky: Mask) -> Mask:
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(sky, np.ones((3, 3))), bool)
-
-
-def _blur(openness: Floats) -> Mask:
-    """Return the pixels of little sky between open sky and none, [h, w]: the blur of an edge."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    edge = (minimum_filter(openness, 3) <= 0.0) & (maximum_filter(openness, 3) > 1.0 - _BLUR)
-    return np.asarray(edge & (openness < _BLUR), bool)
 
 
 def _nearest(marked: Mask) -> Indices:

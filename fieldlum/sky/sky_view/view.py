@@ -27,6 +27,8 @@ CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
 # Sharp edges of coarse pictures are drawn at this size: half of the disc. Chosen.
 _FINE_DEG = 0.13
 _SHUT, _OPEN = 0.2, 0.8  # neighbours of an edge between no sky and open sky; chosen
+_LENS_PIXEL_DEG = 1.0  # larger pixels are not a lens's own; chosen
+_EDGE_DOUBT = (0.75, 0.25)  # interpolated openness where an edge is at the latest, and at the least
 FRAME = "true north"  # of the grid's azimuths
 _EXPECTED = "a sky view as docs/sky-view.md describes it"
 _REMEDY = "run fieldlum pair, or fieldlum train, again"
@@ -205,18 +207,23 @@ def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:
 
 
 def _fine_edges(values: list[Floats32], openness: Floats32, factor: int) -> list[Floats]:
-    """Return maps enlarged by `factor`, with sharp edges where openness changes from 0 to 1."""
+    """Return best, low and high enlarged by `factor`, with sharp edges between open sky and none.
+
+    A lens blurs an edge over two pixels; where exactly it is, is known to half of that. Pixels of
+    a degree are means of a lens's pixels.
+    """
     from scipy.ndimage import maximum_filter, minimum_filter
 
+    size = 3 if factor * _FINE_DEG > _LENS_PIXEL_DEG else 5
     shown = np.nan_to_num(openness)
-    most, least = maximum_filter(shown, 3), minimum_filter(shown, 3)
+    most, least = maximum_filter(shown, size), minimum_filter(shown, size)
     edge = _enlarged((most > _OPEN) & (least < _SHUT), factor)
     smooth = _interpolated(shown, factor)
     outside = _enlarged(np.isnan(openness), factor)
     maps = []
-    for value in values:
-        pane = maximum_filter(np.nan_to_num(value), 3)  # value of the open neighbour
-        sharp = np.where(smooth >= 0.5, _enlarged(pane, factor), 0.0)
+    for value, half in zip(values, (0.5, *_EDGE_DOUBT), strict=True):
+        pane = maximum_filter(np.nan_to_num(value), size)  # value of the open neighbour
+        sharp = np.where(smooth >= half, _enlarged(pane, factor), 0.0)
         fine = np.where(edge, sharp, _enlarged(np.nan_to_num(value), factor))
         maps.append(np.where(outside, np.nan, fine))
     return maps
