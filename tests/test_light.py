@@ -34,7 +34,7 @@ def some_light(count: int = 40, seed: int = 1) -> Light:
 
 
 LIGHT = some_light()
-KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown(), cells=1.0)]
+KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown())]
 
 
 @pytest.mark.analytic
@@ -65,22 +65,6 @@ def test_kernel_is_a_covariance(kernel: Kernel) -> None:
     assert np.allclose(k, k.T, atol=1e-5)
     assert np.linalg.eigvalsh(k).min() > -1e-4
     assert np.allclose(np.diagonal(k), kernel.diagonal(f), rtol=1e-4)
-
-
-@pytest.mark.property
-def test_kernel_with_patch_is_a_covariance() -> None:
-    from dataclasses import replace
-
-    rng = np.random.default_rng(3)
-    f = replace(
-        light_features(LIGHT),
-        cells=rng.uniform(0, 1, (40, 9)).astype(np.float32),
-    )
-    kernel = KERNELS[0]
-    k = kernel(f, f)
-    assert np.linalg.eigvalsh(k).min() > -1e-4
-    assert np.allclose(np.diagonal(k), kernel.diagonal(f), rtol=1e-4)
-    assert np.allclose(kernel(f[:5], f), k[:5], atol=1e-5)
 
 
 @pytest.mark.analytic

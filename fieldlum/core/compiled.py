@@ -9,16 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from numba import njit
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
     """Return a function compiled for the types of its arguments, as a decorator.
 
-    Division by zero gives inf or NaN, as in NumPy. Other threads can run meanwhile.
+    Division by zero gives inf or NaN, as in NumPy. Other threads can run meanwhile. Without numba,
+    as on a computer that only captures, the function is interpreted: a hundred times slower.
     """
+    try:
+        from numba import njit
+    except ModuleNotFoundError:
+        return function
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     try:
         return cast(Function, njit(cache=True, **options)(function))

@@ -207,7 +207,7 @@ def _decided(stack: _Stack, light: Light, pose: CameraPose) -> tuple[SkyView, Ma
     ratio, spread = stack.placed(seen.ratio), stack.placed(seen.spread)
     relative = ratio / reference.brightest  # NaN if nothing follows the sky
     sky = (spread < FOLLOWS) & (relative > _LEAST_SHARE) & (ratio > LEAST_THROUGH)
-    pane = pane_transmittance(ratio, sky, stack.grid.step_deg)  # [h, w]
+    pane = np.minimum(pane_transmittance(ratio, sky, stack.grid.step_deg), 1.0)  # [h, w]
     openness = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0)
     u = np.where(sky, _OPEN_U, 0.0)
     mixed = _near(sky) & ~np.isnan(ratio) & (openness < _OPEN)
@@ -325,8 +325,8 @@ def _checked(view: SkyView, captured: Captured, scatters: Mask) -> SkyView:
         values[without] = 0.0
     if both.sum() >= 3:
         gain = float(np.clip(np.median(measured[both] / expected[both]), 0.5, 1.5))
-        arrays["transmittance"] = (view.transmittance * gain).astype(np.float32)
-        arrays["low"] *= gain
+        arrays["transmittance"] = np.minimum(view.transmittance * gain, 1.0).astype(np.float32)
+        arrays["low"] = np.minimum(arrays["low"] * gain, 1.0)
         arrays["high"] = np.minimum(arrays["high"] * gain, 1.0)
     cosine = np.cos(np.radians(0.2665 + 0.5 * view.grid.step_deg))
     rays = view.grid.rays()
