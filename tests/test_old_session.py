@@ -42,6 +42,7 @@ def test_status_and_training_data_are_those_of_then(session: Session) -> None:
     assert (status["merge"]["done"], status["pair"]["usable"]) == (7, 7)
     data = load_pairs(session)
     assert data.disc_lx == pytest.approx(DISC_LX) and data.patch_cdm2 is not None
+    assert data.slots == tuple(path.stem for path in session.panorama_files())  # as --mark expects
     assert [note for note in data.notes if "lower bound" in note]
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +30,10 @@ from fieldlum.session.provenance import data_digest
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
-from fieldlum.sky.sky_view import (
-    SkyView,
-)
+from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 
+_SLOT_ID = re.compile(r"\d{8}T\d{6}Z")
 _NAMED = 3  # number of slots that a note names; chosen
 
 
@@ -285,7 +286,7 @@ def _assemble(
         disc_lx=pictures.disc_lx,
         heading_deg=heading,
         days=days,
-        slots=tuple(slot_id(t) for t in times),
+        slots=_slots(rows, times),
         setup=setup,
         seen=seen_mask,
         steadiness=np.array([row.steadiness for row in rows]),
@@ -296,6 +297,14 @@ def _assemble(
         doubted=doubted if doubted.any() else None,
     )
     return data if turns.aligned.all() else data.take(turns.aligned)
+
+
+def _slots(rows: Sequence[PairRow], times: Sequence[datetime]) -> tuple[str, ...]:
+    """Return the ids of captures, as plan and marks state them; else the UTC of each row."""
+    names = tuple(Path(row.panorama).stem for row in rows)
+    if all(_SLOT_ID.fullmatch(name) for name in names) and len(set(names)) == len(names):
+        return names
+    return tuple(slot_id(t) for t in times)
 
 
 def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
