@@ -211,8 +211,8 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
         axes.set_xlabel("azimuth, clockwise from true north, as the heading states it (degrees)")
         axes.set_ylabel("altitude (degrees)")
         axes.set_title(
-            f"Sky view of {view.captures} captures: blue is sky (by openness), yellow no lens saw, "
-            "red circles are captured discs of the sun",
+            f"Sky view of {view.captures} captures: blue is sky (by openness), yellow no lens saw"
+            + (", red circles are captured discs of the sun" if len(suns) else ""),
             fontsize=9,
         )
         open_axes(axes)
