@@ -148,9 +148,15 @@ def test_a_day_of_two_captures_is_left_out_alone() -> None:
     np.testing.assert_array_equal(changes.unexplained, [8, 9])
 
 
+MISSED = pytest.mark.xfail(
+    strict=True,
+    reason="found before the search for outliers was shortened: blind and lamps in June",
+)
+
+
 @pytest.mark.slow
 @pytest.mark.property
-@pytest.mark.parametrize("day", ["2027-03-19"])
+@pytest.mark.parametrize("day", ["2027-03-19", pytest.param("2027-06-20", marks=MISSED)])
 def test_a_blind_neither_hides_a_lamp_nor_makes_others_look_lit(day: str) -> None:
     """No lamp is found until the day is left out."""
     data, on = lit(("2027-03-20", "2027-06-19", "2027-06-21"))
