@@ -1,4 +1,4 @@
-"""Brackets and years on a real Dask cluster whose workers are killed, hang, are full or differ.
+"""Brackets and years on a real Dask cluster whose workers are killed, stopped, full or different.
 
     python bench/scheduler_faults.py FOLDER [--brackets 100] [--years 10] [--kill-every 5]
 
@@ -18,7 +18,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import timedelta, timezone
 from pathlib import Path
 
@@ -176,8 +175,7 @@ def faults(
         made.worker("other", source=other)
         if full is not None:
             full_disk(made, full)
-        how = replace(parse_scheduler(str(made.file)), unit_limit_s=60.0, retries=20)
-        how = replace(how, say=notes.append)
+        how = parse_scheduler(str(made.file), notes.append)
         stop = threading.Event()
         killer = threading.Thread(target=kill_some, args=(made, asked.kill_every, stop))
         killer.start()

@@ -38,14 +38,12 @@ def written(folder: Path, argument: dict[str, Any]) -> int:
 
 
 def troubled(folder: Path, argument: dict[str, Any]) -> str:
-    """Kill the process, hang, or report a full disk, as often as `times` states; then succeed."""
+    """Kill the process or report a full disk, as often as `times` states; then succeed."""
     seen = len(list(folder.glob(f"{argument['name']}.try*")))
     (folder / f"{argument['name']}.try{seen}").write_text(str(os.getpid()))
     if seen < argument["times"]:
         if argument["how"] == "kill":
             os._exit(9)
-        if argument["how"] == "hang":
-            time.sleep(600)
         if argument["how"] == "full":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder / "x"))
         raise ValueError("a defect of the unit")

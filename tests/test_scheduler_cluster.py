@@ -1,7 +1,6 @@
 """A real Dask scheduler and its workers over TCP: the files of one process, none twice."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from test_frame_changes import one_bit, recorded
 from test_merge_stage import START, profile, take
 
 from fieldlum import merge
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, quiet
 from fieldlum.core.scheduler import (
     LOCAL,
@@ -134,39 +134,40 @@ def weather_file(running: Cluster) -> None:
     (running.shared / "weather.csv").write_text("\n".join(lines) + "\n")
 
 
-def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
+def test_killed_full_and_other_workers_cost_their_units_alone(
     running: Cluster, scheduler: Scheduler
 ) -> None:
-    """Forty units write a file each; one worker is killed and one unit hangs in its worker."""
+    """Forty units write a file each; one worker is killed, one has a full disk."""
     notes: list[str] = []
     names = [f"n{k}.txt" for k in range(40)]
     folder = running.shared
-    some = [  # the hanging unit starts first, so that its worker is known when another is killed
-        WorkUnit(how, units.troubled, folder, {"name": how, "how": how, "times": 1})
-        for how in ("hang", "full")
-    ]
+    full = {"name": "full", "how": "full", "times": 1}
+    some = [WorkUnit("full", units.troubled, folder, full)]
     some += [
-        WorkUnit(
-            name, units.written, folder, {"name": name, "seconds": 0.2}, outputs=(f"out/{name}",)
-        )
-        for name in names
+        WorkUnit(name, units.written, folder, {"name": name, "seconds": 0.2}) for name in names
     ]
     running.worker("third")
     running.worker("fourth")
-    limited = replace(scheduler, unit_limit_s=12.0, say=notes.append)
-    outcomes, started, killed = [], folder / "hang.try0", ""
-    for outcome in run_units(some, limited):
+    outcomes = []
+    for outcome in run_units(some, parse_scheduler(str(running.file), notes.append)):
         outcomes.append(outcome)
-        pid = started.read_text() if started.is_file() else ""
-        if pid and not killed and len(outcomes) >= 4:  # a killed worker cannot hang
-            killed = "second" if pid == str(running.processes["first"].pid) else "first"
-            running.signal(killed)
-    assert killed
-    assert sorted(o.unit.name for o in outcomes) == sorted([*names, "hang", "full"]), "none twice"
+        if len(outcomes) == 4:
+            running.signal("first")
+    assert sorted(o.unit.name for o in outcomes) == sorted([*names, "full"]), "none twice"
     assert not [o.trouble for o in outcomes if o.trouble or o.error]
     remove_scraps(folder / "out")  # of the killed worker
     assert sorted(path.name for path in (folder / "out").iterdir()) == sorted(names)
     text = "\n".join(notes)
     assert "rejected: source" in text and "install the versions of this computer there" in text
     assert "No space left on device; it gets no further units" in text
-    assert "it hangs; it gets no further units" in text
+
+
+def test_without_a_usable_worker_the_command_ends(
+    running: Cluster, scheduler: Scheduler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fieldlum.core.scheduler.REPLACED_S", 2.0)
+    with cluster(tmp_path, running.shared) as made:
+        made.worker("stranger", source=running.folder / "other-version")
+        unit = WorkUnit("a", units.doubled, running.shared, 1)
+        with pytest.raises(InputError, match=r"no usable worker is left .* rejected: source"):
+            list(run_units([unit], parse_scheduler(str(made.file))))

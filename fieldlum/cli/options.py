@@ -84,10 +84,10 @@ SHARED: dict[str, click.Parameter] = {
         "session or the model, else estimated from the panoramas]",
     ),
     "scheduler_text": click.Option(
-        ["scheduler_text", "--scheduler", "--workers"],
+        ["scheduler_text", "--scheduler"],
         default="local",
         show_default=True,
-        metavar="local|N|processes:N|tcp://HOST:PORT|FILE.json",
+        metavar="local|N|tcp://HOST:PORT|FILE.json",
         help="Where the work runs: here, in N processes, or on a Dask cluster (needs dask).",
     ),
     "part": click.Option(

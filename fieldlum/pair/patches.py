@@ -134,16 +134,8 @@ def trace_patches(root: Path, job: _PatchJob) -> None:
 
 
 def _unit(session: Session, job: _PatchJob) -> WorkUnit:
-    pictures = [session.sunpatch(slot) for slot in job.slots]
-    notes = [session.sunpatch_sidecar(slot) for slot in job.slots]
-    return WorkUnit(
-        f"sun-patches-{job.slots[0]}",
-        trace_patches,
-        session.root,
-        job,
-        files=(session.toml.name,),
-        outputs=tuple(p.relative_to(session.root).as_posix() for p in (*pictures, *notes)),
-    )
+    name = f"sun-patches-{job.slots[0]}"
+    return WorkUnit(name, trace_patches, session.root, job, files=(session.toml.name,))
 
 
 def _write(session: Session, slot: str, patch: Panorama, recipe: str) -> None:

@@ -84,21 +84,8 @@ def truth_units(
             planned_utc=tuple(slot.t_utc for slot in slots),
             troubles=troubles,
         )
-        files = tuple(
-            path.relative_to(session.root).as_posix()
-            for slot in some
-            for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
-        )
-        units.append(
-            WorkUnit(
-                f"truth-{some[0].id}",
-                render_slots,
-                folder,
-                job,
-                files=(f"{name}/{session.toml.name}",),
-                outputs=tuple(f"{name}/{file}" for file in files),
-            )
-        )
+        files = (f"{name}/{session.toml.name}",)
+        units.append(WorkUnit(f"truth-{some[0].id}", render_slots, folder, job, files=files))
     return units
 
 

@@ -1,0 +1,453 @@
+"""Run units of work in this process, in several processes, or on a Dask cluster.
+
+A stage turns its work into `WorkUnit`s and calls `run_each`. `parse_scheduler` reads the text of
+the option `--scheduler`. Units run by executors of `concurrent.futures`: a pool of processes, or
+that of a Dask client. Only `_on_cluster` imports dask.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import ipaddress
+import json
+import multiprocessing
+import os
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from threadpoolctl import threadpool_limits
+
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors, install_text
+from fieldlum.core.records import Progress, quiet
+from fieldlum.optics.profiles import shipped
+from fieldlum.session import sha256
+
+SHARED_VARIABLE = "FIELDLUM_SHARED"
+RETRIES = 3  # number of further tries of a unit after its worker was lost; chosen
+# timeout for an answer of the scheduler: ten times a slow handshake over TLS; chosen
+CONNECT_S = 15.0
+# longest time without any worker: a batch system starts jobs within minutes; chosen
+PATIENCE_S = 600.0
+# longest time with refused workers only: a killed worker is replaced within a minute; chosen
+REPLACED_S = 60.0
+# Errors of a worker's computer, so that another computer may finish the unit: a full disk, a quota,
+# a disk that does not answer, a share that went away, no memory.
+_WORKER_ERRNOS = {getattr(errno, "ESTALE", errno.EIO), errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_WORKER_ERRNOS |= {errno.EIO, errno.EROFS, errno.ENOMEM, errno.EMFILE}
+# Read by BLAS and OpenMP libraries when they are loaded.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def _silent(text: str) -> None:
+    """Show nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scheduler:
+    """Where units of work run: in some processes here, or on the Dask scheduler at an address.
+
+    address: tcp:// or tls://, "" for this computer. say: shows one sentence to the user.
+    """
+
+    processes: int = 1
+    address: str = ""
+    say: Callable[[str], None] = field(default=_silent, compare=False)
+
+
+LOCAL = Scheduler()
+
+
+def in_processes(count: int) -> Scheduler:
+    """Return the scheduler for `count` processes here; 1 or less means the current process."""
+    return Scheduler(max(count, 1))
+
+
+def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Scheduler:
+    """Return the scheduler that `text` names: local, processes:N (or N), an address or FILE.json.
+
+    Raises InputError for any other text and for a FILE.json that cannot be used. Warns through
+    `say` about an address that other computers can reach without TLS.
+    """
+    count = "1" if text == "local" else text.removeprefix("processes:")
+    if count.isdigit() and int(count) > 0:
+        return Scheduler(int(count), say=say)
+    address = text
+    if text.endswith(".json"):
+        remedy = "let dask scheduler --scheduler-file write the file"
+        wrong = (OSError, ValueError, KeyError, TypeError)
+        with input_errors(text, "a JSON file of a Dask scheduler", remedy, *wrong):
+            address = str(json.loads(Path(text).read_text(encoding="utf-8"))["address"])
+    with suppress(ValueError):
+        at = urlsplit(address)
+        if at.scheme in ("tcp", "tls") and at.hostname and at.port and "@" not in at.netloc:
+            if at.scheme == "tcp" and not _is_loopback(at.hostname):
+                say(
+                    f"WARNING: {address} has no TLS and is not on this computer: anyone who can "
+                    "reach that port can run programs on its workers. Use tls:// (docs/scale.md)."
+                )
+            return Scheduler(address=address, say=say)
+    forms = "local, processes:N, tcp://HOST:PORT, tls://HOST:PORT or FILE.json"
+    raise InputError("--scheduler", f"'{address}'", forms, "correct it, or omit --scheduler")
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+# ----------------------------------------------------------------------------------------------
+# units
+
+
+@dataclass(frozen=True, slots=True)
+class WorkUnit:
+    """One piece of work: `call(folder, argument)`, which may run more than once.
+
+    name: unique in the run. call: a function of a module, which writes files by rename. argument:
+    plain values without paths. files: input files, relative to `folder`, whose content must be the
+    same for a worker as for this computer.
+    """
+
+    name: str
+    call: Callable[[Path, Any], Any]
+    folder: Path
+    argument: Any
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class UnitOutcome:
+    """How a unit of work ended: with a value, or with an error of its call, or with trouble.
+
+    trouble: what went wrong at its workers, "" if nothing did.
+    """
+
+    unit: WorkUnit
+    value: Any = None
+    error: BaseException | None = None
+    trouble: str = ""
+
+    def result(self) -> Any:
+        """Return the value; raise the error of the call, or InputError for trouble of workers."""
+        if self.error is not None:
+            raise self.error
+        if self.trouble:
+            raise InputError(
+                f"unit of work {self.unit.name}",
+                self.trouble,
+                "a worker that completes it",
+                "check memory and disk of the workers, then start the command again",
+            )
+        return self.value
+
+
+def run_each(
+    units: Iterable[WorkUnit],
+    scheduler: Scheduler,
+    take: Callable[[UnitOutcome], object],
+    progress: Progress = quiet,
+) -> None:
+    """Run every unit and pass each outcome to `take`; an error in `take` stops all units.
+
+    Raises what `run_units` and `take` raise.
+    """
+    with closing(run_units(units, scheduler, progress=progress)) as outcomes:
+        for outcome in outcomes:
+            take(outcome)
+
+
+def run_units(
+    units: Iterable[WorkUnit], scheduler: Scheduler, *, progress: Progress = quiet
+) -> Generator[UnitOutcome, None, None]:
+    """Run every unit and yield its outcome, in the order in which units end.
+
+    A unit whose process or worker is killed, has a full disk or an outdated file system is tried
+    again, at most 3 times; then its outcome names the trouble, and other units continue. Raises
+    InputError if no scheduler answers or no worker with this software is left, NotEnoughDataError
+    if there is no worker for ten minutes.
+    """
+    waiting = list(units)
+    count = min(scheduler.processes, len(waiting))
+    if not waiting:
+        return
+    if scheduler.address:
+        outcomes = _on_cluster(waiting, scheduler)
+    else:
+        outcomes = _in_processes(waiting, count) if count > 1 else map(_here, waiting)
+    for done, outcome in enumerate(outcomes, start=1):
+        progress(done, len(waiting), outcome.unit.name)
+        yield outcome
+
+
+def _here(unit: WorkUnit) -> UnitOutcome:
+    try:
+        with threadpool_limits(1, user_api="blas"):  # as in a worker, for equal rounding
+            return UnitOutcome(unit, unit.call(unit.folder, unit.argument))
+    except Exception as error:
+        return UnitOutcome(unit, error=error)
+
+
+def is_worker_trouble(error: BaseException) -> bool:
+    """Return whether an error is due to the computer that runs a unit, not to the unit."""
+    if isinstance(error, OSError):
+        return error.errno in _WORKER_ERRNOS
+    return isinstance(error, MemoryError)
+
+
+def _trouble_text(error: BaseException) -> str:
+    return getattr(error, "strerror", None) or "out of memory"  # without paths
+
+
+def _given_up(unit: WorkUnit, why: str) -> UnitOutcome:
+    return UnitOutcome(unit, trouble=f"given up after {RETRIES + 1} tries, the last: {why}")
+
+
+def use_one_thread() -> None:
+    """Limit this process to one thread of OpenCV, BLAS and OpenMP.
+
+    By default each of n processes would start a thread for each core, and they would wait for each
+    other: two processes on two cores took twice as long to predict a year.
+    """
+    import cv2
+
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))  # for libraries loaded later
+    threadpool_limits(1)
+    cv2.setNumThreads(1)
+
+
+# ----------------------------------------------------------------------------------------------
+# processes
+
+
+def _in_processes(units: list[WorkUnit], count: int) -> Iterator[UnitOutcome]:
+    """Run units in a pool of processes; a killed process costs only the units that run then."""
+    waiting, tries, running = units[::-1], Counter[str](), dict[Future[Any], WorkUnit]()
+    pool = _pool(count)
+    try:
+        while waiting or running:
+            while waiting and len(running) < count:
+                unit = waiting.pop()
+                try:
+                    future = pool.submit(unit.call, unit.folder, unit.argument)
+                except BrokenProcessPool:
+                    pool = _pool(count)
+                    future = pool.submit(unit.call, unit.folder, unit.argument)
+                running[future] = unit
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                unit, error = running.pop(future), future.exception()
+                killed = isinstance(error, BrokenProcessPool)
+                if error is None or not (killed or is_worker_trouble(error)):
+                    yield UnitOutcome(unit, None if error else future.result(), error)
+                elif tries[unit.name] < RETRIES:
+                    tries[unit.name] += 1
+                    waiting.insert(0, unit)  # last, so that it rarely meets the same others again
+                else:
+                    why = "its process was killed" if killed else _trouble_text(error)
+                    yield _given_up(unit, why)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _pool(count: int) -> Executor:
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, mp_context=spawn, initializer=_start_worker)
+
+
+def _start_worker() -> None:
+    """Limit a worker to one thread, and end it with its parent."""
+    use_one_thread()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+# ----------------------------------------------------------------------------------------------
+# a cluster
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a worker of a cluster receives; it contains no absolute path of this computer.
+
+    inputs: names and sha256 of input files, relative to `folder`; software: that of the client.
+    """
+
+    call: Callable[[Path, Any], Any]
+    folder: str
+    argument: Any
+    inputs: tuple[tuple[str, str], ...]
+    software: dict[str, str]
+
+
+def task_of(unit: WorkUnit) -> Task:
+    """Return what a worker needs for `unit`, with the sha256 of its input files.
+
+    Its folder is stated relative to the shared folder: FIELDLUM_SHARED, else the current one.
+    Raises InputError if its folder is outside the shared folder.
+    """
+    shared = _shared_folder()
+    try:
+        folder = unit.folder.resolve().relative_to(shared.resolve()).as_posix()
+    except ValueError:
+        raise InputError(
+            unit.folder,
+            f"this folder is outside the shared folder {shared}",
+            "a folder inside it, so that workers can use it too",
+            f"start the command above it, or set {SHARED_VARIABLE} here and on each worker",
+        ) from None
+    inputs = tuple((name, _digest(unit.folder / name)) for name in unit.files)
+    return Task(unit.call, folder, unit.argument, inputs, software())
+
+
+def _shared_folder() -> Path:
+    return Path(os.environ.get(SHARED_VARIABLE) or Path.cwd())
+
+
+def _digest(path: Path) -> str:
+    return sha256(path) if path.is_file() else "absent"
+
+
+def perform(task: Task) -> tuple[Any, str]:
+    """Run a task on a worker; return the call's value, and what is wrong with this computer or "".
+
+    A computer is wrong if it has other software or other input files than the client, a full disk
+    or no memory. Raises the call's other errors.
+    """
+    folder, mine = _shared_folder() / task.folder, software()
+    other = [f"{k} {mine[k]} (here {v})" for k, v in task.software.items() if mine[k] != v]
+    if other:
+        return None, f"rejected: {', '.join(other)}; install the versions of this computer there"
+    try:
+        for name, digest in task.inputs:
+            if _digest(folder / name) != digest:
+                return None, f"its {name} differs from that of the command: file system out of date"
+        return task.call(folder, task.argument), ""
+    except (OSError, MemoryError) as error:
+        if is_worker_trouble(error):
+            return None, _trouble_text(error)
+        raise
+
+
+def _perform_here(task: Task) -> tuple[str, Any, str]:
+    """Run a task on a worker; return the worker's address, the value, and the trouble or ""."""
+    from distributed import get_worker
+
+    use_one_thread()  # in the thread of this task: OpenMP has a limit for each thread
+    return (str(get_worker().address), *perform(task))
+
+
+@cache
+def software() -> dict[str, str]:
+    """Return the versions of Python and numeric packages, and digests of fieldlum's files."""
+    facts = {"python": f"{sys.version_info[0]}.{sys.version_info[1]}"}
+    for name in ("fieldlum", "numpy", "scipy", "opencv-contrib-python-headless", "torch", "pvlib"):
+        facts[name] = "none"
+        with suppress(PackageNotFoundError):
+            facts[name] = version(name).split("+")[0]
+    folders = {"source": Path(__file__).parents[1], "profiles": shipped("calibration")}
+    for (key, folder), pattern in zip(folders.items(), ("*.py", "*.toml"), strict=True):
+        digests = "".join(sha256(path) for path in sorted(folder.rglob(pattern)))
+        facts[key] = hashlib.sha256(digests.encode()).hexdigest()[:12]
+    return facts
+
+
+def _on_cluster(units: list[WorkUnit], scheduler: Scheduler) -> Iterator[UnitOutcome]:
+    """Run units on the workers of a Dask scheduler, which runs a killed worker's units elsewhere.
+
+    A worker with other software, stale files or a full disk gets no unit a second time. Raises
+    InputError if no other worker is left.
+    """
+    avoided: dict[str, str] = {}  # worker, and why it gets no more units
+    tries, running = Counter[str](), dict[Future[Any], tuple[WorkUnit, set[str]]]()
+    with _connect(scheduler) as client:
+
+        def submit(unit: WorkUnit) -> None:
+            places = _usable(client, scheduler, avoided)
+            executor = client.get_executor(workers=sorted(places) or None, pure=False)
+            running[executor.submit(_perform_here, task_of(unit))] = unit, places
+
+        for unit in units:
+            submit(unit)
+        while running:
+            ended = wait(running, timeout=REPLACED_S, return_when=FIRST_COMPLETED).done
+            for future in ended:
+                (unit, _), (worker, value, trouble, error) = running.pop(future), _answer(future)
+                if worker and trouble and worker not in avoided:
+                    avoided[worker] = trouble
+                    scheduler.say(f"worker {worker}: {trouble}; it gets no further units")
+                if not trouble:
+                    yield UnitOutcome(unit, value, error)
+                elif tries[unit.name] < RETRIES:
+                    tries[unit.name] += 1
+                    submit(unit)
+                else:
+                    yield _given_up(unit, f"worker {worker}: {trouble}" if worker else trouble)
+            there = set() if ended else client.nthreads().keys()
+            for future, (_, places) in running.items():
+                if places and not ended and not places & there:  # else it would wait for ever
+                    future.cancel()
+
+
+def _usable(client: Any, scheduler: Scheduler, avoided: dict[str, str]) -> set[str]:
+    """Return the workers that are not avoided; the empty set if none is, so that any may do."""
+    end_s = time.monotonic() + REPLACED_S
+    while avoided:
+        if usable := client.nthreads().keys() - avoided.keys():
+            return usable
+        if time.monotonic() > end_s:
+            worker, why = next(iter(avoided.items()))
+            finding = f"no usable worker is left (worker {worker}: {why})"
+            remedy = "finished units are stored; start the command again"
+            raise InputError(scheduler.address, finding, remedy=remedy)
+        time.sleep(1.0)
+    return set()
+
+
+def _answer(future: Future[Any]) -> tuple[str, Any, str, BaseException | None]:
+    """Return worker, value and trouble of a task that ended, and the error of its call."""
+    error = None if future.cancelled() else future.exception()
+    if future.cancelled() or type(error).__name__ == "KilledWorker":
+        return "", None, "its workers were killed or ran out of memory", None
+    return ("", None, "", error) if error else (*future.result(), None)
+
+
+def _connect(scheduler: Scheduler) -> Any:
+    """Return a Dask client; certificates of tls:// are those of Dask's own configuration.
+
+    Raises InputError without dask or if no scheduler answers, NotEnoughDataError without a worker.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        remedy = install_text("cluster")
+        raise InputError("--scheduler", "dask is not installed", remedy=remedy) from None
+    try:
+        client = Client(scheduler.address, timeout=CONNECT_S, set_as_default=False, name="fieldlum")
+    except (OSError, TimeoutError, ValueError) as error:
+        finding = f"no scheduler answers ({type(error).__name__})"
+        remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
+        raise InputError(scheduler.address, finding, remedy=remedy) from None
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except TimeoutError:
+        client.close()
+        raise NotEnoughDataError(
+            f"{scheduler.address}: no worker for {PATIENCE_S:.0f} s; start one with: dask worker "
+            "ADDRESS; finished units are stored, so start the command again"
+        ) from None
+    return client
