@@ -15,6 +15,7 @@ from fieldlum.cli.terminal import emit_json, print_table, say, write_csv
 
 if TYPE_CHECKING:
     from fieldlum.year.glare.answers import GlareAnswer
+    from fieldlum.year.glare.budget import Budget
 
 # Columns of --csv, which are a contract: further metrics come at the end.
 _CSV_COLUMNS = (
@@ -72,6 +73,7 @@ def command(
     part: str = "",
     calibrate_ev_lx: Annotated[float | None, click.FloatRange(min=0, min_open=True)] = None,
     csv_path: Annotated[Path | None, FILE_PATH] = None,
+    budget_path: Annotated[Path | None, FILE_PATH] = None,
     json_lines: bool = False,
     reference: bool = False,
     lamps: bool = False,
@@ -95,6 +97,8 @@ def command(
       --calibrate-ev LX: Scale each picture to this measured vertical illuminance of its
           (first) view.
       --csv FILE: Write one row for each picture and view.
+      --budget FILE: Write each source of uncertainty of DGP, Ev, melanopic EDI and the pixel ahead
+          as a csv (GUM), for each panorama and view.
       --reference: Also run evalglare and show its result.
       --lamps: Electric light is on: melanopic EDI is less certain.
     """
@@ -102,6 +106,7 @@ def command(
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
     from fieldlum.core.errors import InputError
     from fieldlum.session import open_session
+    from fieldlum.year.glare.budget import budget_of_file, write_budgets
     from fieldlum.year.glare.single import picture_glare
 
     images = tuple(
@@ -110,6 +115,7 @@ def command(
         for picture in (open_session(path).panorama_files() if path.is_dir() else [path])
     )
     rows: list[dict[str, Any]] = []
+    budgets: list[tuple[str, Budget]] = []
     bad = 0
     for path in images:
         try:
@@ -129,12 +135,17 @@ def command(
         for warning in answer["warnings"]:
             say(f"fieldlum glare: {path}: {warning}")
         rows += csv_rows(answer)
+        if budget_path is not None:
+            seen = [view["azimuth_deg"] for view in answer["views"] if view["dgp"] is not None]
+            budgets += [(str(path), row) for row in budget_of_file(path, seen)]
         if json_lines:
             emit_json(answer)
         else:
             _table(answer)
     if csv_path is not None:
         write_csv(csv_path, csv_columns(), rows)
+    if budget_path is not None:
+        write_budgets(budget_path, budgets)
     if bad and len(images) > 1:
         say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
     if bad:

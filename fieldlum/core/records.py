@@ -307,6 +307,11 @@ class SunSource:
     origin: str = ""
 
 
+# Attribute of a merged picture: "SOURCE=PERCENT ...", standard uncertainties that its pixels share,
+# each a share of the luminance; that of VEILING_GLARE is one of the mean luminance in all pixels.
+U_PERCENT, VEILING_GLARE = "u_percent", "veiling-glare"
+
+
 @dataclass(frozen=True, slots=True)
 class Panorama:
     """A luminance map of all directions; a sun disc that fieldlum measured is separate, in `sun`.

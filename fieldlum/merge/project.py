@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.records import Flag, Panorama
+from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
@@ -257,6 +257,7 @@ def finish(
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
     attributes = calibration_mark(profile)
+    attributes[U_PERCENT] = _shared_percents(view, np.maximum(light, 0.0) * solid, p)
     if matrix is not None and p.colour.melanopic_from_rgb:
         weights = np.array(p.colour.melanopic_from_rgb)
         attributes[MELANOPIC] = melanopic_text(weights, matrix, p.colour.melanopic_u_rel)
@@ -270,6 +271,23 @@ def finish(
         None if rgb is None else rgb.reshape(*shape, 3),
         attributes,
     )
+
+
+def _shared_percents(view: ProjectedImage, weight: Floats, p: CameraProfile) -> str:
+    """Return the attribute `U_PERCENT` of the map; weight [n]: luminance times solid angle."""
+
+    def mean(u_rel: Floats) -> float:
+        return float((weight * u_rel).sum() / max(weight.sum(), 1e-12))
+
+    shared = {
+        "scale": p.scale.u_rel,
+        "colour": p.colour.u_rel,
+        "response": curve_u_rel(p),
+        "exposures": mean(view.u_ratio),
+        "vignetting": mean(view.u_vignetting),
+        VEILING_GLARE: p.glare_floor_rel,
+    }
+    return " ".join(f"{name}={100 * u_rel:.4g}" for name, u_rel in shared.items())
 
 
 def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraProfile) -> Floats:

@@ -14,14 +14,16 @@ import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, quiet, slot_id
+from fieldlum.core.strict_csv import read_table
 from fieldlum.report import assessor
-from fieldlum.report.page import Page, Section, Table, render
+from fieldlum.report.page import Page, Section, Table, named, render
 from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
+from fieldlum.year.glare.budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, read_annual, read_pictures
 
 _MOST_LISTED = 12  # values of a setting that are shown one by one; chosen
@@ -76,6 +78,31 @@ def _settings(session: Session, artefacts: SessionArtefacts) -> Section:
     return Section("settings", "Settings and versions", tables=(table,))
 
 
+def _budget_section(year: Annual) -> list[Section]:
+    """Return the uncertainty budget of each direction's DGP; empty for a year without the file."""
+    path = year.folder / BUDGET_FILE
+    if not path.is_file():
+        return []
+    table = read_table(path, "an uncertainty budget", "predict the year again: fieldlum predict")
+    parts: dict[str, dict[str, str]] = {}
+    for _, cells in table.dicts():
+        parts.setdefault(cells["azimuth_deg"], {})[cells["source"]] = (
+            f"{float(cells['contribution']):.4f}"
+        )
+    sources = tuple(dict.fromkeys(name for row in parts.values() for name in row))
+    rows = tuple(
+        (named(float(azimuth)), *(row.get(name, "–") for name in sources))
+        for azimuth, row in parts.items()
+    )
+    text = (
+        "What each source adds to the standard uncertainty of the DGP exceeded in 5 % of the "
+        "occupied hours. Another year's weather, and a blind that moves, are not in it. budget.csv "
+        "has types, sensitivities and shares (GUM)."
+    )
+    tables = (Table(("facing", *sources), rows, folded=True),)
+    return [Section("budget", "Uncertainty budget", text, tables=tables)]
+
+
 def _text(value: Any) -> str:
     """Return a setting as text: a list as its length, True and False as words."""
     if isinstance(value, bool):
@@ -115,6 +142,7 @@ def _page(session: Session, artefacts: SessionArtefacts) -> Page:
     if year is not None:
         sections += [annual.directions_section(year), annual.when_section(year, zone)]
         sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
+        sections += _budget_section(year)
     if artefacts.model is not None:
         held, names = HeldOutMaps.find(artefacts.model), _slot_names(pairs)
         sections.append(evidence.section(held, artefacts.scores, names))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.optics.projection import NOT_SEEN, SEEN
-from fieldlum.year.glare.metrics import DGP_CONTRAST, DGP_EV
+from fieldlum.year.glare.metrics import DGP_BASE, DGP_CONTRAST, DGP_EV
 
 CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # EN 17037:2018, strictest first
 # From here on glare is "disturbing" (Wienold 2009, Building Simulation, table 2).
@@ -131,6 +131,16 @@ def dgp_uncertainty(
     return np.hypot(from_ev, 2.0 * slope * source_relative)
 
 
+def dgp_per_scale(dgp: Floats, ev_lx: Floats) -> Floats:
+    """Return the change of DGP for a relative change of all luminances, of the shape of `dgp`.
+
+    By DGP's own formula: Ev times (1 + e), and the contrast term's argument times (1 + e)^0.13.
+    """
+    power = np.clip((dgp - DGP_EV * ev_lx - DGP_BASE) / DGP_CONTRAST, 0.0, None)
+    share = 1.0 - 10.0**-power  # x / (1 + x) of log10(1 + x)
+    return DGP_EV * ev_lx + 0.13 * DGP_CONTRAST / np.log(10.0) * share
+
+
 @dataclass(frozen=True, slots=True)
 class GlareDoubt:
     """Further uncertainty of the DGP of n hours in d directions, besides the model's own error.
@@ -158,6 +168,7 @@ def protection(
     azimuths_deg: Floats,
     rng: np.random.Generator,
     doubt: GlareDoubt | None = None,
+    u_common: Floats | None = None,
 ) -> Protection:
     """Return the EN 17037 glare protection in d view directions, with 95 % intervals.
 
@@ -165,7 +176,8 @@ def protection(
     Without it (None, or not finite in a direction that was seen) there are no intervals: low and
     high are None. occupied_hours : number of lit and dark occupied hours. azimuths_deg : [d],
     clockwise from north. doubt : uncertainty of unseen parts and of the room; None if everything is
-    seen and the room is certain.
+    seen and the room is certain. u_common : [n, d] standard uncertainty of DGP by an error that all
+    hours and directions share, such as the camera's scale; None for none.
 
     The interval comes from 400 years drawn with `rng`, with normal errors around the model's DGP;
     half of their variance is common to all hours. Each drawn year takes the sun's disc from one of
@@ -186,7 +198,8 @@ def protection(
         return Protection(
             azimuths, occupied_hours, point, over, None, None, classes, none_certain, doubt.seen
         )
-    low, high = _interval(dgp, u_dgp, occupied_hours, rng, doubt)
+    shared = np.zeros_like(dgp) if u_common is None else u_common
+    low, high = _interval(dgp, u_dgp, shared, occupied_hours, rng, doubt)
     low, high = np.minimum(low, point), np.maximum(high, point)
     certain = judged & np.array(
         [class_of(float(a)) == class_of(float(b)) for a, b in zip(low, high, strict=True)]
@@ -197,14 +210,19 @@ def protection(
 
 
 def _interval(
-    dgp: Floats, u_dgp: Floats, occupied_hours: int, rng: np.random.Generator, doubt: GlareDoubt
+    dgp: Floats,
+    u_dgp: Floats,
+    u_common: Floats,
+    occupied_hours: int,
+    rng: np.random.Generator,
+    doubt: GlareDoubt,
 ) -> tuple[Floats, Floats]:
     """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each."""
     lows, highs = [], []
     all_seen = bool(np.array_equal(doubt.least, doubt.most, equal_nan=True))
     for k in range(DRAWS):
         year = dgp if doubt.drawn is None else doubt.drawn[k % len(doubt.drawn)]
-        error = u_dgp * _year_error(dgp.shape, rng)
+        error = u_dgp * year_errors(dgp.shape, rng) + u_common * rng.standard_normal()
         darkest = np.clip(year + (doubt.least - dgp) + error, 0.0, 1.0)
         lows.append(exceeded_in_share(darkest, occupied_hours))
         brightest = np.clip(year + (doubt.most - dgp) + error, 0.0, 1.0)
@@ -212,7 +230,7 @@ def _interval(
     return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
 
 
-def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+def year_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     """Return standard normal errors [n, d] of one drawn year, partly common to its hours."""
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
     own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)

@@ -23,10 +23,12 @@ from fieldlum.session.files.predict_json import (
 from fieldlum.session.site_toml import site_table
 from fieldlum.version import __version__
 from fieldlum.weather import Weather
+from fieldlum.year.glare.budget import Budget, year_budget
 from fieldlum.year.glare.standards import (
     EXCEEDED_SHARE,
     GlareDoubt,
     Protection,
+    dgp_per_scale,
     hours_to_capture,
     nearest_limits,
     protection,
@@ -49,7 +51,12 @@ _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 t
 
 
 def judge(
-    annual: Annual, doubt: GlareDoubt, u_of_maps: Floats, occupied_hours: int, seed: int
+    annual: Annual,
+    doubt: GlareDoubt,
+    u_of_maps: Floats,
+    occupied_hours: int,
+    seed: int,
+    u_scale: float = 0.0,
 ) -> Protection:
     """Return the EN 17037 glare protection of d view directions over the occupied hours.
 
@@ -57,14 +64,26 @@ def judge(
     `annual`, occupied or not, [n, d]. doubt: possible DGP due to the sun's disc and to unseen parts
     of views, in the same hours. occupied_hours: their number, with those in the
     dark, which have no glare. The intervals are None if an uncertainty is unknown. seed: for the
-    random draws.
+    random draws. u_scale: relative standard uncertainty of the camera's scale in all hours.
     """
     used = annual.occupied
     u_dgp = u_of_maps[used]
     u_values = u_dgp if np.isfinite(u_dgp[:, annual.judged]).all() else None
     rng = np.random.default_rng(seed)
     dgp = annual.views["dgp"][used]
-    return protection(dgp, u_values, occupied_hours, annual.azimuths_deg, rng, doubt.hours(used))
+    of_scale = u_scale * dgp_per_scale(dgp, annual.views["ev_lx"][used])
+    doubts = doubt.hours(used)
+    return protection(dgp, u_values, occupied_hours, annual.azimuths_deg, rng, doubts, of_scale)
+
+
+def budget_of_year(
+    annual: Annual, doubt: GlareDoubt, u_of_maps: Floats, occupied_hours: int, u_scale: float
+) -> list[Budget]:
+    """Return the budget of each seen direction's DGP, with arguments as for `judge`."""
+    used = annual.occupied
+    dgp, ev_lx = annual.views["dgp"][used], annual.views["ev_lx"][used]
+    doubts, azimuths = doubt.hours(used), annual.azimuths_deg
+    return year_budget(dgp, ev_lx, u_of_maps[used], doubts, occupied_hours, azimuths, u_scale)
 
 
 def hours_to_settle(annual: Annual, protection: Protection, zone: str) -> list[SkyToCapture]:

@@ -20,11 +20,13 @@ from fieldlum.session import Session, check_writable, sha256
 from fieldlum.session.bucket import check_url
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.session.files.sidecar import newest_sidecar
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.disc_in_view import disc_lx, drawn_discs_lx
 from fieldlum.sky.sun import standard_date
 from fieldlum.weather import Weather, read_weather
+from fieldlum.year.glare.budget import BUDGET_FILE, write_budgets
 from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.standards import GlareDoubt, disturbed_share
@@ -39,7 +41,13 @@ from fieldlum.year.predict.checks import (
     inputs_of,
     session_folder,
 )
-from fieldlum.year.predict.glare_summary import best_and_worst, judge, poor, summary_of_year
+from fieldlum.year.predict.glare_summary import (
+    best_and_worst,
+    budget_of_year,
+    judge,
+    poor,
+    summary_of_year,
+)
 from fieldlum.year.predict.hours_unit import HourFigures, hour_units
 from fieldlum.year.predict.maps import BucketMapStore, FolderMapStore, MapStore
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
@@ -184,15 +192,28 @@ def run(
     )
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
-    protection = judge(annual, doubt, u_of_maps, hours_used, seed)
+    u_scale = 0.0 if root is None else scale_u_rel(Session(root))
+    protection = judge(annual, doubt, u_of_maps, hours_used, seed, u_scale)
     summary = summary_of_year(room, config, weather, inputs, occupancy, annual, protection, days)
     annual = replace(annual, summary=summary)
     rows = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
     rows.write(folder, zone)
     pictures = telling_pictures(load(model_folder), room, light, annual)
     write_pictures(folder / "pictures.npz", pictures)
+    budgets = budget_of_year(annual, doubt, u_of_maps, hours_used, u_scale)
+    write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
     summary.write(folder)  # the last file, so that a folder with it is complete
     return PredictedYear(annual, new=True)
+
+
+def scale_u_rel(session: Session) -> float:
+    """Return the relative standard uncertainty that the scale of all captures shares.
+
+    It is that of the camera's scale and colour in the newest panorama; 0 if no panorama states it.
+    """
+    sidecar = newest_sidecar(session)
+    percents = {} if sidecar is None else sidecar.factors.get("u_percent", {})
+    return float(np.hypot(percents.get("k", 0.0), percents.get("colour", 0.0))) / 100
 
 
 def light_of(weather: Weather) -> Light:

@@ -1,0 +1,298 @@
+"""List what makes a figure uncertain, source by source, as the GUM asks (JCGM 100:2008, clause 8).
+
+A picture that `merge` wrote states the uncertainties that all its pixels share (`u_percent`); what
+remains of each pixel's u is independent of the other pixels. A year's figure shares the camera's
+scale over all its hours.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Panorama, SunSource
+from fieldlum.optics.photometry.melanopic import melanopic_edi, melanopic_ratio, ratio_u_rel
+from fieldlum.optics.projection import direction
+from fieldlum.session.panorama_sun import MEASURED_ORIGINS
+from fieldlum.session.writing import replacing
+from fieldlum.sky.sky_view import SkyView
+from fieldlum.sky.sky_view.pose import STATED_SD
+from fieldlum.year.glare.answers import seen_pixels, valid_pixels
+from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.pictures import read_picture
+from fieldlum.year.glare.standards import GlareDoubt, dgp_per_scale, exceeded_in_share, year_errors
+
+# relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
+U_DISC = 0.05
+BUDGET_FILE = "budget.csv"  # of a predicted year
+DRAWS = 100  # of independent errors: their standard deviation is known to 7 %
+_NORMAL, _RECTANGULAR = "normal", "rectangular"
+
+
+class Source(NamedTuple):
+    """One row of a budget.
+
+    kind: "A" (from repeated observations) or "B" (GUM 4.2, 4.3). u: standard uncertainty of the
+    input, in `unit`. contribution: what it adds to the figure's u, in the figure's unit; the
+    sensitivity is contribution over u. shared_by: whose errors are equal.
+    """
+
+    name: str
+    kind: str
+    distribution: str
+    u: float
+    unit: str
+    contribution: float
+    shared_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The uncertainty budget of one figure in one view direction.
+
+    azimuth_deg: clockwise from true north. sources are independent of each other.
+    """
+
+    figure: str
+    unit: str
+    azimuth_deg: float
+    estimate: float
+    sources: tuple[Source, ...]
+
+    @property
+    def u(self) -> float:
+        """Return the combined standard uncertainty, in `unit` (GUM 5.1.2)."""
+        return float(np.sqrt(sum(source.contribution**2 for source in self.sources)))
+
+
+class _Scene(NamedTuple):
+    """A picture whose luminance [H, W] and sun can be changed."""
+
+    panorama: Panorama
+    luminance_cdm2: Floats
+    sun: SunSource | None
+
+    def figures(self, azimuths_deg: Floats, light: Floats, sun_factor: float) -> dict[str, Floats]:
+        """Return Ev, DGP, melanopic EDI, and L of the pixel ahead, [d] each.
+
+        light: luminance [H, W] in place of the picture's; sun_factor: over the recorded sun.
+        """
+        panorama, sun = self.panorama, self.sun
+        height, width = light.shape
+        grid = panorama_views(height, width, panorama.heading_deg, azimuths_deg)
+        rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
+        lx = None if sun is None else np.array([sun.normal_illuminance_lx * sun_factor])
+        parts = glare_directions(
+            light[None], panorama.heading_deg, azimuths_deg, rays, lx, views=grid
+        )
+        figures = {"DGP": parts["dgp"][0], "Ev": parts["ev_lx"][0]}
+        if melanopic_ratio(panorama) is not None:
+            figures["melanopic EDI"] = melanopic_edi(
+                panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0]
+            )[0]
+        ahead = (azimuths_deg - panorama.heading_deg) / 360.0 * width + width / 2
+        column = np.floor(ahead).astype(int) % width
+        return figures | {"luminance ahead": light[height // 2, column]}
+
+
+UNITS = {"DGP": "1", "Ev": "lx", "melanopic EDI": "lx", "luminance ahead": "cd/m2"}
+
+
+def budget_of_file(path: Path, azimuths_deg: Sequence[float]) -> list[Budget]:
+    """Return `picture_budget` of a panorama on disk, with the heading's u by its session.
+
+    It is that of the sky view's pose, else the one of a compass. Raises InputError for an unusable
+    picture, or one that is no panorama.
+    """
+    picture = read_picture(path)
+    if picture.view is not None:
+        raise InputError(
+            path, "a picture of one view", "a panorama for --budget", "merge a bracket to one"
+        )
+    sky = path.absolute().parent.parent / "sky_view.exr"
+    u_heading_deg = SkyView.read(sky).pose.heading_sd_deg if sky.is_file() else STATED_SD[0]
+    return picture_budget(picture.panorama, path, azimuths_deg, u_heading_deg)
+
+
+def picture_budget(
+    panorama: Panorama, path: Path, azimuths_deg: Sequence[float], u_heading_deg: float
+) -> list[Budget]:
+    """Return the budgets of DGP, Ev, melanopic EDI and the pixel ahead, in each view direction.
+
+    panorama: with its sun; path: names it in errors. u_heading_deg: standard uncertainty of its
+    heading. A picture without `u_percent` (of an earlier version or another program) has one source
+    for the complete uncertainty of its pixels, which then counts as shared by all of them. Raises
+    InputError for pixels that are not finite.
+    """
+    azimuths = np.asarray(azimuths_deg, float)
+    light, _ = valid_pixels(panorama, path)
+    scene = _Scene(panorama, light, panorama.sun)
+    at = scene.figures(azimuths, light, 1.0)
+    return _budgets(at, azimuths, list(_contributions(scene, azimuths, u_heading_deg)))
+
+
+def year_budget(
+    dgp: Floats,
+    ev_lx: Floats,
+    u_maps: Floats,
+    doubt: GlareDoubt,
+    occupied_hours: int,
+    azimuths_deg: Floats,
+    u_scale: float,
+) -> list[Budget]:
+    """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
+
+    dgp, ev_lx, u_maps [n, d]: of the n lit occupied hours, with the standard uncertainty of DGP by
+    the model's maps (with the disc's illuminance). doubt: of disc and unseen parts, in these hours.
+    u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a blind
+    that moves and clouds that move within the hour are not in it.
+    """
+    azimuths = np.asarray(azimuths_deg, float)
+
+    def exceeded(values: Floats) -> Floats:
+        return exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)
+
+    rng = np.random.default_rng(0)
+    errors = (np.nan_to_num(u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
+    of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
+    sources = [
+        (
+            Source("light transport model", "A", _NORMAL, 1.0, "u", 0.0, "half: all hours"),
+            np.std([exceeded(dgp + error) for error in errors], axis=0, ddof=1),
+        ),
+        (
+            Source("camera scale", "B", _NORMAL, 100 * u_scale, "%", 0.0, "all hours"),
+            np.abs(exceeded(dgp + of_scale) - exceeded(dgp - of_scale)) / 2,
+        ),
+        (
+            Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", 0.0, "hour"),
+            np.abs(exceeded(doubt.most) - exceeded(doubt.least)) / np.sqrt(12.0),
+        ),
+    ]
+    if doubt.drawn is not None:
+        source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", 0.0, "all hours")
+        sources.append((source, np.std([exceeded(d) for d in doubt.drawn], axis=0)))
+    rows = [(source, {"DGP exceeded in 5 %": part}) for source, part in sources]
+    return _budgets({"DGP exceeded in 5 %": exceeded(dgp)}, azimuths, rows)
+
+
+def _budgets(
+    at: Mapping[str, Floats], azimuths: Floats, rows: Sequence[tuple[Source, Mapping[str, Floats]]]
+) -> list[Budget]:
+    """Return a budget for each direction and figure; `rows` has what each source adds, [d]."""
+    return [
+        Budget(
+            name,
+            UNITS.get(name, "1"),
+            float(azimuth),
+            float(at[name][i]),
+            tuple(s._replace(contribution=float(c[name][i])) for s, c in rows if name in c),
+        )
+        for i, azimuth in enumerate(azimuths)
+        for name in at
+        if np.isfinite(at[name][i])
+    ]
+
+
+COLUMNS = (
+    *("file", "figure", "azimuth_deg", "estimate", "unit", "source", "type", "distribution"),
+    *("u_source", "unit_of_source", "sensitivity", "contribution", "share_percent", "equal_in"),
+)
+
+
+def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
+    """Write (file, budget) pairs as CSV: a row for each source, then one for the combined u."""
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(COLUMNS)
+        for name, b in budgets:
+            head = (name, b.figure, f"{b.azimuth_deg:g}", f"{b.estimate:.6g}", b.unit)
+            for s in b.sources:
+                share = 100 * s.contribution**2 / max(b.u**2, 1e-300)
+                figures = (s.u, s.unit, s.contribution / max(s.u, 1e-300), s.contribution, share)
+                cells = (f"{v:.4g}" if isinstance(v, float) else v for v in figures)
+                out.writerow((*head, s.name, s.kind, s.distribution, *cells, s.shared_by))
+            out.writerow((*head, "combined", "", _NORMAL, "", "", "", f"{b.u:.4g}", "100", ""))
+
+
+def _contributions(
+    scene: _Scene, azimuths: Floats, u_heading_deg: float
+) -> Iterable[tuple[Source, dict[str, Floats]]]:
+    """Yield each source, and what it adds to u of each figure, [d] each."""
+    panorama, light = scene.panorama, scene.luminance_cdm2
+    u = np.nan_to_num(panorama.u_cdm2) if panorama.u_cdm2 is not None else np.zeros_like(light)
+    seen = seen_pixels(panorama)
+    u = u if seen is None else np.where(seen, u, 0.0)
+    stated = dict(word.split("=") for word in panorama.attributes.get(U_PERCENT, "").split())
+    by_camera = scene.sun is not None and scene.sun.origin in MEASURED_ORIGINS
+    sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
+    left, mean_seen = u**2, float((light * sines).sum() / max(sines.sum(), 1e-9))
+
+    def half(change: Callable[[float], dict[str, Floats]]) -> dict[str, Floats]:
+        up, down = change(1.0), change(-1.0)
+        return {name: np.abs(up[name] - down[name]) / 2 for name in up}
+
+    for name, text in stated.items():
+        relative = float(text) / 100
+        share = relative * (mean_seen if name == VEILING_GLARE else light)
+        left = left - share**2
+        yield (
+            Source(name, "B", _NORMAL, 100 * relative, "%", 0.0, "all pixels"),
+            half(
+                lambda sign, share=share, r=relative: scene.figures(
+                    azimuths, light + sign * share, 1 + sign * r * by_camera
+                )
+            ),
+        )
+    rest = np.sqrt(np.maximum(left, 0.0))
+    mean = 100 * float(rest.sum() / max(light.sum(), 1e-9))
+    if stated:
+        name = "noise, edges and other parts of single pixels"
+        yield (
+            Source(name, "A", _NORMAL, mean, "%", 0.0, "no other pixel"),
+            _of_noise(scene, azimuths, rest),
+        )
+    elif rest.any():
+        yield (
+            Source("pixels, as stated", "B", _NORMAL, mean, "%", 0.0, "all pixels"),
+            half(lambda sign: scene.figures(azimuths, np.maximum(light + sign * rest, 0.0), 1.0)),
+        )
+    if scene.sun is not None:
+        yield (
+            Source("illuminance of the sun's disc", "B", _NORMAL, 100 * U_DISC, "%", 0.0, "disc"),
+            half(lambda sign: scene.figures(azimuths, light, 1 + sign * U_DISC)),
+        )
+    yield (
+        Source("heading", "B", _NORMAL, u_heading_deg, "deg", 0.0, "all pixels"),
+        half(lambda sign: scene.figures(azimuths + sign * u_heading_deg, light, 1.0)),
+    )
+    colour = melanopic_ratio(panorama)
+    if colour is not None:
+        at = scene.figures(azimuths, light, 1.0)
+        u_rel = ratio_u_rel(at["melanopic EDI"] / np.maximum(at["Ev"], 1e-9), colour[1])
+        yield (
+            Source("melanopic ratio by colour", "B", _NORMAL, 100 * colour[1], "%", 0.0, "all"),
+            {"melanopic EDI": at["melanopic EDI"] * u_rel},
+        )
+
+
+def _of_noise(scene: _Scene, azimuths: Floats, u: Floats) -> dict[str, Floats]:
+    """Return the standard deviation of each figure by independent errors u [H, W], [d] each."""
+    rng = np.random.default_rng(0)
+    drawn = [
+        scene.figures(
+            azimuths,
+            np.maximum(scene.luminance_cdm2 + u * rng.standard_normal(u.shape), 0.0),
+            1.0,
+        )
+        for _ in range(DRAWS)
+    ]
+    return {name: np.std([d[name] for d in drawn], axis=0, ddof=1) for name in drawn[0]}

@@ -1,0 +1,117 @@
+"""The uncertainty budget of a picture and of a year, against Monte Carlo through the chain."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import uncertainties
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.core.records import U_PERCENT, Panorama, SunSource
+from fieldlum.optics.images import write_panorama
+from fieldlum.year.glare.budget import Budget, picture_budget, year_budget
+from fieldlum.year.glare.metrics import dgp
+from fieldlum.year.glare.single import panorama_glare
+from fieldlum.year.glare.standards import GlareDoubt, dgp_per_scale, exceeded_in_share
+
+SCALE, COLOUR, NOISE = 0.03, 0.01, 0.05
+SIZE = (32, 64)
+
+
+def room(sun: SunSource | None = None) -> Panorama:
+    """A grey room with a bright window to the south, with shared and independent errors."""
+    light = np.full(SIZE, 150.0, np.float32)
+    light[10:16, 26:38] = 6000.0
+    u = light * np.float32(np.sqrt(SCALE**2 + COLOUR**2 + NOISE**2))
+    text = f"scale={100 * SCALE:g} colour={100 * COLOUR:g}"
+    return Panorama(light, 180.0, u, None, None, sun, None, {U_PERCENT: text})
+
+
+def budget(panorama: Panorama, figure: str, u_heading_deg: float = 1.0) -> Budget:
+    budgets = picture_budget(panorama, Path("room"), [180.0], u_heading_deg)
+    return next(b for b in budgets if b.figure == figure)
+
+
+@pytest.mark.analytic
+def test_shared_errors_of_a_sum_add_up_and_independent_ones_average() -> None:
+    ev = budget(room(), "Ev")
+    parts = {source.name: source.contribution / ev.estimate for source in ev.sources}
+    assert parts["scale"] == pytest.approx(SCALE, rel=1e-3)
+    assert parts["colour"] == pytest.approx(COLOUR, rel=1e-3)
+    assert parts["noise, edges and other parts of single pixels"] < NOISE / 4
+    assert ev.u == pytest.approx(np.hypot(SCALE, COLOUR) * ev.estimate, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+@pytest.mark.parametrize("figure", ["DGP", "Ev"])
+def test_the_budget_sums_to_what_monte_carlo_gives(figure: str) -> None:
+    sun = SunSource(35.0, 190.0, 20_000.0, 1.0, "merge")
+    scene = room(sun)
+    stated = budget(scene, figure)
+    rng = np.random.default_rng(3)
+    key = {"DGP": "dgp", "Ev": "ev_lx"}[figure]
+    drawn = []
+    for _ in range(300):
+        common = 1 + SCALE * rng.standard_normal() + COLOUR * rng.standard_normal()
+        own = 1 + NOISE * rng.standard_normal(SIZE)
+        lx = sun.normal_illuminance_lx * common * (1 + 0.05 * rng.standard_normal())
+        light = (scene.luminance_cdm2 * common * own).astype(np.float32)
+        changed = replace(scene, luminance_cdm2=light, sun=replace(sun, normal_illuminance_lx=lx))
+        views = panorama_glare(changed, [180.0 + rng.standard_normal()])["views"]
+        drawn.append(views[0][key])
+    assert stated.u == pytest.approx(np.std(drawn), rel=0.12)
+
+
+@pytest.mark.authority
+def test_a_peer_of_the_gum_combines_the_same_sources() -> None:
+    ev = budget(room(), "Ev", u_heading_deg=0.0)
+    peer: Any = ev.estimate
+    for source in ev.sources:
+        error: Any = uncertainties.ufloat(0.0, max(source.u, 1e-12))
+        peer += source.contribution / max(source.u, 1e-12) * error
+    assert ev.u == pytest.approx(peer.std_dev, rel=1e-9)
+
+
+@pytest.mark.analytic
+def test_the_slope_of_dgp_with_the_scale_is_its_derivative() -> None:
+    ev, contrast = np.array([300.0, 2000.0, 6000.0]), np.array([1e3, 1e6, 3e7])
+    step = 1e-4
+    up, down = (dgp(ev * (1 + e), contrast * (1 + e) ** 2) for e in (step, -step))
+    slope = dgp_per_scale(dgp(ev, contrast), ev)
+    np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-3)
+
+
+@pytest.mark.analytic
+def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
+    rng = np.random.default_rng(1)
+    ev = rng.uniform(200, 6000, (1500, 1))
+    values = dgp(ev, ev**2 * 20)
+    u_maps = np.full_like(values, 0.02)
+    doubt = GlareDoubt(("seen",), values, values)
+    (row,) = year_budget(values, ev, u_maps, doubt, 3000, np.array([180.0]), 0.04)
+    slope, drawn = dgp_per_scale(values, ev), []
+    for _ in range(300):
+        common, own = rng.standard_normal(), rng.standard_normal((1500, 1))
+        error = 0.02 * np.sqrt(0.5) * (common + own) + 0.04 * rng.standard_normal() * slope
+        drawn.append(exceeded_in_share(np.clip(values + error, 0, 1), 3000)[0])
+    assert row.u == pytest.approx(np.std(drawn), rel=0.15)
+
+
+@pytest.mark.contract
+def test_glare_writes_the_budget_as_csv(tmp_path: Path) -> None:
+    path, out = tmp_path / "room.exr", tmp_path / "budget.csv"
+    write_panorama(path, room())
+    arguments = ["glare", str(path), "--view-azimuth", "180", "--budget", str(out)]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    rows = list(csv.DictReader(out.read_text(encoding="utf-8").splitlines()))
+    combined = {r["figure"]: float(r["contribution"]) for r in rows if r["source"] == "combined"}
+    assert set(combined) == {"DGP", "Ev", "luminance ahead"}
+    for figure, u in combined.items():
+        parts = [r for r in rows if r["figure"] == figure and r["source"] != "combined"]
+        assert sum(float(r["contribution"]) ** 2 for r in parts) == pytest.approx(u**2, rel=2e-3)
+        assert sum(float(r["share_percent"]) for r in parts) == pytest.approx(100, rel=1e-2)
