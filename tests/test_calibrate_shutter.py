@@ -260,7 +260,7 @@ def test_sidecars_that_are_none_are_passed_over(session: Session, tmp_path: Path
     other.panoramas.mkdir()
     for number, table in enumerate(broken):
         (other.panoramas / f"{number}Z.json").write_text(json.dumps(table), encoding="utf-8")
-    with pytest.raises(NotEnoughDataError, match="no merged bracket"):
+    with pytest.raises(NotEnoughDataError, match="merged brackets with overlapping frames: 0"):
         shutter.from_session(other, digest)
 
 

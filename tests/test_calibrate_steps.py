@@ -28,7 +28,7 @@ def _codes(true_s: np.ndarray, curve: str, places: int = 250) -> np.ndarray:
 
 def _measured(true_s: np.ndarray, labelled_s: np.ndarray, curve: str = "steep") -> Steps:
     codes = _codes(true_s, curve)
-    return steps_by_overlap(codes, np.log(labelled_s), np.zeros(len(codes), int), 27, 228)
+    return steps_by_overlap(codes, np.log(labelled_s), np.zeros(len(codes), int))
 
 
 def _errors_percent(steps: Steps, true_s: np.ndarray) -> np.ndarray:
@@ -72,7 +72,5 @@ def test_true_labels_remain_and_a_power_cannot_be_seen(power: float) -> None:
 def test_without_overlap_the_labels_remain() -> None:
     steps = _measured(NOMINAL_S[::3], NOMINAL_S[::3] ** 1.02)
     assert np.abs(np.diff(steps.log_exposure) / np.diff(np.log(NOMINAL_S[::3])) - 1.02).max() < 0.02
-    few = steps_by_overlap(
-        np.zeros((5, 8, 3), np.uint8), np.log(THIRDS_S), np.zeros(5, int), 27, 228
-    )
+    few = steps_by_overlap(np.zeros((5, 8, 3), np.uint8), np.log(THIRDS_S), np.zeros(5, int))
     assert np.array_equal(few.log_exposure, np.log(THIRDS_S))

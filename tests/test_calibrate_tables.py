@@ -13,7 +13,7 @@ from fieldlum.calibrate import (
     model_selection,
     save_calibration,
 )
-from fieldlum.calibrate.readings_csv import read_table
+from fieldlum.calibrate.readings import read_table
 from fieldlum.core.errors import InputError
 from fieldlum.optics.profiles import (
     Response,

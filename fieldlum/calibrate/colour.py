@@ -12,17 +12,24 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
-from fieldlum.calibrate.frames import LinearFrame, Place, linear_frame, transmission
+from fieldlum.calibrate.chart import CHART_Y, find_chart, misfit, patch_centres
 from fieldlum.calibrate.model_selection import (
     OrderSelection,
     fit_and_choose,
     gross_errors,
     held_out_errors,
 )
-from fieldlum.calibrate.readings_csv import columns_of, read_table
+from fieldlum.calibrate.readings import (
+    LinearFrame,
+    Place,
+    columns_of,
+    linear_frame,
+    read_table,
+    require,
+    transmission,
+)
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError
 from fieldlum.optics.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.optics.photometry.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
 from fieldlum.optics.profiles import CameraProfile
@@ -38,6 +45,8 @@ MIN_OUTLIER = 0.5
 # a larger held-out error means that readings and colours do not belong together; chosen
 MAX_U_REL = 0.2
 CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
+# Stated corners in another order leave a misfit of 0.5 and more; uneven light up to 0.2. Chosen.
+_MAX_MISFIT = 0.4
 # The greys, patches 19 to 24, have the colour of the daylight itself. Chosen.
 _GREY_WEIGHT = 10.0
 _CHART_XYZ = Path(__file__).with_name("chart_daylight.csv")  # written by bench/melanopic.py
@@ -50,8 +59,8 @@ class Colours:
     rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
     : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
     uncertainty of the comparison; labels, places [n] : names for messages, and where they are;
-    frames : the files; matrix [3, 3] : XYZ to camera colours, as stored in the frames. melanopic
-    [n] : melanopic equivalent daylight luminances by a spectrometer [cd/m2], None without.
+    frames : the files; matrix [3, 3] : XYZ to camera colours, None if the frames do not state it.
+    melanopic [n] : melanopic equivalent daylight luminances by a spectrometer [cd/m2], or None.
     """
 
     rgb: Floats
@@ -59,7 +68,7 @@ class Colours:
     u_rel: Floats
     labels: tuple[str, ...]
     frames: tuple[Path, ...]
-    matrix: Floats | None = None  # None if the frames do not state it
+    matrix: Floats | None = None
     places: tuple[Place, ...] = ()
     melanopic: Floats | None = None
 
@@ -94,9 +103,8 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     Raises InputError for an invalid csv, an unreadable frame, or a place that is clipped or outside
     the picture.
     """
-    required = ("file", "x_px", "y_px", "luminance_cdm2")
-    if "melanopic_cdm2" in columns_of(path):
-        required = (*required, "melanopic_cdm2")
+    extra = [name for name in ("melanopic_cdm2",) if name in columns_of(path)]
+    required = ("file", "x_px", "y_px", "luminance_cdm2", *extra)
     rows = read_table(path, required, {"radius_px": 12.0, "u_rel": READING_U})
     frames = {file: linear_frame(file, profile) for file in dict.fromkeys(r["file"] for r in rows)}
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
@@ -104,13 +112,11 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
         _patch(frames[place.path], place, row["radius_px"], row["u_rel"], profile)
         for place, row in zip(places, rows, strict=True)
     ]
-    matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
     rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
     y = np.array([row["luminance_cdm2"] for row in rows])
     labels = tuple(f"{at.path.stem} {at.x:g},{at.y:g}" for at in places)
-    melanopic = None
-    if "melanopic_cdm2" in required:
-        melanopic = np.array([row["melanopic_cdm2"] for row in rows])
+    matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
+    melanopic = np.array([row["melanopic_cdm2"] for row in rows]) if extra else None
     return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places, melanopic)
 
 
@@ -131,19 +137,16 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     InputError if no chart is detected, or if its patches are not in the order of a chart.
     """
     frame = linear_frame(path, profile)
-    centres, radius = (
-        patch_centres(np.reshape(corners_px, (4, 2))) if len(corners_px) else find_chart(frame)
-    )
+    corners = np.reshape(corners_px, (-1, 2))
+    centres, radius = patch_centres(corners) if len(corners) else find_chart(frame)
     places = tuple(Place(path, x, y) for x, y in centres.tolist())
     patches = [_patch(frame, place, radius, CHART_U, profile) for place in places]
     rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
-    if not in_order(rgb @ np.array(profile.colour.y_from_rgb)):
-        raise InputError(
-            path,
-            "the 24 patches do not have a chart's colours in a chart's order",
-            "--corners clockwise from the corner at the dark skin (brown) patch",
-            "state --corners again, and begin at the brown patch",
-        )
+    if misfit(rgb) > _MAX_MISFIT:
+        finding = "the 24 patches do not have a chart's colours in a chart's order"
+        expected = "--corners clockwise from the corner at the dark skin (brown) patch"
+        remedy = "state --corners again, and begin at the brown patch"
+        raise InputError(path, finding, expected, remedy)
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
     return Colours(rgb, CHART_Y, u_rel, labels, (path,), frame.colour_matrix, places)
 
@@ -152,44 +155,38 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 # fit
 
 
-def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Floats, str]]:
+def _priors(colours: Colours, profile: CameraProfile) -> list[tuple[Floats, str]]:
     """Return the coefficients [3] of R, G, B from which the fit may start, each with a name.
 
     These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
     inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
     """
-    of_profile = np.array(profile.colour.y_from_rgb)
-    starts: list[tuple[Floats, str]] = [(of_profile, "the profile's coefficients")]
-    if colours.matrix is not None:
-        row = np.linalg.inv(colours.matrix)[1]
-        grey = colours.rgb.mean(axis=0)
-        starts.append(
-            (row * float(of_profile @ grey) / float(row @ grey), "the file's colour matrix")
-        )
-    return starts
+    own = np.array(profile.colour.y_from_rgb)
+    if colours.matrix is None:
+        return [(own, "the profile's coefficients")]
+    row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
+    by_file = row * float(own @ grey) / float(row @ grey)
+    return [(own, "the profile's coefficients"), (by_file, "the file's colour matrix")]
 
 
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
-    """Fit the coefficients of R, G, B in luminance by ridge regression towards one of `priors`.
+    """Fit the coefficients of R, G, B in luminance by ridge regression towards a prior.
 
-    Leave-one-out errors choose the start and the weight of the ridge. The new coefficients give the
-    mean colour of the readings the same luminance as the start does: only their proportion is
+    Leave-one-out errors choose the prior and the weight of the ridge. The new coefficients give the
+    mean colour of the readings the same luminance as the prior does: only their proportion is
     fitted here. The absolute factor belongs to `calibrate scale` and is returned separately, as
     `scale`. Gross errors of readings are omitted and listed in the choice's line. Raises
     NotEnoughDataError for fewer than four readings, InputError for readings that are not positive
     or do not fit the colours.
     """
-    if len(colours.y) < MIN_READINGS:
-        raise NotEnoughDataError(
-            f"{len(colours.y)} readings for three coefficients; expected at least {MIN_READINGS}; "
-            "add readings of other colours"
-        )
+    require(len(colours.y), MIN_READINGS, "readings", "add readings of other colours")
+    source = colours.frames[0]
     if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
         finding = "a reading or a patch of the frame is zero or negative"
         remedy = "remove its line from the csv, or use a frame with a longer exposure"
-        raise InputError(colours.frames[0], finding, "readings and patches above zero", remedy)
-    every = colours
-    colours, outliers = _without_outliers(colours, profile)
+        raise InputError(source, finding, "readings and patches above zero", remedy)
+    starts, every = _priors(colours, profile), colours
+    colours, left_out = _without_outliers(colours, [start for start, _ in starts])
     each = np.arange(len(colours.y))
 
     def solve(model: tuple[Floats, float], rows: Mask) -> Floats:
@@ -198,54 +195,41 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     def squares(_: tuple[Floats, float], a: Floats, held: Mask) -> Floats:
         return (colours.rgb[held] @ a / colours.y[held] - 1.0) ** 2
 
-    starts = priors(colours, profile)
     means = [held_out_errors((s, np.inf), each, solve, squares).mean() for s, _ in starts]
     prior = starts[int(np.argmin(means))][0]
     models = [(name, 0, (start, np.inf)) for start, name in starts]
     models += [(name, size, (prior, pull)) for size, (pull, name) in enumerate(PULLS, start=1)]
     (prior, _), raw, choice = fit_and_choose("colour", models, each, solve, squares)
+    if choice.rms > MAX_U_REL:
+        finding = f"held-out readings do not fit the colours (error {100 * choice.rms:.0f} %)"
+        remedy = "check the place of each reading in the csv, and that the light was steady"
+        raise InputError(source, finding, f"at most {100 * MAX_U_REL:.0f} %", remedy)
     grey = (colours.rgb / (colours.rgb @ prior)[:, None]).mean(axis=0)
     scale = float(raw @ grey) / float(prior @ grey)
-    a = raw / scale
+    red, green, blue = np.round(raw / scale, 6).tolist()
     residual = every.rgb @ raw / every.y - 1.0
-    if choice.rms > MAX_U_REL:
-        raise InputError(
-            colours.frames[0],
-            f"the error of held-out readings is {100 * choice.rms:.0f} %: the meter readings do "
-            "not fit the colours of the patches",
-            f"an error of at most {100 * MAX_U_REL:.0f} %",
-            "check that each line states the place of its reading, and that the light was steady",
-        )
-    if outliers:
-        choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(outliers)}")
-    return ColourFit(
-        (round(float(a[0]), 6), round(float(a[1]), 6), round(float(a[2]), 6)),
-        scale,
-        max(choice.rms, 0.001),
-        residual,
-        choice,
-    )
+    choice = replace(choice, line=choice.line + left_out)
+    return ColourFit((red, green, blue), scale, max(choice.rms, 0.001), residual, choice)
 
 
-def _without_outliers(colours: Colours, profile: CameraProfile) -> tuple[Colours, tuple[str, ...]]:
-    """Return the colours without gross errors of readings, and a note on each omitted reading.
+def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colours, str]:
+    """Return the colours without gross errors of readings, and a text on the omitted readings.
 
     A gross error is a wrong factor, such as a decimal point or another unit. At most a quarter of
     the readings is omitted.
     """
-    offs = [np.log((colours.rgb @ start) / colours.y) for start, _ in priors(colours, profile)]
+    offs = [np.log((colours.rgb @ prior) / colours.y) for prior in priors]
     off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
     far = gross_errors(off, sigmas=5.0, minimum=MIN_OUTLIER)
-    if (~far).sum() < MIN_READINGS:
-        return colours, ()
+    if not far.any() or (~far).sum() < MIN_READINGS:
+        return colours, ""
     notes = [
         f"{colours.labels[i]}, {np.exp(-off[i]):.2g} times the value that the others predict"
         for i in np.flatnonzero(far)
     ]
-    near = {name: getattr(colours, name)[~far] for name in ("rgb", "y", "u_rel")}
-    if colours.melanopic is not None:
-        near["melanopic"] = colours.melanopic[~far]
-    return replace(colours, **near), tuple(notes)
+    names = ("rgb", "y", "u_rel", *(("melanopic",) if colours.melanopic is not None else ()))
+    near = {name: getattr(colours, name)[~far] for name in names}
+    return replace(colours, **near), f"; left out: {'; '.join(notes)}"
 
 
 def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
@@ -254,15 +238,15 @@ def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
     The sum is sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2, where s is
     the prior's own best scale. With an infinite pull the result is s * prior.
     """
-    rgb, y, u = colours.rgb[rows], colours.y[rows], colours.u_rel[rows]
-    weighted = (rgb @ prior) / y / u
+    u = colours.u_rel[rows]
+    relative = colours.rgb[rows] / colours.y[rows][:, None]
+    weighted = relative @ prior / u
     s = float(weighted @ (1.0 / u) / (weighted @ weighted))
     if np.isinf(pull):
         return s * prior
-    design, target = rgb / y[:, None] / u[:, None], 1.0 / u
-    share = np.diag((rgb / y[:, None]).mean(axis=0) * np.sqrt(len(y) * pull) / np.median(u))
-    stacked = np.concatenate([design, share]), np.concatenate([target, share @ (s * prior)])
-    return np.linalg.lstsq(*stacked, rcond=None)[0]
+    share = np.diag(relative.mean(axis=0) * np.sqrt(len(u) * pull) / np.median(u))
+    design = np.concatenate([relative / u[:, None], share])
+    return np.linalg.lstsq(design, np.concatenate([1.0 / u, share @ (s * prior)]), rcond=None)[0]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -325,7 +309,7 @@ def with_melanopic(
     matrix in the frames. The weight follows from X, Y, Z, and from readings of a spectrometer if
     there are any. Without any of these, the table has no melanopic weight.
     """
-    u_rel = U_MATRIX
+    u_rel, to_xyz = U_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
     if cct_k is not None:
         xyz, u_rel = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), U_CHART
         line = f"melanopic: chart under daylight of {cct_k:g} K"
@@ -333,7 +317,7 @@ def with_melanopic(
         xyz = xyz_from_matrix(colours.matrix, colour.y_from_rgb, colours.rgb.mean(axis=0))
         line = "melanopic: the file's colour matrix"
     elif colours.melanopic is not None and colour.rgb_to_radiance:
-        xyz = rgb_to_xyz(RADIANCE_CHROMATICITIES) @ np.reshape(colour.rgb_to_radiance, (3, 3))
+        xyz = to_xyz @ np.reshape(colour.rgb_to_radiance, (3, 3))
         xyz[1], line = colour.y_from_rgb, "melanopic: the profile's colours"
     else:
         none = replace(colour, melanopic_from_rgb=(), melanopic_u_rel=0.0)
@@ -345,11 +329,10 @@ def with_melanopic(
         found = fit(read, replace(profile, colour=start))
         weights = np.array(found.y_from_rgb) * found.scale / scale
         u_rel, line = max(found.u_rel, READING_U), f"{line}, then {len(read.y)} readings"
-    radiance = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) @ xyz
     table = replace(
         colour,
-        rgb_to_radiance=tuple(round(float(v), 6) for v in radiance.ravel()),
-        melanopic_from_rgb=tuple(round(float(v), 6) for v in weights),
+        rgb_to_radiance=tuple(np.round(np.linalg.inv(to_xyz) @ xyz, 6).ravel().tolist()),
+        melanopic_from_rgb=tuple(np.round(weights, 6).tolist()),
         melanopic_u_rel=round(u_rel, 4),
     )
     return table, f"{line}; relative uncertainty {100 * u_rel:.1f} % under daylight"

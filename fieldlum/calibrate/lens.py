@@ -1,25 +1,30 @@
-"""Fit a lens's mapping and pose to targets at known directions."""
+"""Fit a lens's mapping and pose to targets or chessboards; find or trim its image circle."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
-from fieldlum.calibrate.readings_csv import read_table
-from fieldlum.core.arrays import Array, Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.calibrate.readings import read_table, require
+from fieldlum.core.arrays import Array, Indices, Mask
+from fieldlum.core.errors import InputError
+from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
 from fieldlum.optics.projection import (
     LensGeometry,
     direction,
     lens_pixels,
     lens_rays,
+    radius_of_angle,
     signed_angle_deg,
 )
+from fieldlum.optics.raw import read_mosaic
 
 MIN_TARGETS = 8  # for the parameters of a lens with one free term, and its pose; chosen
 # Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
@@ -46,19 +51,14 @@ class Targets:
 
     x_px, y_px [n] : x to the right, y down. rays [n, 3] : unit vectors towards the targets, with y
     in the camera's heading, x to the right, z up. With pose_known y is the optical axis instead,
-    and the fit does not change the lens's pose. frames : files, for errors and the profile.
+    and the fit does not change the lens's pose. source : file, for errors.
     """
 
     x_px: Array
     y_px: Array
     rays: Array
-    frames: tuple[Path, ...] = ()
+    source: Path | str = "targets"
     pose_known: bool = False
-
-    @property
-    def source(self) -> Path | str:
-        """The first file, which errors about the targets name; "targets" without files."""
-        return self.frames[0] if self.frames else "targets"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +66,10 @@ class LensFit:
     """A fitted lens, its held-out error, and warnings.
 
     residual_px [n] : distance of each target from its fitted place, omitted targets included;
-    rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners after
-    `boards.fit`. widest_deg : largest angle of a target from the axis; the mapping extrapolates
-    beyond it. choice : how the polynomial's order was chosen. doubts : sentences about omitted
-    targets and a pose far from the profile's.
+    rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners. widest_deg :
+    largest angle of a target from the axis; the mapping extrapolates beyond it. choice : how the
+    polynomial's order was chosen. doubts : sentences about omitted targets and a pose far from the
+    profile's.
     """
 
     lens: Lens
@@ -81,10 +81,6 @@ class LensFit:
     doubts: tuple[str, ...] = ()
 
 
-# ----------------------------------------------------------------------------------------------
-# known directions
-
-
 def from_table(path: Path) -> Targets:
     """Read targets from a csv with the columns x_px, y_px, azimuth_deg and altitude_deg.
 
@@ -92,53 +88,14 @@ def from_table(path: Path) -> Targets:
     is to the right, y_px down. Raises InputError for an invalid csv.
     """
     names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
-    rows = read_table(path, names)
-    x, y, azimuth, altitude = np.array([[row[n] for n in names] for row in rows]).T
-    return Targets(x, y, direction(altitude, azimuth), (path,))
+    x, y, azimuth, altitude = np.array(
+        [[row[n] for n in names] for row in read_table(path, names)]
+    ).T
+    return Targets(x, y, direction(altitude, azimuth), path)
 
 
-def geometry_of_figures(
-    lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
-) -> LensGeometry:
-    """Return the lens geometry that the parameter vector of a fit describes.
-
-    figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose` (else
-    those of `lens` are used), then the polynomial's coefficients of all `powers` of the angle but
-    the first, which follows because they add up to 1. powers : empty for other mappings. The full
-    angle is that of `lens`.
-    """
-    x, y, radius, *rest = figures.tolist()
-    angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
-    coefficients: tuple[float, ...] = ()
-    if mapping == "polynomial":
-        terms = np.zeros(max(powers))
-        extra = rest[3:] if pose else rest
-        for power, share in zip(powers[1:], extra, strict=True):
-            terms[power - 1] = share
-        terms[powers[0] - 1] = 1.0 - sum(extra)  # r = 1 at half of the full angle
-        coefficients = tuple(float(t) for t in terms)
-    at = (x, y), radius
-    return LensGeometry(*at, lens.full_angle_deg, mapping, coefficients, *angles)  # type: ignore
-
-
-def _solve(
-    targets: Targets, rows: Mask, lens: Lens, mapping: str, powers: tuple[int, ...]
-) -> Array:
-    from scipy.optimize import least_squares
-
-    pose = not targets.pose_known
-    start = [*lens.centre_px, lens.radius_px]
-    start += [lens.azimuth_deg, lens.tilt_deg, lens.roll_deg] if pose else []
-    start += [0.0] * (len(powers) - 1)
-    scale = [lens.radius_px * 0.01] * 3 + ([1.0] * 3 if pose else []) + [0.05] * (len(powers) - 1)
-
-    def misses(figures: Array) -> Array:
-        x, y, _ = lens_pixels(
-            geometry_of_figures(lens, figures, mapping, powers, pose), targets.rays[rows]
-        )
-        return np.concatenate([x - targets.x_px[rows], y - targets.y_px[rows]])
-
-    return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
+# ----------------------------------------------------------------------------------------------
+# targets
 
 
 def fit(targets: Targets, lens: Lens) -> LensFit:
@@ -151,59 +108,102 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     lens.
     """
     n, pose = len(targets.x_px), not targets.pose_known
-    if n < MIN_TARGETS:
-        raise NotEnoughDataError(
-            f"{n} targets for a lens; expected at least {MIN_TARGETS}, spread over the circle; add "
-            "targets to the csv"
-        )
-    level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
-    start = _posed(targets, lens) if pose else level
+    require(n, MIN_TARGETS, "targets for a lens", "add targets all over the circle to the csv")
+    start = _posed(targets, lens) if pose else _level(lens)
     models: dict[str, Model] = {"equidistant": ("equidistant", ()), "equisolid": ("equisolid", ())}
-    enough = {name: powers for name, powers in POWERS.items() if n >= 3 * (len(powers) + 5)}
-    models |= {name: ("polynomial", powers) for name, powers in enough.items()}
+    for name, powers in POWERS.items():
+        if n >= 3 * (len(powers) + 5):
+            models[name] = ("polynomial", powers)
     near = _near(targets, start, list(models.values()))
     kept = {name: getattr(targets, name)[near] for name in ("x_px", "y_px", "rays")}
     used = replace(targets, **kept)
-
-    def squares(model: Model, figures: Array, held: Mask) -> Array:
-        geometry = geometry_of_figures(start, figures, *model, pose)
-        return _misses(geometry, used)[0][held] ** 2
-
     model, figures, choice = fit_and_choose(
         "lens",
         [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
         np.arange(near.sum()),
         lambda model, rows: _solve(used, rows, start, *model),
-        squares,
+        lambda model, x, held: _misses(_geometry(start, x, *model, pose), used)[0][held] ** 2,
         unit="px",
         scale=1.0,
     )
-    geometry = geometry_of_figures(start, figures, *model, pose)
+    geometry = _geometry(start, figures, *model, pose)
     residual, angle = _misses(geometry, targets)
     _check(geometry, residual[near], angle[near], targets)
-    new = with_mapping(lens, geometry)
-    if pose:
-        azimuth = round(float(signed_angle_deg(geometry.azimuth_deg)), 4)
-        tilt, roll = round(geometry.tilt_deg, 4), round(geometry.roll_deg, 4)
-        new = replace(new, azimuth_deg=azimuth, tilt_deg=tilt, roll_deg=roll)
-    per_px = lens.full_angle_deg / 2 / geometry.radius_px
+    new = _with_geometry(lens, geometry, pose)
     doubts = _doubts(targets, residual, near, new, lens)
+    deg_per_px = lens.full_angle_deg / 2 / geometry.radius_px
     widest_deg = float(np.degrees(angle[near].max()))
-    return LensFit(new, choice.rms, choice.rms * per_px, residual, widest_deg, choice, doubts)
+    return LensFit(new, choice.rms, choice.rms * deg_per_px, residual, widest_deg, choice, doubts)
 
 
-def with_mapping(lens: Lens, geometry: LensGeometry) -> Lens:
-    """Return `lens` with the centre, radius and mapping of `geometry`, rounded for the profile.
+def _level(lens: Lens) -> Lens:
+    return replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
 
-    Its full angle, pose and vignetting do not change.
+
+def _geometry(
+    lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
+) -> LensGeometry:
+    """Return the lens geometry that the parameter vector of a fit describes.
+
+    figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose` (else
+    those of `lens` are used), then the polynomial's coefficients of all `powers` of the angle but
+    the first, which follows because they add up to 1.
     """
-    return replace(
-        lens,
-        centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
-        radius_px=round(geometry.radius_px, 3),
-        mapping=geometry.mapping,
-        coefficients=tuple(round(c, 7) for c in geometry.coefficients),
-    )
+    x, y, radius, *rest = figures.tolist()
+    angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
+    terms = np.zeros(max(powers, default=0))
+    if powers:
+        extra = rest[3:] if pose else rest
+        terms[np.array(powers) - 1] = [1.0 - sum(extra), *extra]
+    own = mapping, tuple(terms.tolist()), *angles
+    return LensGeometry((x, y), radius, lens.full_angle_deg, *own)  # type: ignore[arg-type]
+
+
+def _solve(
+    targets: Targets, rows: Mask, lens: Lens, mapping: str, powers: tuple[int, ...]
+) -> Array:
+    from scipy.optimize import least_squares
+
+    pose, free = not targets.pose_known, max(len(powers) - 1, 0)
+    angles = [lens.azimuth_deg, lens.tilt_deg, lens.roll_deg] if pose else []
+    start = [*lens.centre_px, lens.radius_px, *angles, *[0.0] * free]
+    scale = [lens.radius_px * 0.01] * 3 + [1.0] * len(angles) + [0.05] * free
+
+    def misses(figures: Array) -> Array:
+        x, y, _ = lens_pixels(_geometry(lens, figures, mapping, powers, pose), targets.rays[rows])
+        return np.concatenate([x - targets.x_px[rows], y - targets.y_px[rows]])
+
+    return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
+
+
+def _misses(geometry: LensGeometry, targets: Targets) -> tuple[Array, Array]:
+    """Return each target's distance from its place by the lens [px], and its angle to the axis."""
+    x, y, angle_rad = lens_pixels(geometry, targets.rays)
+    return np.hypot(x - targets.x_px, y - targets.y_px), angle_rad
+
+
+def _near(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
+    """Return a mask [n] of the targets that the best of the robust fits explains."""
+    every, misses = np.ones(len(targets.x_px), bool), []
+    for model in models:
+        figures = _solve(targets, every, start, *model)
+        geometry = _geometry(start, figures, *model, not targets.pose_known)
+        misses.append(_misses(geometry, targets)[0])
+    best = min(misses, key=lambda missed: float(np.median(missed)))
+    limit = MIN_OUTLIER * start.radius_px
+    return ~gross_errors(best, sigmas=OUTLIER_SIGMA, minimum=limit, max_share=MAX_OUTLIERS)
+
+
+def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
+    """Raise InputError for a lens that its own targets contradict."""
+    if np.median(missed) > MISS_RADIUS * geometry.radius_px:
+        finding = f"the best lens misses half of the targets by over {np.median(missed):.0f} px"
+        remedy = "check the targets' signs and units, and the columns x_px and y_px"
+        raise InputError(targets.source, finding, _WANTED, remedy)
+    widest_deg, half_deg = np.degrees(angle.max()), np.degrees(geometry.half_angle_rad)
+    if widest_deg > BEYOND * half_deg:
+        finding = f"a target is {widest_deg:.0f} deg from the axis, the lens ends at {half_deg:.0f}"
+        raise InputError(targets.source, finding, _WANTED, "correct the targets, or --full-angle")
 
 
 def _doubts(
@@ -217,53 +217,12 @@ def _doubts(
     turn = new.geometry.axes() @ before.geometry.axes().T
     turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if turned_deg > TURNED_DEG:
-        pose = (
-            f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
-        )
         texts.append(
-            f"the fitted pose ({pose}) is turned by {turned_deg:.0f} deg from the profile's pose: "
-            "if the camera was not turned, state the targets' azimuths from the camera's "
-            "heading, not from north"
+            f"the fitted pose (azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll "
+            f"{new.roll_deg:.1f} deg) is turned by {turned_deg:.0f} deg from the profile's: if the "
+            "camera was not turned, state azimuths from the camera's heading, not from north"
         )
     return tuple(texts)
-
-
-def _misses(geometry: LensGeometry, targets: Targets) -> tuple[Array, Array]:
-    """Return each target's distance from its place by the lens [px], and its angle [rad].
-
-    The angle is that from the lens's axis.
-    """
-    x, y, angle = lens_pixels(geometry, targets.rays)
-    return np.hypot(x - targets.x_px, y - targets.y_px), angle
-
-
-def _near(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
-    """Return a mask [n] of the targets that the best of the robust fits explains."""
-    every, misses = np.ones(len(targets.x_px), bool), []
-    for model in models:
-        figures = _solve(targets, every, start, *model)
-        geometry = geometry_of_figures(start, figures, *model, not targets.pose_known)
-        misses.append(_misses(geometry, targets)[0])
-    best = min(misses, key=lambda missed: float(np.median(missed)))
-    limit = MIN_OUTLIER * start.radius_px
-    return ~gross_errors(best, sigmas=OUTLIER_SIGMA, minimum=limit, max_share=MAX_OUTLIERS)
-
-
-def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
-    """Raise InputError for a lens that its own targets contradict."""
-    if np.median(missed) > MISS_RADIUS * geometry.radius_px:
-        finding = (
-            f"with the lens that fits the targets best, half of them are over "
-            f"{np.median(missed):.0f} px from where it puts them"
-        )
-        remedy = "check the targets' signs and units, and the columns x_px and y_px"
-        raise InputError(targets.source, finding, _WANTED, remedy)
-    if angle.max() > BEYOND * geometry.half_angle_rad:
-        finding = (
-            f"a target is {np.degrees(angle.max()):.0f} deg from the lens axis, and the lens ends "
-            f"at {np.degrees(geometry.half_angle_rad):.0f} deg"
-        )
-        raise InputError(targets.source, finding, _WANTED, "correct the targets, or --full-angle")
 
 
 def _posed(targets: Targets, lens: Lens) -> Lens:
@@ -272,18 +231,14 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
-    level = replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
-    directions = lens_rays(level, targets.x_px, targets.y_px)
+    directions = lens_rays(_level(lens).geometry, targets.x_px, targets.y_px)
     (miss, turn), (mirrored, _) = (
         _turn(directions * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
     if mirrored < 0.5 * miss and miss > 0.1:
-        raise InputError(
-            targets.source,
-            "the targets fit a lens only as a mirror image",
-            "azimuth clockwise (to the right), altitude up, x right, y down",
-            "check the targets for a wrong sign, or for x and y exchanged",
-        )
+        finding = "the targets fit a lens only as a mirror image"
+        remedy = "check the targets for a wrong sign, or for x and y exchanged"
+        raise InputError(targets.source, finding, _WANTED, remedy)
     right, forward = turn[:, 0], turn[:, 1]
     azimuth = np.degrees(np.arctan2(forward[0], forward[1]))
     tilt = np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))
@@ -305,3 +260,293 @@ def _turn(directions: Array, true: Array) -> tuple[float, Array]:
         off = np.linalg.norm(true - directions @ turn.T, axis=1)
         weight = 1.0 / np.maximum(off, 0.02)
     return float(np.median(off)), turn
+
+
+def _with_geometry(lens: Lens, geometry: LensGeometry, pose: bool) -> Lens:
+    """Return `lens` with centre, radius, mapping and pose of a geometry, rounded for the profile.
+
+    Its full angle and vignetting do not change, and its pose only with `pose`.
+    """
+    of = geometry if pose else lens
+    return replace(
+        lens,
+        centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
+        radius_px=round(geometry.radius_px, 3),
+        mapping=geometry.mapping,
+        coefficients=tuple(round(c, 7) for c in geometry.coefficients),
+        azimuth_deg=round(float(signed_angle_deg(of.azimuth_deg)), 4) if pose else of.azimuth_deg,
+        tilt_deg=round(of.tilt_deg, 4),
+        roll_deg=round(of.roll_deg, 4),
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# chessboards
+#
+# OpenCV's omnidirectional model (Mei and Rives 2007) is fitted first. Its parameters are not
+# unique, but its rays and its poses of the boards are a good start. fieldlum's own mapping is then
+# fitted to the corners, together with all poses (bundle adjustment, Triggs et al. 1999). Therefore
+# the residual is that of the corners, and the centre has an uncertainty.
+
+MIN_BOARDS = 4  # chosen so that poses and lens can be separated, not measured
+_MAX_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
+
+
+def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
+    """Return a chessboard's inner corners, x and y [rows * columns, 2] px; None without a board.
+
+    columns, rows : numbers of inner corners along the board's sides. Raises InputError if the file
+    cannot be read as a picture.
+    """
+    import cv2
+
+    complete, corners = cv2.findChessboardCornersSB(
+        grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
+    )
+    if not complete:
+        return None
+    return np.asarray(corners, float).reshape(-1, 2) + 0.5  # OpenCV counts from a pixel's middle
+
+
+def fit_boards(
+    corners: Sequence[Array], columns: int, rows: int, size_px: tuple[int, int], lens: Lens
+) -> tuple[LensFit, Targets]:
+    """Fit a lens and the poses of n chessboards to their corners; return also the start's targets.
+
+    corners : results of `chessboard_corners`, one for each picture with a board; size_px : width
+    and height of the pictures. The fit starts from `lens`, and the result has its pose (azimuth,
+    tilt, roll), because boards do not determine it; its rms_px is the residual of the corners.
+    Raises NotEnoughDataError for fewer than four boards, InputError if the fit fails.
+    """
+    remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
+    require(len(corners), MIN_BOARDS, "pictures in which the chessboard was detected", remedy)
+    points = np.zeros((rows * columns, 3))
+    points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
+    targets, poses, used = _opencv_rays(corners, points, size_px)
+    start = fit(targets, lens)
+    return _bundle_adjusted(
+        start, lens, np.stack([corners[i] for i in used]), points, poses
+    ), targets
+
+
+def _opencv_rays(
+    corners: Sequence[Array], points: Array, size_px: tuple[int, int]
+) -> tuple[Targets, Array, Indices]:
+    """Return rays of OpenCV's model, the poses of the boards, and which boards it used.
+
+    The rays are a fan in the part of the picture with corners. A pose [6] is a rotation vector
+    [rad] and a position [squares] in OpenCV's camera frame. Raises InputError if the fit fails or
+    its residual is above 3 px.
+    """
+    import cv2
+
+    omnidir: Any = cv2.omnidir
+    # (1, N, C) is the one shape that OpenCV 4 and 5 both accept.
+    places = [np.asarray(c - 0.5, np.float64).reshape(1, -1, 2) for c in corners]
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-9)
+    arguments = [points[None]] * len(corners), places, size_px, None, None, None
+    try:
+        rms, k, xi, d, turns, shifts, used = omnidir.calibrate(
+            *arguments, omnidir.CALIB_FIX_SKEW, stop
+        )
+        wrong = f"the residual of the lens fit is {rms:.1f} px" if rms > _MAX_MISS_PX else ""
+    except cv2.error as error:
+        wrong = f"OpenCV could not fit a lens ({str(error).splitlines()[0]})"
+        rms, k, xi, d, turns, shifts, used = [np.zeros(0)] * 7
+    if wrong:
+        remedy = "take sharp pictures with the board in more places and tilts, none seen edge-on"
+        raise InputError("chessboard", wrong, f"at most {_MAX_MISS_PX:g} px", remedy)
+    angle, turn = np.radians(np.arange(1.0, 110.0, 2.0)), np.radians(np.arange(0.0, 360.0, 15.0))
+    a, t = (grid.ravel() for grid in np.meshgrid(angle, turn))
+    away = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)
+    zero = np.zeros((3, 1))
+    shown, *_ = omnidir.projectPoints(
+        away.reshape(1, -1, 3), zero, zero, k, float(np.ravel(xi)[0]), d
+    )
+    at, centre = np.asarray(shown).reshape(-1, 2) + 0.5, np.asarray(k)[:2, 2] + 0.5
+    reach = np.percentile(np.linalg.norm(np.concatenate(corners) - centre, axis=1), 99.5)
+    near = np.linalg.norm(at - centre, axis=1) <= reach
+    x, y = at[near].T
+    targets = Targets(x, y, _own_axes(away[near]), "chessboard", pose_known=True)
+    poses = np.concatenate([np.reshape(turns, (-1, 3)), np.reshape(shifts, (-1, 3))], axis=1)
+    return targets, poses, np.ravel(used).astype(int)
+
+
+def _own_axes(rays: Array) -> Array:
+    """Return OpenCV's x right, y down, z forward [..., 3] as x right, y forward, z up."""
+    return np.stack([rays[..., 0], rays[..., 2], -rays[..., 1]], axis=-1)
+
+
+def _bundle_adjusted(
+    start: LensFit, lens: Lens, corners: Array, points: Array, poses: Array
+) -> LensFit:
+    """Fit the lens and the poses [boards, 6] to corners [boards, points, 2]."""
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    # Boards determine the lens's own axis only, not its pose.
+    level, first = _level(lens), start.lens
+    powers = tuple(i + 1 for i, c in enumerate(first.coefficients) if c)
+    figures = [*first.centre_px, first.radius_px, *(first.coefficients[p - 1] for p in powers[1:])]
+
+    def shown(x: Array) -> LensGeometry:
+        return _geometry(level, x[: len(figures)], first.mapping, powers, pose=False)
+
+    def misses(x: Array) -> Array:
+        turned = [
+            Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]
+            for pose in x[len(figures) :].reshape(-1, 6)
+        ]
+        rays = _own_axes(np.stack(turned))
+        px, py, _ = lens_pixels(shown(x), rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+        return np.concatenate([(px - corners[..., 0]).ravel(), (py - corners[..., 1]).ravel()])
+
+    unknowns = [*figures, *poses.ravel()]
+    solved = least_squares(misses, unknowns, x_scale="jac", loss="soft_l1", max_nfev=60)
+    geometry, rms = shown(solved.x), float(np.sqrt(2.0 * np.mean(misses(solved.x) ** 2)))
+    u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
+    text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
+    choice = replace(start.choice, line=f"{start.choice.line}; {text}")
+    deg_per_px = lens.full_angle_deg / 2 / geometry.radius_px
+    new = _with_geometry(lens, geometry, pose=False)
+    return replace(start, lens=new, rms_px=rms, rms_deg=rms * deg_per_px, choice=choice)
+
+
+# ----------------------------------------------------------------------------------------------
+# image circle
+
+EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
+# Share of the rays inside the picture whose edge is on the circle; how near, of the radius and in
+# px. Evenly lit fields have 1.0, six exposures of a real room (8 mm fisheye) at most 0.71.
+_MIN_ON_CIRCLE, _ON_CIRCLE_REL, _ON_CIRCLE_PX = 0.9, 0.005, 2.0
+# of the profile's radius: a centre or radius that differs by more contradicts the profile; chosen
+_MAX_CHANGE = 0.15
+
+
+def grey_picture(path: Path) -> NDArray[np.uint8]:
+    """Read a raw, JPEG, PNG or TIFF file as grey codes 0 to 255 at sensor size, [h, w].
+
+    A raw frame is stretched to its own brightness, so that its codes have no absolute meaning.
+    Raises InputError for a file that cannot be read.
+    """
+    import cv2
+
+    if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        if picture is None:
+            remedy = "convert it to JPEG or PNG, or copy it from the card again"
+            raise InputError(path, "no picture that OpenCV reads", "JPEG, PNG or raw", remedy)
+        return np.asarray(picture, np.uint8)
+    counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
+    rows, columns = (n // 2 * 2 for n in counts.shape)
+    cell = counts[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
+    cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    low, high = np.percentile(cell, [1, 99.5])
+    return (255 * np.clip((cell - low) / max(high - low, 1e-6), 0, 1) ** (1 / 2.2)).astype(np.uint8)
+
+
+class Circle(NamedTuple):
+    """The image circle of a fisheye: centre (x, y) and radius in px.
+
+    u_px: standard deviation of the edge points' distance from the circle.
+    """
+
+    centre_px: tuple[float, float]
+    radius_px: float
+    u_px: float
+
+
+def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle") -> Circle:
+    """Find the lens's image circle in a picture [h, w] of 8-bit grey of an evenly lit field.
+
+    The search begins at the circle of `lens`, first widely, then closely. The edge is the place
+    where linear light is half way between the light just inside the circle and the darkest place
+    outside, along 720 rays. source : the file, for errors. Raises InputError if over a tenth of the
+    rays have no edge on the circle (in a picture of a room, its edges look like the circle's), and
+    for a circle whose centre or radius differs from that of `lens` by over 15 % of the radius.
+    """
+    found = Circle(lens.centre_px, lens.radius_px, 0.0)
+    on_circle = 0.0
+    for reach in (2.0 * _MAX_CHANGE, 0.1, 0.1):
+        edge, rays = _edge_points(picture, found, reach)
+        if edge.shape[1] < 60:
+            on_circle = 0.0
+            break
+        found, off = _through(edge, found)
+        near = np.abs(off) < max(_ON_CIRCLE_REL * found.radius_px, _ON_CIRCLE_PX)
+        on_circle = near.sum() / rays
+    (x, y), (x0, y0) = found.centre_px, lens.centre_px
+    change = max(np.hypot(x - x0, y - y0), abs(found.radius_px - lens.radius_px)) / lens.radius_px
+    if on_circle < _MIN_ON_CIRCLE or change > _MAX_CHANGE:
+        profile = f"the profile's circle at {x0:.0f}, {y0:.0f} px, radius {lens.radius_px:.0f} px"
+        raise InputError(
+            source,
+            f"{100 * on_circle:.0f} % of the edge of a circle, near {profile}",
+            f"an evenly lit circle on black, within {100 * _MAX_CHANGE:.0f} % of the profile's",
+            "hold white paper in front of the lens for one frame without clipping that shows the "
+            "circle; if the profile's numbers are a guess, first write nearer ones into it",
+        )
+    return found
+
+
+def _edge_points(picture: NDArray[np.uint8], around: Circle, reach: float) -> tuple[Array, int]:
+    """Return points x, y [2, n] on the edge of a circle, and the number of rays that reach it.
+
+    The edge is searched within `reach`, a share of the radius. Rays that leave the picture inside
+    the circle are not counted.
+    """
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    smooth = 255 * gaussian_filter((picture.astype(np.float32) / 255) ** 2.2, 1.0)
+    turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
+    out = around.radius_px * (1.0 - reach) + np.arange(0.0, 2 * reach * around.radius_px, 0.25)
+    x, y = around.centre_px
+    columns, rows = x + np.outer(np.cos(turn), out) - 0.5, y + np.outer(np.sin(turn), out) - 0.5
+    line = map_coordinates(smooth, [rows, columns], order=1, mode="constant", cval=np.nan)
+    inner = line[:, : len(out) // 5].mean(axis=1)
+    outer = np.nanmin(np.where(np.isnan(line), np.inf, line), axis=1)
+    below = line < ((inner + outer) / 2)[:, None]
+    first = below.argmax(axis=1)
+    good = below.any(axis=1) & (first > 0) & (inner > outer + 8)
+    reached = np.isfinite(line[:, : len(out) // 2 + 1]).all(axis=1)
+    away = out[first[good]]
+    edge = np.stack([x + np.cos(turn[good]) * away, y + np.sin(turn[good]) * away])
+    return edge, int((good | reached).sum())
+
+
+def _through(edge: Array, start: Circle) -> tuple[Circle, Array]:
+    """Return the circle through points [2, n] by robust least squares, and their distances [px]."""
+    from scipy.optimize import least_squares
+
+    def misses(p: Array) -> Array:
+        return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
+
+    solved = least_squares(misses, [*start.centre_px, start.radius_px], loss="soft_l1", f_scale=0.5)
+    x, y, radius = solved.x.tolist()
+    off = misses(solved.x)
+    return Circle((x, y), radius, robust_sigma(off, 0.0)), off
+
+
+def trimmed(lens: Lens, width_deg: float) -> Lens:
+    """Return the lens without the outer `width_deg` of its image: half of its full angle shrinks.
+
+    Directions inside map to the same pixels, with the same vignetting. Raises ValueError for a
+    width that is not positive or leaves no picture.
+    """
+    half_deg = lens.full_angle_deg / 2.0 - width_deg
+    if width_deg <= 0.0 or half_deg <= 0.0:
+        raise ValueError(f"the image circle of {lens.full_angle_deg:g} degrees, {width_deg:g} less")
+    share = half_deg / (lens.full_angle_deg / 2.0)
+    radius = float(radius_of_angle(lens.geometry, np.radians(half_deg)))  # of the old one
+    coefficients = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
+    vignetting = tuple(
+        replace(v, coefficients=tuple(c * share**k for k, c in enumerate(v.coefficients)))
+        for v in lens.vignetting
+    )
+    return replace(
+        lens,
+        radius_px=lens.radius_px * radius,
+        full_angle_deg=2.0 * half_deg,
+        coefficients=coefficients,
+        vignetting=vignetting,
+    )

@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
+from fieldlum.calibrate.readings import FULL, own_mosaic
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.optics.linear_light import black_dn, check_frame, full_dn, true_shutter_s
+from fieldlum.optics.linear_light import black_dn, full_dn, true_shutter_s
 from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import channel_positions, read_mosaic
+from fieldlum.optics.raw import Mosaic, channel_positions
 
 BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)
@@ -28,7 +29,6 @@ ORDERS = range(5)
 MIN_TIMES = 6
 # of the full scale: the frames must reach below the first and above the second; chosen
 LOWEST, HIGHEST = 0.05, 0.8
-_FULL = 0.97  # of saturation: a block with brighter pixels does not count; chosen
 _MIN_DN = 5.0  # counts above black: darker blocks contain little but the black level; chosen
 _REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
 _BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
@@ -75,49 +75,34 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
     A frame has 8 x 8 blocks for each of R, G1, G2 and B. Raises InputError for a frame that cannot
     be read, is of another camera, or has another aperture or ISO than the first.
     """
-    shares: list[Floats] = []
-    weights: list[Floats] = []
-    seconds: list[float] = []
-    first = None
+    blocks, settings, seconds = [], [], []
     for path in paths:
-        mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
-        check_frame(path, mosaic.counts.shape, mosaic.model, profile)
-        setting = (mosaic.exposure.f_number, mosaic.exposure.iso)
-        first = first or setting
-        if setting != first:
-            raise InputError(
-                path,
-                f"f/{setting[0]:g} and ISO {setting[1]:g}",
-                f"f/{first[0]:g} and ISO {first[1]:g} as in the first frame",
-                "take all frames with one aperture and ISO",
-            )
-        black, full = black_dn(mosaic, profile), full_dn(mosaic, profile)
-        means: list[Floats] = []
-        errors: list[Floats] = []
-        for (row, column), b, top in zip(channel_positions(mosaic.cfa), black, full, strict=True):
-            cell = mosaic.counts[row::2, column::2].astype(float)
-            mean, error = _blocks(cell, b, b + _FULL * (top - b))
-            scale = profile.sensor.white_dn - b
-            means.append(mean / scale)
-            errors.append(error / np.maximum(mean, _MIN_DN))
-        shares.append(np.concatenate(means))
-        weights.append(1.0 / (_REPEATS**2 + np.concatenate(errors) ** 2))
+        mosaic = own_mosaic(path, profile)
+        settings.append(f"f/{mosaic.exposure.f_number:g} and ISO {mosaic.exposure.iso:g}")
+        if settings[-1] != settings[0]:
+            expected, remedy = f"{settings[0]} as in the first frame", "use one aperture and ISO"
+            raise InputError(path, settings[-1], expected, remedy)
+        blocks.append(_blocks(mosaic, profile))
         seconds.append(true_shutter_s(mosaic.exposure.shutter_s, profile)[0])
-    return Levels(np.array(shares), np.array(weights), np.array(seconds), tuple(paths))
+    share, weight = np.array(blocks).transpose(1, 0, 2)
+    return Levels(share, weight, np.array(seconds), tuple(paths))
 
 
-def _blocks(cell: Floats, black: float, maximum: float) -> tuple[Floats, Floats]:
-    """Return means above black of blocks [blocks], and their standard errors.
-
-    The mean is NaN where a pixel is near saturation.
-    """
-    rows, columns = (n // BLOCKS * BLOCKS for n in cell.shape)
-    shape = (BLOCKS, rows // BLOCKS, BLOCKS, columns // BLOCKS)
-    cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
-    mean = cut.mean(axis=1) - black
-    error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
-    good = (cut.max(axis=1) < maximum) & (mean > _MIN_DN)
-    return np.where(good, mean, np.nan), error
+def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
+    """Return share and weight of a frame's blocks, as in `Levels`, [2, blocks]."""
+    parts = []
+    levels = zip(black_dn(mosaic, profile), full_dn(mosaic, profile), strict=True)
+    for (row, column), (black, top) in zip(channel_positions(mosaic.cfa), levels, strict=True):
+        cell = mosaic.counts[row::2, column::2].astype(float)
+        rows, columns = (n // BLOCKS * BLOCKS for n in cell.shape)
+        shape = (BLOCKS, rows // BLOCKS, BLOCKS, columns // BLOCKS)
+        cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
+        mean = cut.mean(axis=1) - black
+        error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
+        good = (cut.max(axis=1) < black + FULL * (top - black)) & (mean > _MIN_DN)
+        share = np.where(good, mean, np.nan) / (profile.sensor.white_dn - black)
+        parts.append((share, 1.0 / (_REPEATS**2 + (error / np.maximum(mean, _MIN_DN)) ** 2)))
+    return np.concatenate(parts, axis=1)
 
 
 def fit(levels: Levels) -> LinearityFit:
@@ -129,15 +114,11 @@ def fit(levels: Levels) -> LinearityFit:
     times = np.unique(levels.seconds)
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
     if len(times) < MIN_TIMES or low > LOWEST or high < HIGHEST:
-        finding = (
-            f"{len(times)} shutter times, with raw values of {100 * low:.0f} to {100 * high:.0f} "
-            "% of white"
+        raise NotEnoughDataError(
+            f"{len(times)} shutter times, with raw values of {100 * low:.0f} to {100 * high:.0f} % "
+            f"of white; expected at least {MIN_TIMES}, with values from under {100 * LOWEST:.0f} "
+            f"to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
-        wanted = (
-            f"expected at least {MIN_TIMES} shutter times, with values from under "
-            f"{100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
-        )
-        raise NotEnoughDataError(f"{finding}; {wanted}")
     _, (solution, covariance), choice = fit_and_choose(
         "linearity",
         [(f"order {order}", order, order) for order in ORDERS],
@@ -159,15 +140,10 @@ def _residuals(solution: Floats, levels: Levels, rows: Mask, of: Mask) -> Floats
     with np.errstate(invalid="ignore"):
         light = np.log(levels.share * linearity_factor(levels.share, tuple(solution[1:])))
     off = light - np.log(levels.seconds + solution[0])[:, None]
-    return _centred(off, levels, rows)[of]
-
-
-def _centred(values: Floats, levels: Levels, rows: Mask) -> Floats:
-    """Return values [frames, blocks] minus each block's weighted mean over the frames `rows`."""
     weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[rows]
     total = weight.sum(axis=0)
-    mean = np.nansum(np.nan_to_num(values[rows]) * weight, axis=0)
-    return values - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0)
+    mean = np.nansum(np.nan_to_num(off[rows]) * weight, axis=0)
+    return (off - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0))[of]
 
 
 def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from fieldlum.calibrate.frames import Place
-from fieldlum.calibrate.lens_circle import grey_picture
+from fieldlum.calibrate.lens import Circle, grey_picture
+from fieldlum.calibrate.readings import Place
 from fieldlum.core.arrays import Array
-from fieldlum.core.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
+from fieldlum.core.plot_style import BLUE, GREEN, INK, RED, open_axes
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.photometry import linearity_factor, response_table, vignetting_at
 from fieldlum.optics.photometry.stray_light import kernel_per_sr
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from fieldlum.calibrate import (
         colour,
         lens,
-        lens_circle,
         linearity,
         pixels,
         response,
@@ -36,38 +35,56 @@ if TYPE_CHECKING:
         vignette,
     )
 
-
-Places = Sequence[Place]
 DOTS: dict[str, Any] = {"color": RED, "marker": "o", "markersize": 3.5, "linestyle": ""}
 LINE: dict[str, Any] = {"color": BLUE, "linewidth": 1.2}
 _TURN = np.linspace(0, 2 * np.pi, 400)
 
 
-def _two(
-    title: str, shares: tuple[float, float] = (3, 2), places: Places = (), off: Array | None = None
-) -> tuple[Figure, Any, Any]:
-    """Return a figure and its two axes; with places, a third has them over the picture."""
+class Panel(NamedTuple):
+    """Axes of a picture: x, y and style of each series, settings of the axes, and a background."""
+
+    series: Sequence[tuple[ArrayLike, ArrayLike, dict[str, Any]]]
+    settings: dict[str, Any]
+    background: Array | None = None
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
+    with replacing_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def _drawn(
+    title: str, *panels: Panel, places: Sequence[Place] = (), off: Array | None = None
+) -> Figure:
+    """Return a figure of panels; with places, a further panel has them over the picture."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.4 if places else 8.4, 3.4), layout="constrained")
-    widths = (*shares, 3) if places else shares
-    left, right, *more = figure.subplots(1, len(widths), width_ratios=widths)
+    count = len(panels) + bool(places)
+    figure = Figure(figsize=(4.2 * count, 3.4), layout="constrained")
+    all_axes = figure.subplots(1, count, squeeze=False)[0]
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK)
-    for axes in (left, right):
+    for axes, panel in zip(all_axes, panels, strict=False):
+        if panel.background is not None:
+            axes.imshow(panel.background, cmap="gray")
+        for x, y, style in panel.series:
+            axes.plot(x, y, **style)
+        axes.set(**panel.settings)
         open_axes(axes)
+        if any("label" in style for *_, style in panel.series):
+            axes.legend(frameon=False, fontsize=8)
     if places:
-        _over(figure, more[0], places, np.zeros(len(places)) if off is None else off)
-    return figure, left, right
+        _over(figure, all_axes[-1], places, np.zeros(len(places)) if off is None else off)
+    return figure
 
 
-def _over(figure: Figure, axes: Any, places: Places, off: Array) -> None:
+def _over(figure: Figure, axes: Any, places: Sequence[Place], off: Array) -> None:
     """Draw the picture with most of the places, and on it their residuals `off` [n], a share.
 
     Places of other frames are drawn too, because all frames show one sensor; those of other
     panoramas are not.
     """
-    files = Counter(place.path for place in places)
-    path = files.most_common(1)[0][0]
+    path, count = Counter(place.path for place in places).most_common(1)[0]
     is_panorama = path.suffix.lower() in (".exr", ".hdr")
     shown = np.array([place.path == path or not is_panorama for place in places])
     at = np.array([(place.x, place.y) for place in places], float)[shown]
@@ -85,37 +102,26 @@ def _over(figure: Figure, axes: Any, places: Places, off: Array) -> None:
     step = max(height // 800, 1)  # the figure has fewer pixels
     axes.imshow(grey[::step, ::step], cmap="gray", extent=(0, width, height, 0))
     limit = max(float(np.abs(percent).max()), 0.1)
-    marks = axes.scatter(*at.T, s=26, c=percent, cmap="coolwarm", vmin=-limit, vmax=limit)
-    marks.set(edgecolors="white", linewidths=0.6)
-    more = f" and {len(files) - 1} more" if len(files) > 1 and not is_panorama else ""
-    axes.set_title(path.name + more, fontsize=8, color=INK)
+    style = {"edgecolors": "white", "linewidths": 0.6, "cmap": "coolwarm"}
+    marks = axes.scatter(*at.T, s=26, c=percent, vmin=-limit, vmax=limit, **style)
+    others = "" if shown.sum() == count else " and other frames"
+    axes.set_title(path.name + others, fontsize=8, color=INK)
     axes.set_axis_off()
     if percent.any():
         figure.colorbar(marks, ax=axes, shrink=0.8, label="off [%]")
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
-    with replacing_path(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+def _residual(x: Array, share: Array, label: str) -> Panel:
+    zero = (x[[x.argmin(), x.argmax()]], (0, 0), LINE)
+    settings = {"xlabel": label, "ylabel": "reading less fit [%]"}
+    return Panel([zero, (x, 100 * share, DOTS)], settings)
 
 
-def _equal_line(axes: Any, x: Array, y: Array) -> None:
-    """Draw the line of equal values through logarithmic axes, with labels 1, 2, 5, 10 and so on."""
-    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
-
+def _equal(x: Array, y: Array, xlabel: str, ylabel: str) -> Panel:
+    """Return y over x in logarithmic axes, with the line of equal values."""
     ends = [min(x.min(), y.min()) * 0.8, max(x.max(), y.max()) * 1.25]
-    axes.loglog(ends, ends, **LINE)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.set_major_formatter(FormatStrFormatter("%g"))
-        axis.set_minor_formatter(NullFormatter())
-
-
-def _percent(axes: Any, x: Array, residual: Array, label: str) -> None:
-    axes.axhline(0, **LINE)
-    axes.plot(x, 100 * residual, **DOTS)
-    axes.set(xlabel=label, ylabel="reading less fit [%]")
+    settings = {"xscale": "log", "yscale": "log", "xlabel": xlabel, "ylabel": ylabel}
+    return Panel([(ends, ends, LINE), (x, y, DOTS)], settings)
 
 
 def of_response(places: response.Places, fit: response.ResponseFit) -> Figure:
@@ -123,22 +129,21 @@ def of_response(places: response.Places, fit: response.ResponseFit) -> Figure:
 
     A residual is the light of a place by one frame less the mean by all frames [%].
     """
-    r = fit.response
-    figure, left, right = _two(f"JPEG response, {r.kind}; held-out rms {100 * r.u_rel:.2g} %")
-    for c, (curve, name) in enumerate(
-        zip((r.red, r.green, r.blue), (RED, GREEN, BLUE), strict=True)
-    ):
+    r, tables, residuals = fit.response, [], []
+    curves = zip((r.red, r.green, r.blue), (RED, GREEN, BLUE), strict=True)
+    for c, (curve, name) in enumerate(curves):
         table, codes = response_table(r.kind, curve), places.codes[..., c]
-        left.plot(np.arange(1, 256), np.maximum(table[1:], 1e-5), color=name, linewidth=1.3)
+        tables.append((np.arange(1, 256), np.maximum(table[1:], 1e-5), {"color": name}))
         counts = (codes >= r.low_code) & (codes <= r.high_code)
         counts &= counts.sum(axis=1, keepdims=True) >= 2
         light = np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure
         mean = np.average(light, axis=1, weights=counts + 1e-12, keepdims=True)
-        right.plot(codes[counts], 100 * (light - mean)[counts], ",", color=name, alpha=0.5)
-    left.axvspan(r.low_code, r.high_code, color=SAND, alpha=0.5, linewidth=0)
-    left.set(xlabel="code", ylabel="linear light z", yscale="log", xlim=(0, 255), ylim=(1e-4, 1.3))
-    right.set(xlabel="code", ylabel="place's light less its mean [%]", ylim=(-15, 15))
-    return figure
+        style = {"color": name, "alpha": 0.5, "marker": ",", "linestyle": ""}
+        residuals.append((codes[counts], 100 * (light - mean)[counts], style))
+    left = {"xlabel": "code", "ylabel": "linear light z", "yscale": "log", "ylim": (1e-4, 1.3)}
+    right = {"xlabel": "code", "ylabel": "place's light less its mean [%]", "ylim": (-15, 15)}
+    title = f"JPEG response, {r.kind}; held-out rms {100 * r.u_rel:.2g} %"
+    return _drawn(title, Panel(tables, left), Panel(residuals, right))
 
 
 def of_vignette(
@@ -148,16 +153,14 @@ def of_vignette(
 
     half_angle_deg : half of the lens's full angle. Residuals are reading less fit [%].
     """
+    r, angle = np.linspace(0, 1, 200), samples.r * half_angle_deg
+    curve = (r * half_angle_deg, vignetting_at(fit.coefficients, r), {**LINE, "label": "fit"})
+    dots = (angle, samples.value / fit.level, {**DOTS, "label": "readings"})
+    settings = {"xlabel": "angle from the optical axis [deg]", "ylim": (0, 1.1)}
+    settings["ylabel"] = "transmission relative to the axis"
     title = f"vignetting at f/{samples.f_number:g}; held-out rms {100 * fit.u_rel:.2g} %"
-    figure, left, right = _two(title, places=samples.places, off=fit.residual_rel)
-    r = np.linspace(0, 1, 200)
-    left.plot(samples.r * half_angle_deg, samples.value / fit.level, label="readings", **DOTS)
-    left.plot(r * half_angle_deg, vignetting_at(fit.coefficients, r), label="fit", **LINE)
-    left.set(xlabel="angle from the optical axis [deg]", ylim=(0, 1.1))
-    left.set(ylabel="transmission relative to the axis")
-    left.legend(frameon=False, fontsize=8)
-    _percent(right, samples.r * half_angle_deg, fit.residual_rel, "angle [deg]")
-    return figure
+    panels = Panel([dots, curve], settings), _residual(angle, fit.residual_rel, "angle [deg]")
+    return _drawn(title, *panels, places=samples.places, off=fit.residual_rel)
 
 
 def of_scale(readings: list[scale.LuminanceReading], fit: scale.ScaleFit) -> Figure:
@@ -165,64 +168,48 @@ def of_scale(readings: list[scale.LuminanceReading], fit: scale.ScaleFit) -> Fig
 
     A residual is the meter's reading less the corrected value of the picture [%].
     """
+    meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
+    panels = (
+        _equal(meter, image, "meter [cd/m2 or lx]", "picture, corrected"),
+        _residual(np.arange(1, len(readings) + 1), fit.residual, "reading"),
+    )
     title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
     places = [r.place for r in readings if r.place]
-    figure, left, right = _two(title, places=places, off=fit.residual if places else None)
-    meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
-    for kind, unit, marker in (("spot", "cd/m2", "o"), ("illuminance", "lx", "s")):
-        rows = np.array([r.kind == kind for r in readings])
-        if rows.any():
-            style = {**DOTS, "marker": marker, "label": f"{kind} [{unit}]"}
-            left.plot(meter[rows], image[rows], **style)
-    _equal_line(left, meter, image)
-    left.set(xlabel="meter", ylabel="picture, corrected")
-    left.legend(frameon=False, fontsize=8)
-    _percent(right, np.arange(1, len(readings) + 1), fit.residual, "reading")
-    return figure
+    return _drawn(title, *panels, places=places, off=fit.residual)
 
 
 def of_lens(targets: lens.Targets, fit: lens.LensFit) -> Figure:
     """Draw the targets in the image circle, and their distances from the fitted places."""
-    figure, left, right = _two(
-        f"lens, {fit.lens.mapping}; held-out rms {fit.rms_px:.2g} px ({fit.rms_deg:.2g} deg)"
-    )
     (x, y), r = fit.lens.centre_px, fit.lens.radius_px
-    left.plot(x + r * np.cos(_TURN), y + r * np.sin(_TURN), **LINE)
-    left.plot([x], [y], "+", color=BLUE)
-    left.scatter(targets.x_px, targets.y_px, s=10, color=RED, linewidths=0)
-    left.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
-    left.invert_yaxis()
-    right.plot(np.hypot(targets.x_px - x, targets.y_px - y) / r, fit.residual_px, **DOTS)
-    right.set(xlabel="distance from the centre / radius", ylabel="miss [px]", ylim=(0, None))
-    return figure
+    circle = (x + r * np.cos(_TURN), y + r * np.sin(_TURN), LINE)
+    settings = {"xlabel": "x [px]", "ylabel": "y [px]", "aspect": "equal"}
+    limits = {"ylim": (y + 1.05 * r, y - 1.05 * r)}
+    distance = np.hypot(targets.x_px - x, targets.y_px - y) / r
+    off = {"xlabel": "distance from the centre / radius", "ylabel": "miss [px]"}
+    return _drawn(
+        f"lens, {fit.lens.mapping}; held-out rms {fit.rms_px:.2g} px ({fit.rms_deg:.2g} deg)",
+        Panel([circle, (targets.x_px, targets.y_px, DOTS)], settings | limits),
+        Panel([(distance, fit.residual_px, DOTS)], off),
+    )
 
 
-def of_circle(picture: NDArray[np.uint8], image_circle: lens_circle.Circle) -> Figure:
+def of_circle(picture: NDArray[np.uint8], circle: Circle) -> Figure:
     """Draw the image circle over the picture [h, w]."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.2, 4.0), layout="constrained")
-    axes = figure.add_subplot()
-    axes.imshow(picture, cmap="gray")
-    (x, y), r = image_circle.centre_px, image_circle.radius_px
-    axes.plot(x - 0.5 + r * np.cos(_TURN), y - 0.5 + r * np.sin(_TURN), color=RED, linewidth=1.2)
-    axes.plot([x - 0.5], [y - 0.5], "+", color=RED)
-    title = f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {image_circle.u_px:.2f} px"
-    axes.set_title(title, fontsize=9, loc="left")
-    return figure
+    (x, y), r = circle.centre_px, circle.radius_px
+    line = (x - 0.5 + r * np.cos(_TURN), y - 0.5 + r * np.sin(_TURN), {**LINE, "color": RED})
+    title = f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {circle.u_px:.2f} px"
+    return _drawn(title, Panel([line], {"xlabel": "x [px]"}, picture))
 
 
 def of_colour(colours: colour.Colours, fit: colour.ColourFit) -> Figure:
     """Draw the fitted luminance (y) against the readings (x), and the residuals [%] by patch."""
-    title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
-    figure, left, right = _two(title, places=colours.places, off=-fit.residual)
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
-    shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
-    left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
-    _equal_line(left, colours.y, new)
-    left.set(xlabel="reading, or chart [%]", ylabel="picture, at the readings' scale")
-    _percent(right, np.arange(1, len(new) + 1), -fit.residual, "patch")
-    return figure
+    panels = (
+        _equal(colours.y, new, "reading, or chart [%]", "picture, at the readings' scale"),
+        _residual(np.arange(1, len(new) + 1), -fit.residual, "patch"),
+    )
+    title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
+    return _drawn(title, *panels, places=colours.places, off=-fit.residual)
 
 
 def of_shutter(fit: shutter.ShutterFit) -> Figure:
@@ -230,30 +217,25 @@ def of_shutter(fit: shutter.ShutterFit) -> Figure:
 
     Positive where the true time is longer. The bars are two standard uncertainties long each way.
     """
-    title = f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets"
-    figure, left, right = _two(title, (1, 1))
     nominal, true, u = np.array([(t.nominal_s, t.true_s, t.u_rel) for t in fit.times]).T
-    for axes, against, label in (
-        (left, nominal, "true over nominal [%]"),
-        (right, np.array(fit.assumed_s), "over assumed [%]"),
-    ):
-        axes.axhline(0, **LINE)
-        axes.errorbar(nominal, 100 * (true / against - 1), 200 * u, **DOTS)
-        axes.set(xscale="log", xlabel="nominal time [s]", ylabel=label)
-    return figure
+    panels = []
+    for against, label in ((nominal, "nominal"), (np.array(fit.assumed_s), "assumed")):
+        off = 100 * (true / against - 1)
+        bars = ([nominal, nominal], [off - 200 * u, off + 200 * u], LINE)
+        settings = {"xscale": "log", "xlabel": "nominal time [s]"}
+        settings["ylabel"] = f"true over {label} [%]"
+        panels.append(Panel([bars, (nominal, off, DOTS)], settings))
+    return _drawn(f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets", *panels)
 
 
 def of_pixels(defects: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
-    """Draw the bad pixels on the sensor, and a histogram of their distance from its middle."""
+    """Draw the bad pixels on the sensor, and over a picture."""
     title = f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views"
-    places = [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px]
-    figure, left, right = _two(title, (2, 1), places)
     x, y = np.array(defects.bad_px, float).reshape(-1, 2).T
-    left.plot(x, y, **DOTS)
-    left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")
-    right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=BLUE)
-    right.set(xlabel="from the middle [px]", ylabel="pixels")
-    return figure
+    settings = {"xlim": (0, width_px), "ylim": (height_px, 0), "aspect": "equal"}
+    places = [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px]
+    panel = Panel([(x, y, DOTS)], {**settings, "xlabel": "column", "ylabel": "row"})
+    return _drawn(title, panel, places=places)
 
 
 def of_linearity(levels: linearity.Levels, fit: linearity.LinearityFit) -> Figure:
@@ -261,33 +243,28 @@ def of_linearity(levels: linearity.Levels, fit: linearity.LinearityFit) -> Figur
 
     Values are relative to the block's mean [%], over the share of the full scale.
     """
-    figure, left, right = _two(f"Linearity; held-out rms {100 * fit.u_rel:.2g} %")
     corrected = levels.share * linearity_factor(levels.share, fit.coefficients)
-    for axes, light, offset_s, title in (
-        (left, levels.share, 0.0, "as recorded"),
-        (right, corrected, fit.offset_s, "corrected"),
-    ):
+    panels, style = [], {"color": GREEN, "marker": ",", "linestyle": ""}
+    cases = (levels.share, 0.0, "as recorded"), (corrected, fit.offset_s, "corrected")
+    for light, offset_s, title in cases:
         off = np.log(light / (levels.seconds[:, None] + offset_s))
         off -= np.nanmean(off, axis=0)
-        axes.plot(100 * levels.share.ravel(), 100 * off.ravel(), ",", color=GREEN)
-        axes.set(xlabel="share of the full scale [%]", ylim=(-2, 2), title=title)
-    left.set(ylabel="light over time less its mean [%]")
-    return figure
+        settings = {"xlabel": "share of the full scale [%]", "ylim": (-2, 2), "title": title}
+        settings["ylabel"] = "light over time less its mean [%]"
+        panels.append(Panel([(100 * levels.share.ravel(), 100 * off.ravel(), style)], settings))
+    return _drawn(f"Linearity; held-out rms {100 * fit.u_rel:.2g} %", *panels)
 
 
 def of_stray(readings: Sequence[stray.StrayReading], fit: stray.StrayFit) -> Figure:
     """Draw the kernel over the angle, and the predicted over the recorded stray light."""
-    recorded = np.array([r.stray_cdm2 for r in readings])
-    places = [r.place for r in readings if r.place]
-    off = fit.predicted_cdm2 / recorded - 1.0 if places else None
-    title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
-    figure, left, right = _two(title, places=places, off=off)
-    angle = np.geomspace(0.5, 180.0, 300)
+    recorded, angle = np.array([r.stray_cdm2 for r in readings]), np.geomspace(0.5, 180.0, 300)
     nodes, values = np.asarray(fit.kernel.angle_deg), np.asarray(fit.kernel.per_sr)
-    left.plot(angle, 100 * kernel_per_sr(np.radians(angle), nodes, values), **LINE)
-    left.plot(nodes, 100 * values, **DOTS)
-    left.set(xlabel="angle from the source [deg]", ylabel="K [% per sr]", xscale="log")
-    right.plot(recorded, fit.predicted_cdm2, **DOTS)
-    _equal_line(right, recorded, fit.predicted_cdm2)
-    right.set(xlabel="recorded [cd/m²]", ylabel="by the kernel [cd/m²]")
-    return figure
+    curve = 100 * kernel_per_sr(np.radians(angle), nodes, values)
+    settings = {"xlabel": "angle from the source [deg]", "ylabel": "K [% per sr]", "xscale": "log"}
+    panels = (
+        Panel([(angle, curve, LINE), (nodes, 100 * values, DOTS)], settings),
+        _equal(recorded, fit.predicted_cdm2, "recorded [cd/m²]", "by the kernel [cd/m²]"),
+    )
+    title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
+    off, places = fit.predicted_cdm2 / recorded - 1.0, [r.place for r in readings]
+    return _drawn(title, *panels, places=places, off=off)

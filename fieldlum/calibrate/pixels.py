@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.calibrate.readings import own_mosaic, require
 from fieldlum.core.arrays import Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted
-from fieldlum.optics.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
+from fieldlum.optics.linear_light import black_dn, full_dn, gain_e_per_dn
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, possible_frames, read_mosaic
+from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, possible_frames
 
 # Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
 # real sensors.
@@ -36,11 +37,11 @@ _INSIDE = 0.97  # of a lens's circle, because its edge is the same in every view
 _BLOCK = 4  # pixels of one colour along the edge of a block of detail
 _DETAIL = 5.0, 0.03  # sigma of the noise, share of the light: a smaller step is no detail
 _MIN_DETAIL = 30  # number of blocks with detail
-_SAME_VIEW_CORRELATION = 0.3  # of the detail of two frames, from which they show one view
+_SAME_VIEW_CORRELATION = 0.3  # of the detail of two pictures, from which they show one view
 _MAX_ALIKE = 2  # neighbours that may be like a defect, as in a line of defects
 _FULL = 0.9  # of the saturation; pixels in brighter surroundings are not judged
 
-Detail = NDArray[np.int8]
+View = tuple[Indices, NDArray[np.int8]]  # deviating pixels in the mosaic, and details
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,87 +72,61 @@ class _Plane(NamedTuple):
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
     """Find the bad pixels of a raw camera.
 
-    sources : frames, or folders of frames; frames with the same details count as one view, and
-    frames with too little detail are not used. dark : the frames were taken with the cap on, and
-    each counts as a view. Raises InputError for frames that are not raw frames of this camera, and
-    for a frame with light if `dark`; NotEnoughDataError for fewer than three different views (or
-    two dark frames), or if too many pixels deviate.
+    sources : a frame or a folder of frames for each view; those with the same details count as one
+    view, and those with too little detail are not used. dark : the frames were taken with the cap
+    on, and each counts as a view. Raises InputError for frames that are not raw frames of this
+    camera, and for a frame with light if `dark`; NotEnoughDataError for fewer than three different
+    views (or two dark frames), or if too many pixels deviate.
     """
     if profile.camera.kind != "raw":
-        raise InputError(
-            profile.camera.name,
-            "the profile is of a JPEG camera, and JPEG files blur bad pixels",
-            "a profile of a raw camera",
-            "use the camera's raw files, and a profile for them",
-        )
+        finding, remedy = "the profile is of a JPEG camera", "use the camera's raw files"
+        raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
     size = profile.camera.height_px, profile.camera.width_px
     area = np.ones(size, bool) if dark else _inside_lenses(profile)
-    frames = [frame for source in sources for frame in _frames_of(source)]
-    used: list[tuple[Path, Indices, Detail]] = []  # deviating pixels as indices into the mosaic
-    for path in frames:
-        mosaic = _mosaic(path, profile)
-        planes = _planes(mosaic, profile)
-        detail = np.zeros(0, np.int8) if dark else _detail(planes[1], profile, area)
-        if dark:
-            _check_dark(path, planes, profile)
-        if dark or np.count_nonzero(np.abs(detail) == 1) >= _MIN_DETAIL:
-            pixels = np.flatnonzero(deviating(mosaic, profile, alone=not dark) & area)
-            used.append((path, pixels, detail))
-    of_view = np.arange(len(used)) if dark else _view_numbers(used)
-    views = [
-        np.unique(np.concatenate([used[i][1] for i in np.flatnonzero(of_view == view)]))
-        for view in np.unique(of_view)
-    ]
-    need, by_chance = _needed_views(views, int(area.sum()), dark, len(frames) - len(used))
-    counts = np.unique(np.concatenate(views), return_counts=True)
-    bad = counts[0][counts[1] >= need]
+    brackets = [_frames_of(source) for source in sources]
+    frames = tuple(frame for bracket in brackets for frame in bracket)
+    seen = [_view([f], profile, area, dark) for f in frames] if dark else []
+    seen = seen or [_view(bracket, profile, area, dark) for bracket in brackets]
+    views = [pixels for pixels, _ in seen] if dark else _different(seen)
+    kind, remedy = "dark frames", "take more dark frames"
+    if not dark:
+        kind, remedy = "different views", "turn the camera, or put the cap on (--dark)"
+        if blank := sum(int(np.count_nonzero(d % 2)) < _MIN_DETAIL for _, d in seen):
+            kind += f" ({counted(blank, 'view')} with too little detail)"
+    require(len(views), MIN_DARK if dark else MIN_VIEWS, f"bad pixels: {kind}", remedy)
+    need, by_chance = _needed_views(views, int(area.sum()), remedy)
+    pixels, times = np.unique(np.concatenate(views), return_counts=True)
+    bad = pixels[times >= need]
     if len(bad) > MAX_SHARE * area.sum():
         raise NotEnoughDataError(
-            f"bad pixels: {100 * len(bad) / area.sum():.2g} % of the pixels were found to be bad; "
-            f"expected at most {100 * MAX_SHARE:g} %; check gain and read noise under [sensor] in "
-            "the profile, and, unless the frames are dark, that the camera was turned between views"
+            f"bad pixels: {100 * len(bad) / area.sum():.2g} % of the pixels; expected at most "
+            f"{100 * MAX_SHARE:g} %; check gain and read noise under [sensor], and {remedy}"
         )
+    rows, columns = np.unravel_index(bad, size)
     line = (
         f"bad pixels: {len(bad)}, which deviate from their neighbours in {need} or more of "
-        f"{len(views)} {_kind(dark)}; {by_chance:.2g} good pixels would do so by chance"
+        f"{len(views)} {kind}; {by_chance:.2g} good pixels would do so by chance"
     )
-    rows, columns = np.unravel_index(bad, size)
     places = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
-    return PixelDefects(places, len(views), tuple(frames), by_chance, line)
+    return PixelDefects(places, len(views), frames, by_chance, line)
 
 
-def _kind(dark: bool) -> str:
-    return "dark frames" if dark else "views"
-
-
-def _needed_views(
-    views: Sequence[Indices], pixels: int, dark: bool, plain: int
-) -> tuple[int, float]:
+def _needed_views(views: Sequence[Indices], pixels: int, remedy: str) -> tuple[int, float]:
     """Return in how many views a bad pixel must deviate, and how many good pixels would by chance.
 
-    plain : number of frames with too little detail, for the error.
+    It is three quarters of the views, or more. Raises NotEnoughDataError if all are too few.
     """
     from scipy.stats import binom
 
-    lowest = MIN_DARK if dark else MIN_VIEWS
-    remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
-    remedy = "take more dark frames" if dark else remedy
-    if len(views) < lowest:
-        blank = f" ({counted(plain, 'frame')} with too little detail)" if plain else ""
-        views_text = counted(len(views), f"different {_kind(dark).removesuffix('s')}")
-        raise NotEnoughDataError(
-            f"bad pixels: {views_text}{blank}; expected at least {lowest}; {remedy}"
-        )
     share = float(np.mean([len(view) / pixels for view in views]))
     by_chance = 0.0
-    for need in range(max(lowest, int(np.ceil(0.75 * len(views)))), len(views) + 1):
+    for need in range(max(2, int(np.ceil(0.75 * len(views)))), len(views) + 1):
         by_chance = pixels * float(binom.sf(need - 1, len(views), share))
         if by_chance <= _CHANCE:
             return need, by_chance
     raise NotEnoughDataError(
-        f"bad pixels: {100 * share:.2g} % of the pixels deviate in each of the {len(views)} "
-        f"{_kind(dark)}, so {by_chance:.2g} good pixels would deviate in all of them by chance; "
-        f"{remedy}"
+        f"bad pixels: {100 * share:.2g} % of the pixels deviate in each of {len(views)} pictures, "
+        f"so {by_chance:.2g} good pixels would deviate in all of them by chance; {remedy}"
     )
 
 
@@ -163,13 +138,21 @@ def _frames_of(source: Path) -> list[Path]:
     return frames
 
 
-def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
-    if is_jpeg(path):
-        expected = f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels"
-        raise InputError(path, "a JPEG frame", expected, "use the camera's raw frames")
-    mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
-    check_frame(path, mosaic.counts.shape, mosaic.model, profile)
-    return mosaic
+def _view(frames: Sequence[Path], profile: CameraProfile, area: Mask, dark: bool) -> View:
+    """Return the pixels that deviate in any of a view's frames, and the richest detail."""
+    pixels, details = [], []
+    for path in frames:
+        if is_jpeg(path):
+            expected = f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels"
+            raise InputError(path, "a JPEG frame", expected, "use the camera's raw frames")
+        mosaic = own_mosaic(path, profile)
+        planes = _planes(mosaic, profile)
+        if dark:
+            _check_dark(path, planes, profile)
+        details.append(np.zeros(0, np.int8) if dark else _detail(planes[1], profile, area))
+        pixels.append(np.flatnonzero(deviating(mosaic, profile, alone=not dark) & area))
+    best = max(details, key=lambda detail: np.count_nonzero(detail % 2))
+    return np.unique(np.concatenate(pixels)), best
 
 
 def _check_dark(path: Path, planes: Sequence[_Plane], profile: CameraProfile) -> None:
@@ -247,7 +230,7 @@ def _inside_lenses(profile: CameraProfile) -> Mask:
 # which view
 
 
-def _detail(plane: _Plane, profile: CameraProfile, area: Mask) -> Detail:
+def _detail(plane: _Plane, profile: CameraProfile, area: Mask) -> NDArray[np.int8]:
     """Return the detail of a frame, in blocks of one of the two green colours.
 
     A block is +1 or -1 if it is brighter or darker than its neighbours, else 0. It is 2 if this is
@@ -264,30 +247,29 @@ def _detail(plane: _Plane, profile: CameraProfile, area: Mask) -> Detail:
     variance = around / plane.gain + (profile.sensor.read_noise_e / plane.gain) ** 2 + 1
     noise = _DETAIL[0] * np.sqrt(variance) / _BLOCK
     step = block - around
-    is_detail = np.abs(step) > np.maximum(noise, _DETAIL[1] * around)
-    detail = np.where(is_detail, np.sign(step), 0).astype(np.int8)
+    detail = np.sign(step) * (np.abs(step) > np.maximum(noise, _DETAIL[1] * around))
     hidden = cv2.resize(inside, size, interpolation=cv2.INTER_AREA) < 0.99
-    detail[hidden | (noise > 0.2 * around)] = 2
-    return detail
+    return np.where(hidden | (noise > 0.2 * around), 2, detail).astype(np.int8)
 
 
-def _is_same_view(a: tuple[Path, Indices, Detail], b: tuple[Path, Indices, Detail]) -> bool:
-    """Return whether two frames show one view: the details that both have agree.
+def _different(seen: Sequence[View]) -> list[Indices]:
+    """Return the deviating pixels of each different view, without those with too little detail.
 
-    Frames of one folder that cannot be compared (long and short) count as the same view:
+    Two views whose common details agree are one, and so are two that cannot be compared:
     undercounting views is safe.
     """
-    both = (a[2] != 2) & (b[2] != 2)
-    x, y = a[2][both].astype(np.int32), b[2][both].astype(np.int32)
-    common = min(np.count_nonzero(x), np.count_nonzero(y))
-    if common < _MIN_DETAIL:
-        return a[0].parent.resolve() == b[0].parent.resolve()
-    return float((x * y).sum() / common) > _SAME_VIEW_CORRELATION
-
-
-def _view_numbers(frames: Sequence[tuple[Path, Indices, Detail]]) -> Indices:
-    """Return the number of each frame's view [n]."""
     from scipy.sparse.csgraph import connected_components
 
-    same = np.array([[_is_same_view(a, b) for b in frames] for a in frames], bool)
-    return connected_components(same.reshape(len(frames), -1))[1] if frames else np.zeros(0, int)
+    used = [view for view in seen if np.count_nonzero(view[1] % 2) >= _MIN_DETAIL]
+    if not used:
+        return []
+    is_same = np.ones((len(used), len(used)), bool)
+    for i, j in np.ndindex(is_same.shape):
+        a, b = used[i][1].astype(int), used[j][1].astype(int)
+        both = (a != 2) & (b != 2)
+        common = min(np.count_nonzero(a[both]), np.count_nonzero(b[both]))
+        if common >= _MIN_DETAIL:
+            is_same[i, j] = (a[both] * b[both]).sum() > _SAME_VIEW_CORRELATION * common
+    count, number = connected_components(is_same)
+    of_view = [[v[0] for v, n in zip(used, number, strict=True) if n == k] for k in range(count)]
+    return [np.unique(np.concatenate(pixels)) for pixels in of_view]

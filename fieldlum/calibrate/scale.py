@@ -8,16 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.calibrate.frames import Place
-from fieldlum.calibrate.panorama_places import (
+from fieldlum.calibrate.readings import (
+    CsvRow,
+    Place,
     disc_radius_rad,
     is_flagged,
     pixels_within,
     read_panoramas,
+    read_table,
+    require,
 )
-from fieldlum.calibrate.readings_csv import read_table
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import illuminance_lx
@@ -101,38 +103,37 @@ def from_table(
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
     readings, uneven = [], []
     for row in rows:
-        file, at = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
-        spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
-        if (spot is None) == (plane is None):
-            count = "neither" if spot is None else "both"
-            raise InputError(
-                path,
-                f"the line with azimuth {at[0]:g} and altitude {at[1]:g} deg has {count} of "
-                "luminance_cdm2 and illuminance_lx",
-                "one of the two in each line",
-                "correct that line",
-            )
-        label = f"{file.stem} {at[0]:g}/{at[1]:g} deg"
-        if spot is not None:
-            kind, meter, (image, u_image) = "spot", spot, spot_cdm2(pictures[file], *at, file)
-            uneven += [label] if u_image > UNEVEN else []
-        else:
-            kind, meter, u_image = "illuminance", plane, 0.0
-            image = _plane_lx(pictures[file], *at, file)
-        u_rel, place = float(np.hypot(row["u_rel"], u_image)), Place(file, *at)
-        readings.append(LuminanceReading(kind, label, meter, image * to_k[file], u_rel, place))
+        reading, u_image = _reading(path, row, pictures[row["panorama"]], to_k[row["panorama"]])
+        readings.append(reading)
+        uneven += [reading.label] if u_image > UNEVEN else []
     notes = []
     if unmarked := [file.name for file, shown in pictures.items() if "k" not in shown.attributes]:
-        notes.append(
-            f"no factor k is stored in {', '.join(unmarked)}: the profile's k is assumed; merge "
-            "again to be sure"
-        )
+        names = ", ".join(unmarked)
+        notes.append(f"no factor k is stored in {names}: the profile's is assumed; merge again")
     if uneven:
         notes.append(
-            f"the luminance is uneven around these readings, which therefore have a low weight: "
+            "the luminance is uneven around these readings, which have a low weight: "
             f"{', '.join(uneven)}: measure places that are even over two degrees"
         )
     return readings, list(pictures), tuple(notes)
+
+
+def _reading(
+    path: Path, row: CsvRow, picture: Panorama, to_k: float
+) -> tuple[LuminanceReading, float]:
+    """Return a line of the csv as a reading, and the relative u of the picture's value."""
+    file, at = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
+    spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
+    if (spot is None) == (plane is None):
+        count = "neither" if spot is None else "both"
+        finding = f"{at[0]:g}/{at[1]:g} deg has {count} of luminance_cdm2 and illuminance_lx"
+        raise InputError(path, finding, "one of the two in each line", "correct that line")
+    if spot is not None:
+        kind, meter, (image, u_image) = "spot", spot, spot_cdm2(picture, *at, file)
+    else:
+        kind, meter, image, u_image = "illuminance", plane, _plane_lx(picture, *at, file), 0.0
+    u_rel, label = math.hypot(row["u_rel"], u_image), f"{file.stem} {at[0]:g}/{at[1]:g} deg"
+    return LuminanceReading(kind, label, meter, image * to_k, u_rel, Place(file, *at)), u_image
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
@@ -150,12 +151,10 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
 
 def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: str) -> None:
     if is_flagged(picture, inside, Flag.CLIPPED_HIGH):
-        raise InputError(
-            file,
-            f"the picture is clipped in every frame {place}",
-            "light that at least one frame records without clipping",
-            "remove this reading from the csv, or capture shorter exposures as well",
-        )
+        finding = f"the picture is clipped in every frame {place}"
+        expected = "light that at least one frame records without clipping"
+        remedy = "remove this reading from the csv, or capture shorter exposures as well"
+        raise InputError(file, finding, expected, remedy)
 
 
 def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path) -> float:
@@ -164,8 +163,8 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
     Raises InputError if light in front of the plane is clipped.
     """
     front = pixels_within(picture, azimuth_deg, altitude_deg, np.pi / 2)
-    facing = f"azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
-    _refuse_clipped(picture, front, file, f"in front of the plane that faces {facing}")
+    place = f"in front of the plane at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
+    _refuse_clipped(picture, front, file, place)
     light = picture.luminance_cdm2
     return illuminance_lx(light, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun)
 
@@ -187,12 +186,9 @@ def spot_cdm2(
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
-        raise InputError(
-            file,
-            f"the picture has no light {place}",
-            "a direction within the lens's field, with light",
-            "check the reading's azimuth (clockwise from north) and altitude (up from the horizon)",
-        )
+        expected = "a direction within the lens's field, with light"
+        remedy = "check the reading's azimuth (clockwise from north) and altitude (up)"
+        raise InputError(file, f"the picture has no light {place}", expected, remedy)
     spread = float(values.std() / values.mean() / np.sqrt(len(values)))
     return float(trim_mean(values, 0.1)), spread
 
@@ -207,23 +203,15 @@ def fit(
     u_rel and by more than 10 %. Raises NotEnoughDataError without readings, InputError if a reading
     is not positive, or if more than a third of them are outliers.
     """
-    if not readings:
-        raise NotEnoughDataError(
-            f"{source}: no readings; expected at least one luminance_cdm2 or illuminance_lx; add a "
-            "line to the csv"
-        )
+    require(len(readings), 1, f"{source}: readings", "add a line to the csv")
     meter, image, u = np.array([(r.meter, r.image, r.u_rel) for r in readings], float).T
     if min(meter.min(), image.min()) <= 0:
         bad = readings[int(np.argmin(np.minimum(meter, image)))]
-        unit = "cd/m2" if bad.kind == "spot" else "lx"
-        finding = f"the meter reads {bad.meter:g} {unit}, the picture {bad.image:g} {unit}"
-        remedy = "remove this reading from the csv of readings"
-        raise InputError(bad.label, finding, "values above zero", remedy)
+        finding = f"the meter reads {bad.meter:g}, the picture {bad.image:g} ({bad.kind})"
+        raise InputError(bad.label, finding, "values above zero", "remove it from the csv")
     log = np.log(meter / image)
     centre, weight = _centre(log, u)
     off = np.abs(log - centre) / np.maximum(u, MIN_OUTLIER / OUTLIER_SIGMA)
-    scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
-    u_log = np.sqrt(max(scatter, 1.0) / weight.sum())
     far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > OUTLIER_SIGMA)
     if len(far) > MAX_OUTLIERS * len(log):
         raise InputError(
@@ -231,12 +219,28 @@ def fit(
             f"{len(far)} of {len(log)} readings differ from the fitted factor k by more than "
             f"{100 * MIN_OUTLIER:g} % and {OUTLIER_SIGMA:g} u_rel: {', '.join(far[:4])}",
             "this of at most a third of the readings",
-            "check the azimuths (clockwise from north), that all readings have one unit, "
-            "and that the light was steady; correct the csv and run this again",
+            "check the azimuths (clockwise from north), that all readings have one unit, and that "
+            "the light was steady",
         )
-    residual = meter / (image * np.exp(centre)) - 1.0
-    u_rel, line = float(np.hypot(u_log, meter_u)), _held_out_line(log, u)
-    return ScaleFit(float(np.exp(centre)), u_rel, residual, far, line)
+    scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
+    u_rel = math.hypot(math.sqrt(max(scatter, 1.0) / weight.sum()), meter_u)
+    each = range(len(log)) if len(log) > 1 else ()
+    held = [log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in each]
+    line = "scale: one factor from one reading; no held-out error, which needs two readings"
+    if held:
+        rms_percent = 100 * float(np.sqrt(np.mean(np.square(held))))
+        line = f"scale: one factor; held-out rms: {rms_percent:.3g} %"
+    return ScaleFit(math.exp(centre), u_rel, np.exp(log - centre) - 1.0, far, line)
+
+
+def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
+    """Return the Huber mean of log [n] with uncertainties u [n], and the weights that gave it."""
+    from scipy.optimize import least_squares
+
+    start = float(np.median(log))
+    solved = least_squares(lambda c: (log - c[0]) / u, start, loss="huber", f_scale=HUBER)
+    pull = np.abs(solved.fun)
+    return float(solved.x[0]), np.minimum(1.0, HUBER / np.maximum(pull, 1e-12)) / u**2
 
 
 def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
@@ -249,10 +253,8 @@ def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
     for reading in (r for r in readings if r.label in scale_fit.far):
         ratio = reading.meter / (reading.image * scale_fit.factor)
         near = (f" ({why}?)" for factor, why in SLIPS.items() if abs(ratio / factor - 1) < _SAME)
-        texts.append(
-            f"{reading.label}: the reading of {reading.meter:g} is {ratio:.3g} times the "
-            f"picture's value{next(near, '')}"
-        )
+        what = f"the reading of {reading.meter:g} is {ratio:.3g} times the picture's value"
+        texts.append(f"{reading.label}: {what}{next(near, '')}")
     return texts
 
 
@@ -266,39 +268,11 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
     low, high = SENSIBLE_K
     if low <= level <= high:
         return ""
-    doubt = (
-        f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have {low:g} to "
-        f"{high:g}"
-    )
-    remedy = (
-        "check that readings are in cd/m2 and lx (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx "
-        "= 1000 lx)"
-    )
+    doubt = f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have "
+    doubt += f"{low:g} to {high:g}"
+    remedy = "check the units (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx)"
     if not 1 / MAX_FACTOR <= scale_fit.factor <= MAX_FACTOR:
-        remedy += (
-            "; if a filter on the lens or white_dn causes this, first write a k near the new one "
-            "under [scale] in the profile"
-        )
         finding = f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k"
+        remedy += "; for a filter or another white_dn, first write a k near it under [scale]"
         raise InputError(path, finding, "readings in cd/m2 and lx", remedy)
     return f"{doubt}: {remedy}"
-
-
-def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
-    """Return the Huber mean of log [n] with uncertainties u [n], and the weights that gave it."""
-    from scipy.optimize import least_squares
-
-    start = float(np.median(log))
-    solved = least_squares(lambda c: (log - c[0]) / u, start, loss="huber", f_scale=HUBER)
-    pull = np.abs(solved.fun)
-    return float(solved.x[0]), np.minimum(1.0, HUBER / np.maximum(pull, 1e-12)) / u**2
-
-
-def _held_out_line(log: Floats, u: Floats) -> str:
-    """Return how well one factor predicts the readings that are left out one by one, as text."""
-    n = len(log)
-    if n < 2:
-        return "scale: one factor from one reading; no held-out error, which needs two readings"
-    off = [log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]
-    rms = float(np.sqrt(np.mean(np.square(off))))
-    return f"scale: one factor; held-out rms: {100 * rms:.3g} %"

@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldlum.calibrate.model_selection import Candidate, choose, folds
+from fieldlum.calibrate.readings import require
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text
@@ -42,37 +44,36 @@ _LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in photometry.ra
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
 
 
-@dataclass(frozen=True, slots=True)
-class ShutterReading:
+class ShutterReading(NamedTuple):
     """The measured ratio of two neighbouring frames of a bracket.
 
     pair : nominal times of the longer and of the shorter frame [s]. log_ratio : ln(true / assumed
     exposure) of the shorter frame minus that of the longer one; u_log : standard uncertainty of
-    log_ratio; seconds : time from the longer to the shorter frame, None if unknown.
+    log_ratio; seconds : time from the longer to the shorter frame, 0 if unknown.
     """
 
     pair: Pair
     log_ratio: float
     u_log: float
-    seconds: float | None
+    seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class FramePairTable:
-    """Summary of one pair of shutter times over all brackets.
+Bracket = Sequence[ShutterReading]
 
-    pair : nominal times of the longer and of the shorter frame [s]. median : of log_ratio, see
-    `ShutterReading`, over brackets; spread : standard deviation of log_ratio over brackets, without
-    its noise; error : standard error of the median; brackets : number of readings of the pair;
-    seconds : median time from the longer to the shorter frame.
+
+class TimeRatio(NamedTuple):
+    """The measured ratio of one pair of shutter times over all brackets.
+
+    median : of log_ratio, see `ShutterReading`, over brackets; spread : standard deviation of
+    log_ratio over brackets, without its noise; error : standard error of the median; brackets :
+    number of readings of the pair; seconds : median time from the longer to the shorter frame.
     """
 
-    pair: Pair
     median: float
     spread: float
     error: float
     brackets: int
-    seconds: float = 0.0
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +118,10 @@ def from_session(
     if not brackets and others:
         finding = f"{counted(others, 'panorama')} merged with another profile"
         remedy = "merge again (fieldlum merge), or name the other profile"
-        raise InputError(
-            session.panoramas, finding, "panoramas merged with the stated profile", remedy
-        )
-    if not brackets:
-        raise NotEnoughDataError(
-            f"{session.panoramas}: no merged bracket with overlapping frames; run fieldlum "
-            "merge first"
-        )
+        expected = "panoramas merged with the stated profile"
+        raise InputError(session.panoramas, finding, expected, remedy)
+    what = f"{session.panoramas}: merged brackets with overlapping frames"
+    require(len(brackets), 1, what, "run fieldlum merge first")
     return brackets, tuple(files)
 
 
@@ -135,14 +132,14 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
     InputError if the law is "auto" and the brackets were merged with several laws.
     """
     reports = [Sidecar.read(path).report for path in sidecars]
-    laws = {report.shutter_law.law for report in reports if report.shutter_law}
+    laws = sorted({report.shutter_law.law for report in reports if report.shutter_law})
     if profile.shutter_law != AUTO or not laws:
         return profile
     if len(laws) > 1:
-        finding = f"the brackets were merged with several shutter laws: {', '.join(sorted(laws))}"
+        finding = f"the brackets were merged with several shutter laws: {', '.join(laws)}"
         remedy = 'write shutter_law = "exact" (or another) into the profile and merge again'
         raise InputError(sidecars[0].parent, finding, "one law for all brackets", remedy)
-    return replace(profile, shutter_law=laws.pop())
+    return replace(profile, shutter_law=laws[0])
 
 
 def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
@@ -163,7 +160,7 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
         if max(max(n.long, n.short) for n in run) >= len(frames):
             return []  # damaged: the sidecar lists frames that do not exist
         readings += [_reading(frames[n.long], frames[n.short], n) for n in run]
-    return [r for r in readings if r is not None and r.u_log < _NOISY]
+    return [r for r in readings if r is not None and 0.0 < r.u_log < _NOISY]
 
 
 def _reading(
@@ -174,48 +171,40 @@ def _reading(
         return None
     corrected = math.log(short.correction) - math.log(long.correction)
     log_ratio = neighbour.residual_percent / 100 + corrected
-    u_log = neighbour.u_percent / 100
-    if not (math.isfinite(log_ratio) and u_log > 0):
-        return None
-    seconds = None
-    if long.t_utc is not None and short.t_utc is not None:
-        seconds = (short.t_utc - long.t_utc).total_seconds()
-    return ShutterReading((a.shutter_s, b.shutter_s), log_ratio, u_log, seconds)
+    seconds = (short.t_utc - long.t_utc).total_seconds() if short.t_utc and long.t_utc else 0.0
+    reading = ShutterReading(
+        (a.shutter_s, b.shutter_s), log_ratio, neighbour.u_percent / 100, seconds
+    )
+    return reading if math.isfinite(log_ratio) else None
 
 
 # ----------------------------------------------------------------------------------------------
 # fit
 
 
-def pool(
-    brackets: Sequence[Sequence[ShutterReading]], drift: bool = True
-) -> dict[Pair, FramePairTable]:
-    """Return a summary of each pair of shutter times over all brackets, by the pair.
+def pool(brackets: Sequence[Bracket], drift: bool = True) -> dict[Pair, TimeRatio]:
+    """Return the ratio of each pair of shutter times over all brackets, by the pair.
 
-    brackets : one list of readings for each. drift : first remove the drift of the light, a line
-    over time, from each bracket.
+    drift : first remove the drift of the light, a line over time, from each bracket.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
     for bracket in brackets:
         rate = _drift_per_s(bracket, first) if drift else 0.0
         for r in bracket:
-            seconds = r.seconds or 0.0
-            logs[r.pair].append((r.log_ratio - rate * seconds, r.u_log, seconds))
-    return {pair: _pair_table(pair, np.array(values)) for pair, values in logs.items()}
+            logs[r.pair].append((r.log_ratio - rate * r.seconds, r.u_log, r.seconds))
+    return {pair: _pair_ratio(np.array(values).T) for pair, values in logs.items()}
 
 
-def _pair_table(pair: Pair, values: Floats) -> FramePairTable:
-    """Return the summary of a pair; values [brackets, 3] : log ratio, its u, seconds."""
-    n, median = len(values), float(np.median(values[:, 0]))
-    apart = robust_sigma(values[:, 0])
-    noise = float(np.median(values[:, 1]))
-    error = np.hypot(median_standard_error(max(apart, noise), n), _LINEAR)
-    spread, seconds = float(np.sqrt(max(apart**2 - noise**2, 0.0))), float(np.median(values[:, 2]))
-    return FramePairTable(pair, median, spread, float(error), n, seconds)
+def _pair_ratio(values: Floats) -> TimeRatio:
+    """Return the ratio of a pair; values [3, brackets] : log ratio, its u, seconds."""
+    median, noise, seconds = np.median(values, axis=1).tolist()
+    apart, n = robust_sigma(values[0]), values.shape[1]
+    error = math.hypot(median_standard_error(max(apart, noise), n), _LINEAR)
+    return TimeRatio(median, math.sqrt(max(apart**2 - noise**2, 0.0)), error, n, seconds)
 
 
-def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePairTable]) -> float:
+def _drift_per_s(bracket: Bracket, pooled: dict[Pair, TimeRatio]) -> float:
     """Return the relative change of the light in one bracket [1/s].
 
     It is fitted to the differences from the pooled pairs; 0 if these are too few.
@@ -228,84 +217,64 @@ def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePair
     return float((weight * residuals).sum() / (weight * seconds).sum())
 
 
-def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
-    """Return the standard error of the drift that is common to all brackets [1/s].
-
-    The fit cannot separate a common drift from an error of the shutter.
-    """
-    pooled = pool(brackets, drift=False)
-    rates = np.array([_drift_per_s(bracket, pooled) for bracket in brackets])
-    return median_standard_error(robust_sigma(rates), len(rates))
-
-
-def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) -> ShutterFit:
+def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
     """Fit the true times of a raw camera's shutter to the measured ratios of many brackets.
 
-    A pair of times is used if at least five brackets have it and agree within 2 %. Of these pairs,
-    those that are connected by common times and contain most times are fitted; their mean level
-    stays that of the assumed times. Raises NotEnoughDataError if brackets are too few or disagree,
-    or if the fit is not better than the assumed times; InputError for a JPEG camera.
+    A pair of times is used if at least five brackets have it and agree within 2 %. The mean level
+    of the times stays that of the assumed ones. Raises NotEnoughDataError if brackets are too few
+    or disagree, or if the fit is not better than the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
-        raise InputError(
-            profile.camera.name,
-            "the profile is of a JPEG camera: its response and shutter times cannot both be fitted",
-            "a profile of a raw camera",
-            "leave the shutter times as they are, and calibrate only the response",
-        )
-    pooled = pool(brackets).values()
-    steady = [t for t in pooled if t.brackets >= MIN_BRACKETS and t.spread <= MAX_SPREAD]
-    left_out = tuple(_why(t) for t in pooled if t not in steady)
-    if not (chain := _largest_chain(steady)):
+        finding = "the profile is of a JPEG camera, whose response and times cannot both be fitted"
+        remedy = "leave the shutter times as they are, and calibrate only the response"
+        raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
+    pooled = pool(brackets)
+    why = {pair: _why_not(pair, ratio) for pair, ratio in pooled.items()}
+    left_out = tuple(text for text in why.values() if text)
+    steady = {pair: pooled[pair] for pair, text in why.items() if not text}
+    if not steady:
         raise NotEnoughDataError(
             f"shutter: no ratio of two shutter times agrees in {MIN_BRACKETS} brackets or more: "
             f"{'; '.join(left_out) or 'no frames overlap'}; capture more brackets in steady light"
         )
-    held = _held_out(brackets, {t.pair for t in chain})
-    choice = choose(
-        "shutter",
-        [Candidate("times as assumed", 0, held[0]), Candidate("table", len(chain), held[1])],
-    )
+    assumed, fitted = _held_out(brackets, steady)
+    as_assumed = Candidate("times as assumed", 0, assumed)
+    choice = choose("shutter", [as_assumed, Candidate("table", len(steady), fitted)])
     if choice.index == 0:
         raise NotEnoughDataError(
             f"a table of fitted shutter times is no better than the profile's times: "
             f"{choice.line}; use the profile as it is"
         )
-    nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
+    nominal = sorted({time for pair in steady for time in pair}, reverse=True)
     assumed_s, u_assumed = zip(*(true_shutter_s(time, profile) for time in nominal), strict=True)
-    delta, u = _levelled(chain, nominal, np.array(u_assumed), _drift_error(brackets))
+    at_start = pool(brackets, drift=False)
+    rates = np.array([_drift_per_s(bracket, at_start) for bracket in brackets])
+    u_drift_per_s = median_standard_error(robust_sigma(rates), len(rates))
+    delta, u = _levelled(steady, nominal, np.array(u_assumed), u_drift_per_s)
     times, counts = [], []
-    for number, time in enumerate(nominal):
-        mine = [t for t in chain if time in t.pair]
-        u_rel = float(np.hypot(u[number], min(t.spread for t in mine)))
-        true_s = assumed_s[number] * float(np.exp(delta[number]))
-        times.append(ShutterTime(time, float(f"{true_s:.7g}"), round(max(u_rel, _FLOOR), 6)))
-        counts.append(max(t.brackets for t in mine))
+    for time, from_s, log, u_log in zip(nominal, assumed_s, delta, u, strict=True):
+        mine = [ratio for pair, ratio in steady.items() if time in pair]
+        u_rel = math.hypot(u_log, min(ratio.spread for ratio in mine))
+        true_s = float(f"{from_s * math.exp(log):.7g}")
+        times.append(ShutterTime(time, true_s, round(max(u_rel, _FLOOR), 6)))
+        counts.append(max(ratio.brackets for ratio in mine))
     return ShutterFit(tuple(times), assumed_s, tuple(counts), left_out, choice.line)
 
 
-def _why(table: FramePairTable) -> str:
-    a, b = map(shutter_text, table.pair)
-    if table.brackets < MIN_BRACKETS:
-        return f"{a} to {b} s: brackets with both times: {table.brackets}, needed: {MIN_BRACKETS}"
+def _why_not(pair: Pair, ratio: TimeRatio) -> str:
+    """Return why a pair of times is not used, "" if it is."""
+    what = f"{shutter_text(pair[0])} to {shutter_text(pair[1])} s"
+    if ratio.brackets < MIN_BRACKETS:
+        return f"{what}: brackets with both times: {ratio.brackets}, needed: {MIN_BRACKETS}"
+    if ratio.spread <= MAX_SPREAD:
+        return ""
     return (
-        f"{a} to {b} s: the ratio varies by {100 * table.spread:.1f} % between brackets (standard "
+        f"{what}: the ratio varies by {100 * ratio.spread:.1f} % between brackets (standard "
         f"deviation; limit {100 * MAX_SPREAD:g} %): the light or the shutter is unsteady"
     )
 
 
-def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:
-    """Return the connected pairs that contain most times."""
-    chains: list[list[FramePairTable]] = []
-    for table in tables:
-        touching = [c for c in chains if any(set(table.pair) & set(t.pair) for t in c)]
-        chains = [c for c in chains if c not in touching] + [
-            [table, *(t for c in touching for t in c)]
-        ]
-    return max(chains, key=lambda c: len({time for t in c for time in t.pair}), default=[])
-
-
-def _held_out(brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]) -> Floats:
+def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
     """Return squared errors [2, n] of the ratios of held-out brackets.
 
     The first row has the errors of the assumed times, the second those of a fit to the other
@@ -313,41 +282,39 @@ def _held_out(brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]) ->
     """
     errors = []
     for out in folds(np.arange(len(brackets))):
-        taught = pool([b for b, hidden in zip(brackets, out, strict=True) if not hidden])
-        for bracket, hidden in zip(brackets, out, strict=True):
-            shown = [r for r in bracket if hidden and r.pair in pairs and r.pair in taught]
-            errors += [(r.log_ratio**2, (r.log_ratio - taught[r.pair].median) ** 2) for r in shown]
+        taught = pool([brackets[i] for i in np.flatnonzero(~out).tolist()])
+        shown = [r for i in np.flatnonzero(out).tolist() for r in brackets[i]]
+        shown = [r for r in shown if r.pair in pairs and r.pair in taught]
+        errors += [(r.log_ratio**2, (r.log_ratio - taught[r.pair].median) ** 2) for r in shown]
     return np.array(errors).T
 
 
 def _levelled(
-    chain: Sequence[FramePairTable], nominal: Sequence[float], u_prior: Floats, u_drift_per_s: float
+    ratios: dict[Pair, TimeRatio], nominal: Sequence[float], u_prior: Floats, u_drift_per_s: float
 ) -> tuple[Floats, Floats]:
     """Return ln of true over assumed time [n], and its u.
 
-    The uncertainty is relative to the common level, which is part of k.
+    The uncertainty is relative to the common level, which is part of k. u_drift_per_s : of a drift
+    that all brackets have in common, which cannot be separated from an error of the shutter.
     """
-    design = np.zeros((len(chain), len(nominal)))
-    for row, table in enumerate(chain):
-        design[row, nominal.index(table.pair[0])] = -1.0
-        design[row, nominal.index(table.pair[1])] = 1.0
-    weight = 1.0 / np.array([t.error for t in chain]) ** 2
+    long, short = (np.array([nominal.index(pair[k]) for pair in ratios]) for k in (0, 1))
+    design = np.eye(len(nominal))[short] - np.eye(len(nominal))[long]
+    weight = 1.0 / np.array([ratio.error for ratio in ratios.values()]) ** 2
     normal = design.T @ (weight[:, None] * design) + np.diag(u_prior**-2.0)
-    measured = np.array([(t.median, t.seconds) for t in chain])
+    measured = np.array([(ratio.median, ratio.seconds) for ratio in ratios.values()])
     delta, seconds = np.linalg.solve(normal, design.T @ (weight[:, None] * measured)).T
-    share = u_prior**-2.0 / (u_prior**-2.0).sum()
-    free = np.eye(len(nominal)) - share
+    free = np.eye(len(nominal)) - u_prior**-2.0 / (u_prior**-2.0).sum()
     covariance = free @ np.linalg.inv(normal) @ free.T
-    return np.asarray(delta, np.float64), np.sqrt(
-        np.diag(covariance) + (u_drift_per_s * (free @ seconds)) ** 2
-    )
+    u = np.sqrt(np.diag(covariance) + (u_drift_per_s * (free @ seconds)) ** 2)
+    return np.asarray(delta, np.float64), u
 
 
 def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[ShutterTime, ...]:
     """Return the profile's shutter times with the fitted ones added or replaced, longest first."""
+    new = shutter_fit.times
     kept = [
-        s
-        for s in profile.shutter
-        if not any(abs(s.nominal_s / t.nominal_s - 1) < SAME_TIME for t in shutter_fit.times)
+        old
+        for old in profile.shutter
+        if all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_TIME for t in new)
     ]
-    return tuple(sorted((*kept, *shutter_fit.times), key=lambda t: -t.nominal_s))
+    return tuple(sorted((*kept, *new), key=lambda t: -t.nominal_s))

@@ -13,17 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.calibrate.frames import Place
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
-from fieldlum.calibrate.panorama_places import (
+from fieldlum.calibrate.readings import (
+    Place,
     disc_radius_rad,
     is_flagged,
     pixels_within,
     read_panoramas,
+    read_table,
+    require,
 )
-from fieldlum.calibrate.readings_csv import read_table
-from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.photometry.stray_light import kernel_per_sr
 from fieldlum.optics.profiles import CameraProfile, StrayLight
@@ -50,19 +51,16 @@ MAX_SHARE = 0.3
 class StrayReading:
     """The stray light at one dark place, and the light that may cause it.
 
-    label : name of the place, for messages; picture : its file. stray_cdm2 : recorded minus true
-    luminance of the place. angle_rad [n] : angle from the place to each lit pixel of the same
-    lens's field, and to the sun disc if the field contains it; flux [n] : luminance of that pixel
-    times its solid angle, or the disc's illuminance on a plane normal to it [lx]. place : in its
-    panorama.
+    place : in its panorama. stray_cdm2 : recorded minus true luminance of the place. angle_rad [n]
+    : angle from the place to each lit pixel of the same lens's field, and to the sun disc if the
+    field contains it; flux [n] : luminance of that pixel times its solid angle, or the disc's
+    illuminance on a plane normal to it [lx].
     """
 
-    label: str
-    picture: Path
+    place: Place
     stray_cdm2: float
     angle_rad: Floats
     flux: Floats
-    place: Place | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,17 +90,12 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     plain = replace(profile, stray=StrayLight())
     pictures = read_panoramas(rows, plain, ", after removing [stray] from the profile")
-    return [
-        reading(
-            row["panorama"],
-            pictures[row["panorama"]],
-            profile,
-            (row["azimuth_deg"], row["altitude_deg"]),
-            row["luminance_cdm2"],
-            row["radius_deg"],
-        )
-        for row in rows
-    ]
+    readings = []
+    for row in rows:
+        file, at_deg = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
+        true_cdm2, radius_deg = row["luminance_cdm2"], row["radius_deg"]
+        readings.append(reading(file, pictures[file], profile, at_deg, true_cdm2, radius_deg))
+    return readings
 
 
 def reading(
@@ -115,59 +108,41 @@ def reading(
 ) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    file : for the label and errors. at_deg : azimuth (clockwise from north) and altitude of the
-    place; true_cdm2 : its true luminance; radius_deg : radius of the averaged disc. Only the field
-    of the lens whose axis is nearest to the place counts. Raises InputError for a place that is
-    clipped, that no lens sees, or that is not brighter in the picture than true_cdm2.
+    at_deg : azimuth (clockwise from north) and altitude of the place; true_cdm2 : its true
+    luminance; radius_deg : radius of the averaged disc. Only the field of the lens whose axis is
+    nearest to the place counts. Raises InputError for a place that is clipped, that no lens sees,
+    or that is not brighter in the picture than true_cdm2.
     """
     height, width = picture.luminance_cdm2.shape
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
-    rays = equirect_rays(height, width, picture.heading_deg).reshape(-1, 3)
-    solid = equirect_solid_angles(height, width).ravel()
-    toward = direction(at_deg[1], at_deg[0])
-    angle = np.arccos(np.clip(rays @ toward, -1.0, 1.0))
-    label = f"{file.stem} {at_deg[0]:g}/{at_deg[1]:g} deg"
-
     disc = pixels_within(picture, *at_deg, disc_radius_rad(picture, radius_deg))
-    inside = disc.ravel()
-    remedy = "check azimuth_deg and altitude_deg in its row of the csv, or use another place"
-    for flag, what in (
-        (Flag.OUTSIDE_LENS, "outside the lens's field"),
-        (Flag.CLIPPED_HIGH, "clipped (too bright)"),
-    ):
-        if is_flagged(picture, disc, flag):
-            finding = f"the dark place {label} is {what}"
-            raise InputError(file, finding, "an unclipped place inside the field", remedy)
-    in_view = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
-    use = in_view & ~inside & (light > 0)
-    flux, away = (light * solid)[use], angle[use]
+    stray = float(light[disc.ravel()].mean()) - true_cdm2
+    wrong = ""
+    if is_flagged(picture, disc, Flag.OUTSIDE_LENS):
+        wrong = "outside the lens's field"
+    elif is_flagged(picture, disc, Flag.CLIPPED_HIGH):
+        wrong = "clipped (too bright)"
+    elif stray <= 0:
+        wrong = f"{stray + true_cdm2:.3g} cd/m2, not more than its true {true_cdm2:g} cd/m2"
+    if wrong:
+        finding = f"the dark place at {at_deg[0]:g}/{at_deg[1]:g} deg is {wrong}"
+        expected = "an unclipped place inside the field, brighter than in reality by stray light"
+        raise InputError(file, finding, expected, "correct or remove its row of the csv")
+    rays = equirect_rays(height, width, picture.heading_deg).reshape(-1, 3)
+    flux = np.where(disc.ravel(), 0.0, light * equirect_solid_angles(height, width).ravel())
     if picture.sun is not None:
         source = direction(picture.sun.altitude_deg, picture.sun.azimuth_deg)
-        if _field_of_nearest_lens(source[None], toward, profile, picture.heading_deg)[0]:
-            flux = np.append(flux, picture.sun.normal_illuminance_lx)
-            away = np.append(away, np.arccos(np.clip(source @ toward, -1.0, 1.0)))
-    stray = float(light[inside].mean()) - true_cdm2
-    if stray <= 0:
-        raise InputError(
-            file,
-            f"{light[inside].mean():.3g} cd/m2 at {label}, not more than its true {true_cdm2:g} "
-            "cd/m2",
-            "a higher luminance in the picture, because of stray light",
-            "remove this place from the csv of dark places",
-        )
-    return StrayReading(label, file, stray, away, flux, Place(file, *at_deg))
-
-
-def _field_of_nearest_lens(
-    rays: Floats, toward: Floats, profile: CameraProfile, heading_deg: float
-) -> Mask:
-    """Return a mask [n] of the rays [n, 3] that one lens sees.
-
-    It is the lens whose axis is nearest to the direction `toward` [3].
-    """
-    axes = [direction(lens.tilt_deg, heading_deg + lens.azimuth_deg) for lens in profile.lens]
+        rays = np.concatenate([rays, source[None]])
+        flux = np.append(flux, picture.sun.normal_illuminance_lx)
+    toward = direction(at_deg[1], at_deg[0])
+    axes = [
+        direction(lens.tilt_deg, picture.heading_deg + lens.azimuth_deg) for lens in profile.lens
+    ]
     nearest = int(np.argmax([axis @ toward for axis in axes]))
-    return rays @ axes[nearest] >= np.cos(np.radians(profile.lens[nearest].full_angle_deg / 2))
+    edge = np.cos(np.radians(profile.lens[nearest].full_angle_deg / 2))
+    use = (rays @ axes[nearest] >= edge) & (flux > 0)
+    away = np.arccos(np.clip(rays[use] @ toward, -1.0, 1.0))
+    return StrayReading(Place(file, *at_deg), stray, away, flux[use])
 
 
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
@@ -177,13 +152,10 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     errors. Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that
     spreads over 30 % of a source's light.
     """
-    if len(readings) < MIN_READINGS:
-        raise NotEnoughDataError(
-            f"{source}: readings of dark places: {len(readings)}; expected at least "
-            f"{MIN_READINGS}; add dark places at other angles from the light"
-        )
+    remedy = "add dark places at other angles from the light"
+    require(len(readings), MIN_READINGS, f"{source}: readings of dark places", remedy)
     stray = np.array([r.stray_cdm2 for r in readings])
-    groups = np.unique([str(r.picture) for r in readings], return_inverse=True)[1]
+    groups = np.unique([str(r.place.path) for r in readings], return_inverse=True)[1]
     if groups.max() < 3:  # with fewer pictures each reading is its own group
         groups = np.arange(len(readings))
     designs = {nodes: _design(readings, nodes) for nodes in NODE_SETS}
@@ -197,13 +169,9 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     )
     share = total_share(nodes, values)
     if share > MAX_SHARE:
-        raise InputError(
-            source,
-            f"the fitted stray light is {100 * share:.0f} % of the light in the lens",
-            f"at most {100 * MAX_SHARE:.0f} %",
-            "check that places in rows without luminance_cdm2 are really black, and that "
-            "luminance_cdm2 in the other rows is right",
-        )
+        finding = f"the fitted stray light is {100 * share:.0f} % of the light in the lens"
+        remedy = "check that places are really black, and luminance_cdm2 of the others right"
+        raise InputError(source, finding, f"at most {100 * MAX_SHARE:.0f} %", remedy)
     u_rel = max(choice.rms, MIN_U_REL)
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
     return StrayFit(kernel, designs[nodes] @ values, share, choice)
@@ -215,11 +183,8 @@ def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Float
     The kernel is then 1 at that node and 0 at the others.
     """
     at, unit = np.asarray(nodes), np.eye(len(nodes))
-    columns = [
-        [float((kernel_per_sr(r.angle_rad, at, hat) * r.flux).sum()) for hat in unit]
-        for r in readings
-    ]
-    return np.array(columns)
+    columns = [[kernel_per_sr(r.angle_rad, at, hat) @ r.flux for hat in unit] for r in readings]
+    return np.array(columns, float)
 
 
 def _falling(design: Floats, stray: Floats) -> Floats:

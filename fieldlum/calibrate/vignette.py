@@ -12,9 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.calibrate.frames import Place, linear_frame, nearest_lens, relative_angle
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
-from fieldlum.calibrate.readings_csv import columns_of, read_table
+from fieldlum.calibrate.readings import (
+    Place,
+    columns_of,
+    linear_frame,
+    nearest_lens,
+    read_table,
+    relative_angle,
+)
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.statistics import median_standard_error, robust_sigma
@@ -85,18 +91,14 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
         return _from_patches(path, profile)
     optional = {"reference": 1.0, "u_rel": 0.005, "f_number": profile.bracket.f_number}
     rows = read_table(path, ("angle_deg", "value"), optional)
-    angle, value, reference, u_rel = np.array(
-        [[row[n] for n in ("angle_deg", "value", "reference", "u_rel")] for row in rows]
-    ).T
+    names = ("angle_deg", "value", "reference", "u_rel")
+    angle, value, reference, u_rel = np.array([[row[name] for name in names] for row in rows]).T
     half = profile.lens[lens].full_angle_deg / 2
     r = np.abs(angle) / half
     if r.max() > BEYOND:
-        raise InputError(
-            path,
-            f"an angle_deg of {half * r.max():g} deg",
-            f"at most {half:g} deg, half of the profile's full_angle_deg",
-            "check that angles are from the optical axis, or correct full_angle_deg",
-        )
+        expected = f"at most {half:g} deg, half of the profile's full_angle_deg"
+        remedy = "check that angles are from the optical axis, or correct full_angle_deg"
+        raise InputError(path, f"an angle_deg of {half * r.max():g} deg", expected, remedy)
     return Samples(r, value / reference, u_rel, rows[0]["f_number"], lens, (path,))
 
 
@@ -109,32 +111,25 @@ def _from_patches(path: Path, profile: CameraProfile) -> Samples:
     for row, (file, x, y) in zip(rows, places, strict=True):
         frame = linear_frame(file, profile)
         patch = frame.patch(x, y, row["radius_px"])
-        r = relative_angle(profile.lens[lens], x, y)
         value = float(patch.rgb @ weights) / row["reference"]
-        readings.append((r, value, float(np.hypot(patch.u_rel, 0.002))))
+        u_rel = float(np.hypot(patch.u_rel, 0.002))
+        readings.append((relative_angle(profile.lens[lens], x, y), value, u_rel))
         f_numbers[file] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
-    files = tuple(place.path for place in places)
     r, value, u_rel = np.array(readings).T
-    return Samples(r, value, u_rel, f_number, lens, files, places)
+    return Samples(r, value, u_rel, f_number, lens, tuple(f_numbers), places)
 
 
 def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> float:
     """Return the f-number of all frames. Raises InputError if they have several."""
-    several = sorted(set(f_numbers.values()))
+    several: dict[float, list[str]] = {}
+    for file, f_number in sorted(f_numbers.items(), key=lambda item: item[1]):
+        several.setdefault(f_number, []).append(file.name)
     if len(several) > 1:
-        shown = "; ".join(
-            f"f/{n:g}: {_names([file for file, other in f_numbers.items() if other == n])}"
-            for n in several
-        )
-        raise InputError(
-            source, f"frames with several apertures ({shown})", "frames with one aperture", remedy
-        )
-    return several[0]
-
-
-def _names(files: Sequence[Path]) -> str:
-    return ", ".join(file.name for file in files[:3]) + (" ..." if len(files) > 3 else "")
+        shown = "; ".join(f"f/{n:g}: {', '.join(names[:3])}" for n, names in several.items())
+        finding = f"frames with several apertures ({shown})"
+        raise InputError(source, finding, "frames with one aperture", remedy)
+    return next(iter(several))
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
@@ -156,9 +151,8 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         f_numbers[path] = frame.exposure.f_number
     f_number = _one_aperture(paths[0], f_numbers, "fit each aperture separately")
     if not rings:
-        remedy = "take a frame whose centre is at half of saturation"
-        expected = "a frame exposed to the middle of its range"
-        raise InputError(paths[0], "all pixels are saturated or dark", expected, remedy)
+        expected = "a frame whose centre is at half of saturation"
+        raise InputError(paths[0], "all pixels are saturated or dark", expected, "take it again")
     r, value, u_rel = np.array(rings).T
     return Samples(r, value, u_rel, f_number, lens, tuple(paths))
 
@@ -213,7 +207,7 @@ def fit(samples: Samples) -> VignettingFit:
     _check(samples)
     near = ~_contradicting(samples)
     r, value, u = (x[near] for x in (samples.r, samples.value, samples.u_rel))
-    _refuse_rising(replace(samples, r=r, value=value, u_rel=u))
+    _refuse_rising(r, value, u, samples.frames[0])
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
     _, theta, choice = fit_and_choose(
@@ -223,20 +217,18 @@ def fit(samples: Samples) -> VignettingFit:
         lambda order, rows: _falling(r[rows], value[rows], u[rows], order),
         lambda order, t, held: (value[held] / (_design(r[held], order) @ t) - 1.0) ** 2,
     )
-    even = theta / theta[0]
-    coefficients = [0.0] * (2 * len(even) - 1)
-    coefficients[::2] = even.tolist()
-    residual = samples.value / (theta[0] * vignetting_at(tuple(coefficients), samples.r)) - 1.0
+    coefficients = np.zeros(2 * len(theta) - 1)
+    coefficients[::2] = theta / theta[0]
+    curve = tuple(coefficients.tolist())
     if not near.all():
         left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in samples.r[~near])
         text = f"left out, because neighbouring readings differ: {left_out}"
         choice = replace(choice, line=f"{choice.line}; {text}")
-    if wrong := check_vignetting(tuple(coefficients)):
+    if wrong := check_vignetting(curve):
         remedy = "add readings up to the edge of the lens's image, and check the last ones"
-        expected = "a curve that is above 0 up to the edge"
-        raise InputError(samples.frames[0], wrong, expected, remedy)
-    u_rel = max(choice.rms, 0.001)
-    return VignettingFit(tuple(coefficients), float(theta[0]), u_rel, residual, choice)
+        raise InputError(samples.frames[0], wrong, "a curve above 0 up to the edge", remedy)
+    residual = samples.value / (theta[0] * vignetting_at(curve, samples.r)) - 1.0
+    return VignettingFit(curve, float(theta[0]), max(choice.rms, 0.001), residual, choice)
 
 
 def _check(samples: Samples) -> None:
@@ -244,16 +236,15 @@ def _check(samples: Samples) -> None:
     r, value, files = samples.r, samples.value, samples.frames
     if len(r) < MIN_READINGS or r.max() < 0.5:
         raise NotEnoughDataError(
-            f"{files[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the lens's "
-            f"half angle; expected at least {MIN_READINGS} readings, the outermost at 50 % or "
-            "further; add readings, and check that angles are in degrees"
+            f"{files[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle;"
+            f" expected at least {MIN_READINGS}, the outermost at 50 % or further; add readings, "
+            "and check that angles are in degrees"
         )
     bad = np.flatnonzero(~(np.isfinite(value) & (value > 0)))
     if bad.size:
         source = files[0] if files[0] == files[-1] else f"{files[0]} to {files[-1].name}"
         finding = f"the reading at {100 * r[bad[0]]:.0f} % of the half angle is {value[bad[0]]:g}"
-        remedy = "correct or remove this reading"
-        raise InputError(source, finding, "linear values above zero", remedy)
+        raise InputError(source, finding, "linear values above zero", "correct or remove it")
 
 
 def _contradicting(samples: Samples) -> Mask:
@@ -279,18 +270,17 @@ def _contradicting(samples: Samples) -> Mask:
     return outliers
 
 
-def _refuse_rising(samples: Samples) -> None:
+def _refuse_rising(r: Array, value: Array, u_rel: Array, source: Path) -> None:
     """Raise InputError for values that rise, which are corrections and not losses.
 
     This sign error is common: the result would darken where it should brighten.
     """
-    a = _design(samples.r, 2) / (samples.u_rel * samples.value)[:, None]
-    theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
-    rise = float(theta[1] / theta[0])
+    axis, change = np.polynomial.polynomial.polyfit(r**2, value, 1, w=1.0 / (u_rel * value))
+    rise = float(change / axis)
     if rise > RISING:
         finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
         remedy = "state readings, not correction factors, of one patch in the same light"
-        raise InputError(samples.frames[0], finding, "a loss towards the edge", remedy)
+        raise InputError(source, finding, "a loss towards the edge", remedy)
 
 
 def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:

@@ -1,20 +1,27 @@
-"""The command group `fieldlum calibrate`: its parts, and how each of them is run."""
+"""The command group `fieldlum calibrate`: each part is fitted, drawn, printed and stored alike."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH, PATH, declare
+from fieldlum.cli.estimates import estimate_text, frames_s
 from fieldlum.cli.options import SHARED
 
+if TYPE_CHECKING:
+    from fieldlum.optics.profiles import CameraProfile, Lens
+
 LensNumber = Annotated[int, click.IntRange(min=1)]
+Paths = tuple[Path, ...]
 _EVERY = (
     click.Option(
         ["--camera"], required=True, help="The profile to start from: a file, or a shipped name."
@@ -23,6 +30,41 @@ _EVERY = (
     click.Option(["--picture"], type=PATH, help="Draw readings, fit and residuals (PNG, SVG)."),
     SHARED["as_json"],
 )
+_READINGS = {
+    "reading": ("reading", "<"),
+    "meter": ("meter", ".4g"),
+    "picture": ("picture", ".4g"),
+    "off_percent": ("meter less picture [%]", "+.2f"),
+}
+_TIMES = {
+    "nominal_s": ("nominal [s]", ".6g"),
+    "true_s": ("true [s]", ".6g"),
+    "off_percent": ("from the profile [%]", "+.2f"),
+    "u_rel": ("u (relative)", ".2g"),
+    "brackets": ("brackets", "d"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FittedPart:
+    """What a fit changes in the profile, and what is printed about it.
+
+    changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
+    files whose sha256 is stored. figures : printed, in the order; only_json : printed only with
+    --json. draw : function of `pictures`, and its arguments. notes : for the user, on stderr. rows,
+    columns : a table that is printed first. profile : to start from, if it is not that of --camera.
+    """
+
+    changed: dict[str, Any]
+    lines: list[str]
+    frames: Iterable[Path]
+    figures: dict[str, Any]
+    draw: tuple[Any, ...] = ()
+    notes: Sequence[str] = ()
+    rows: Sequence[dict[str, Any]] = ()
+    columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    only_json: dict[str, Any] = field(default_factory=dict)
+    profile: CameraProfile | None = None
 
 
 class _InOrder(click.Group):
@@ -51,40 +93,69 @@ def command() -> None:
 
 
 def _run(
-    name: str, camera: str, out: Path, picture: Path | None, as_json: bool, **own: Any
+    fit: Callable[..., FittedPart],
+    camera: str,
+    out: Path,
+    picture: Path | None,
+    as_json: bool,
+    **own: Any,
 ) -> None:
     """Fit one part, draw it, print what it found, and write the profile."""
     from fieldlum.calibrate import pictures, save_calibration
-    from fieldlum.cli import calibrate_fits
     from fieldlum.optics.profiles import load_camera_profile
 
     profile = load_camera_profile(camera)
-    own |= {"camera": camera} if name == "shutter" else {}
-    new = getattr(calibrate_fits, f"fit_{name}")(profile, **own)
+    new = fit(profile, **own)
     for note in new.notes:
         terminal.say(f"note: {note}")
-    if picture and new.figure:
-        pictures.save(new.figure(), picture)
-    save_calibration(
-        out, new.profile or profile, new.frames, new.lines, datetime.now(UTC).date(), **new.changed
-    )
+    if picture and new.draw:
+        pictures.save(getattr(pictures, new.draw[0])(*new.draw[1:]), picture)
+    start, today = new.profile or profile, datetime.now(UTC).date()
+    save_calibration(out, start, new.frames, new.lines, today, **new.changed)
     if as_json:
         terminal.emit_json({**new.figures, **new.only_json, "why": new.lines, "profile": str(out)})
         return
     figures = {n: list(v) if isinstance(v, tuple) else v for n, v in new.figures.items()}
-    shown = [f"{name}: {value}" for name, value in figures.items()]
     if new.rows:
         terminal.print_table(new.rows, new.columns, "  ")
+    shown = [f"{name}: {value}" for name, value in figures.items()]
     click.echo("\n".join([*new.lines, *shown, f"wrote {out}"]))
 
 
-def _part(function: Callable[..., None]) -> click.Command:
-    """Add the command of a part; its parameters are those of `calibrate_fits.fit_NAME`."""
-    name = function.__name__
-    made = declare(function, name, SHARED)
-    made.callback, made.params = partial(_run, name), [*made.params, *_EVERY]
+def _part(fit: Callable[..., FittedPart]) -> click.Command:
+    """Add the command of a part, with the parameters of its function after the profile."""
+    signature = inspect.signature(fit)
+    own = list(signature.parameters.values())[1:]
+    fit.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
+    made = declare(fit, fit.__name__, SHARED)
+    made.callback, made.params = partial(_run, fit), [*made.params, *_EVERY]
     command.add_command(made)
     return made
+
+
+def _say_time(frames: Paths, profile: CameraProfile, *, boards: bool = False) -> None:
+    """Print the estimated time to read frames, or folders of them, if it is 20 s or more."""
+    folders = [sum(p.is_file() for p in path.iterdir()) if path.is_dir() else 1 for path in frames]
+    needed_s = frames_s(sum(folders), profile.camera.pixels, boards=boards)
+    terminal.say_if(estimate_text(needed_s))
+
+
+def _figures(source: Any, *names: str) -> dict[str, Any]:
+    """Return attributes of a result by their names, to print."""
+    return {name: getattr(source, name) for name in names}
+
+
+def _lens_index(profile: CameraProfile, lens_number: int) -> int:
+    """Return the index, from 0, of the lens that --lens counts from 1."""
+    if lens_number > len(profile.lens):
+        has = f"{profile.camera.name} has {len(profile.lens)} lens(es), counted from 1"
+        raise click.UsageError(f"--lens {lens_number}: {has}")
+    return lens_number - 1
+
+
+def _with_lens(profile: CameraProfile, index: int, new: Lens) -> dict[str, Any]:
+    """Return the change of a profile whose lens at `index` is replaced."""
+    return {"lens": (*profile.lens[:index], new, *profile.lens[index + 1 :])}
 
 
 # The parts, in the order in which a profile is fitted.
@@ -92,13 +163,14 @@ def _part(function: Callable[..., None]) -> click.Command:
 
 @_part
 def lens(
-    sources: Annotated[tuple[Path, ...], "TARGETS.csv|FRAME...", EXISTING_PATH] = (),
+    profile: Any,
+    sources: Annotated[Paths, "TARGETS.csv|FRAME...", EXISTING_PATH] = (),
     lens_number: LensNumber = 1,
     full_angle_deg: Annotated[float | None, click.FloatRange(10, 330)] = None,
     circle: bool = False,
     chessboard: str | None = None,
     trim_deg: Annotated[float | None, click.FloatRange(0.1, 30)] = None,
-) -> None:
+) -> FittedPart:
     """Fit centre, circle, mapping and pose of a lens.
 
     TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; angles are relative to
@@ -118,10 +190,93 @@ def lens(
       --chessboard CxR: Inner corners across x down of a board in the FRAMEs, like 9x6.
       --trim: Leave out this many degrees at the edge of the image, where the lens is dark.
     """
+    if circle + (chessboard is not None) + (trim_deg is not None) > 1:
+        raise click.UsageError("--circle, --chessboard and --trim exclude each other")
+    if bool(sources) == (trim_deg is not None):
+        raise click.UsageError("name TARGETS.csv or FRAMEs; with --trim, name none")
+    if circle and len(sources) != 1:
+        raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
+    index = _lens_index(profile, lens_number)
+    start = profile.lens[index]
+    start = replace(start, full_angle_deg=full_angle_deg or start.full_angle_deg)
+    if trim_deg is not None:
+        new, fitted = _trimmed(start, trim_deg)
+    elif circle:
+        new, fitted = _by_circle(sources[0], start)
+    else:
+        new, fitted = _by_targets(sources, start, chessboard, profile)
+    return replace(fitted, changed=_with_lens(profile, index, new))
+
+
+def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
+    from fieldlum.calibrate.lens import trimmed
+
+    half_deg = start.full_angle_deg / 2
+    if trim_deg >= half_deg:
+        has = f"the lens has a half angle of {half_deg:g} degrees; state a smaller width"
+        raise click.UsageError(f"--trim {trim_deg:g}: {has}")
+    new = trimmed(start, trim_deg)
+    line = (
+        f"lens: image circle of {new.full_angle_deg:g} degrees, radius {new.radius_px:.2f} px "
+        f"(before: {start.full_angle_deg:g} degrees, {start.radius_px:.2f} px)"
+    )
+    return new, FittedPart({}, [line], [], _figures(new, "full_angle_deg", "radius_px"))
+
+
+def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
+    from fieldlum.calibrate import lens as lenses
+
+    grey = lenses.grey_picture(frame)
+    found = lenses.circle(grey, start, frame)
+    (x, y), radius_px = found.centre_px, found.radius_px
+    new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
+    line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
+    draw = ("of_circle", grey, found)
+    return new, FittedPart({}, [line], [frame], found._asdict(), draw)
+
+
+def _by_targets(
+    sources: Paths, start: Lens, chessboard: str | None, profile: CameraProfile
+) -> tuple[Lens, FittedPart]:
+    from fieldlum.calibrate import lens as lenses
+
+    notes = []
+    if chessboard:
+        columns, rows = _board_size(chessboard)
+        _say_time(sources, profile, boards=True)
+        corners = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
+        places = [at for at in corners.values() if at is not None]
+        notes = [f"no {columns} x {rows} board found in {p}" for p in sources if corners[p] is None]
+        size = (profile.camera.width_px, profile.camera.height_px)
+        fit, targets = lenses.fit_boards(places, columns, rows, size, start)
+    else:
+        targets = lenses.from_table(sources[0])
+        fit = lenses.fit(targets, start)
+    half_deg = start.full_angle_deg / 2
+    if fit.widest_deg < 0.9 * half_deg:
+        notes.append(
+            f"no target beyond {fit.widest_deg:.0f} deg from the axis: the mapping from there to "
+            f"{half_deg:g} deg is extrapolated"
+        )
+    figures = _figures(fit.lens, "mapping", "centre_px", "radius_px", "coefficients")
+    figures |= _figures(fit.lens, "azimuth_deg", "tilt_deg", "roll_deg")
+    figures |= _figures(fit, "rms_px", "rms_deg", "widest_deg")
+    lines, notes = ["; CAUTION: ".join([fit.choice.line, *fit.doubts])], [*notes, *fit.doubts]
+    draw = ("of_lens", targets, fit)
+    return fit.lens, FittedPart({}, lines, sources, figures, draw, notes)
+
+
+def _board_size(text: str) -> tuple[int, int]:
+    try:
+        columns, rows = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        wanted = "the numbers of inner corners, across x down, like 9x6"
+        raise click.UsageError(f"--chessboard needs {wanted}") from None
+    return columns, rows
 
 
 @_part
-def response(sources: Annotated[tuple[Path, ...], "BRACKETS...", EXISTING_PATH]) -> None:
+def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PATH]) -> FittedPart:
     """Fit JPEG codes to linear light, from brackets of a still scene.
 
     BRACKETS are folders with one bracket each, or the JPEG files of one bracket.
@@ -130,13 +285,36 @@ def response(sources: Annotated[tuple[Path, ...], "BRACKETS...", EXISTING_PATH])
     Example:
       fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
     """
+    import numpy as np
+
+    from fieldlum.calibrate import response as responses
+
+    _say_time(sources, profile)
+    brackets = responses.brackets_in(sources)
+    places = responses.sample(brackets, profile, np.random.default_rng(1))
+    fit, law = responses.fit(places), places.law
+    figures = _figures(fit.response, "kind", "u_rel") | {
+        "residual_rgb": fit.residual,
+        "shutter_law": law.law,
+        "shutter_law_by": law.decided_by,
+        "shutter_law_misfit_percent": law.misfit_percent,
+        "iso_seconds": np.round(np.exp(places.log_exposure), 6).tolist(),
+        "step_deviation_percent": np.round(100.0 * places.steps.deviation, 2).tolist(),
+    }
+    changed: dict[str, Any] = {"response": fit.response}
+    if law.decided_by == "frames" or profile.shutter_law != "auto":
+        changed["shutter_law"] = law.law
+    lines = [text for text in (fit.choice.line, places.steps.text) if text]
+    draw = ("of_response", places, fit)
+    return FittedPart(changed, lines, places.frames, figures, draw)
 
 
 @_part
 def vignette(
-    sources: Annotated[tuple[Path, ...], "READINGS.csv|FRAME...", EXISTING_PATH],
+    profile: Any,
+    sources: Annotated[Paths, "READINGS.csv|FRAME...", EXISTING_PATH],
     lens_number: LensNumber = 1,
-) -> None:
+) -> FittedPart:
     """Fit the loss of light towards the edge, for one aperture.
 
     READINGS.csv has the columns file, x_px, y_px (optional: radius_px, reference) of one patch
@@ -150,14 +328,29 @@ def vignette(
     Options:
       --lens: Number of the lens in the profile.
     """
+    from fieldlum.calibrate import vignette as vignettes
+
+    index = _lens_index(profile, lens_number)
+    if len(sources) == 1 and sources[0].suffix.lower() == ".csv":
+        samples = vignettes.from_table(sources[0], profile, index)
+    else:
+        _say_time(sources, profile)
+        samples = vignettes.from_uniform(sources, profile, index)
+    fit, old = vignettes.fit(samples), profile.lens[samples.lens]
+    new = vignettes.with_curve(old, samples.f_number, fit)
+    figures = _figures(samples, "f_number") | _figures(fit, "coefficients", "u_rel")
+    changed = _with_lens(profile, samples.lens, new)
+    draw = ("of_vignette", samples, fit, old.full_angle_deg / 2)
+    return FittedPart(changed, [fit.choice.line], samples.frames, figures, draw)
 
 
 @_part
 def colour(
+    profile: Any,
     sources: Annotated[Path, "SPOTS.csv|FRAME", EXISTING_PATH],
     corners: str | None = None,
     cct_k: Annotated[float | None, click.FloatRange(4000, 25_000)] = None,
-) -> None:
+) -> FittedPart:
     """Fit luminance and melanopic light by spot readings or a chart.
 
     SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours, and
@@ -172,13 +365,45 @@ def colour(
       --cct K: Correlated colour temperature of the daylight on the chart, for melanopic
           light.
     """
+    from fieldlum.calibrate import colour as fits
+
+    if sources.suffix.lower() == ".csv":
+        if cct_k is not None:
+            raise click.UsageError("--cct needs a frame of a chart instead of a table")
+        colours = fits.from_table(sources, profile)
+    else:
+        colours = fits.from_chart(sources, profile, _numbers(corners, 8) if corners else ())
+    fit, notes = fits.fit(colours, profile), []
+    if sources.suffix.lower() == ".csv" and abs(fit.scale - 1) > 0.03:
+        notes.append(
+            f"the readings would multiply k by {fit.scale:.3f}: run fieldlum calibrate scale next"
+        )
+    new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
+    new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k)
+    figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
+    figures |= {"melanopic_from_rgb": list(new.melanopic_from_rgb)}
+    figures |= _figures(new, "melanopic_u_rel")
+    draw = ("of_colour", colours, fit)
+    frames, lines = [sources, *colours.frames], [fit.choice.line, line]
+    return FittedPart({"colour": new}, lines, frames, figures, draw, notes)
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise click.UsageError(f"--corners needs {count} numbers, separated by commas")
+    return numbers
 
 
 @_part
 def scale(
+    profile: Any,
     sources: Annotated[Path, "READINGS.csv", EXISTING_PATH],
     meter_u: Annotated[float, click.FloatRange(0, 1)] = 0.02,
-) -> None:
+) -> FittedPart:
     """Fit the absolute factor k from spot and illuminance readings.
 
     READINGS.csv has the columns panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or
@@ -192,10 +417,37 @@ def scale(
     Options:
       --meter-u: The meter's own relative uncertainty.
     """
+    from fieldlum.calibrate import scale as scales
+    from fieldlum.optics.photometry import illuminance_verdict
+
+    readings, frames, notes = scales.from_table(sources, profile)
+    fit = scales.fit(readings, meter_u, sources)
+    doubt = scales.check_level(fit, profile, sources)
+    points, gates = [], []
+    for r, off in zip(readings, fit.residual, strict=True):
+        shown, off_percent = r.image * fit.factor, round(100 * float(off), 2)
+        points.append(dict(zip(_READINGS, (r.label, r.meter, shown, off_percent), strict=True)))
+        gates += [illuminance_verdict(shown, r.meter)] if r.kind == "illuminance" else []
+    k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
+    figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
+    line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
+    line += "".join(f"; illuminance: {gate}" for gate in gates)
+    line += f"; CAUTION: {doubt}" if doubt else ""
+    return FittedPart(
+        {"scale": replace(profile.scale, k=k, u_rel=u)},
+        [line],
+        [sources, *frames],
+        figures,
+        ("of_scale", readings, fit),
+        [*notes, *scales.slips(readings, fit), *([doubt] if doubt else [])],
+        points,
+        _READINGS,
+        {"points": points},
+    )
 
 
 @_part
-def shutter(sources: Annotated[tuple[Path, ...], "SESSION...", EXISTING_PATH]) -> None:
+def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]) -> FittedPart:
     """Fit the shutter's true times from merged sessions (raw cameras).
 
     The SESSIONs must be merged with this profile. Two neighbouring times are used if five or
@@ -206,12 +458,40 @@ def shutter(sources: Annotated[tuple[Path, ...], "SESSION...", EXISTING_PATH]) -
     Example:
       fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
     """
+    from fieldlum.calibrate import shutter as shutters
+    from fieldlum.optics.profiles import find_camera_profile
+    from fieldlum.session import open_session, sha256
+
+    digest = sha256(find_camera_profile(click.get_current_context().params["camera"]))
+    read = [shutters.from_session(open_session(path), digest) for path in sources]
+    files = [file for _, sidecars in read for file in sidecars]
+    lawful = shutters.with_law_of(profile, files)
+    fit = shutters.fit([bracket for brackets, _ in read for bracket in brackets], lawful)
+    times = []
+    for t, assumed_s, count in zip(fit.times, fit.assumed_s, fit.brackets, strict=True):
+        off_percent = round(100 * (t.true_s / assumed_s - 1), 3)
+        own = {"assumed_s": assumed_s, "brackets": count, "off_percent": off_percent}
+        times.append(_figures(t, "nominal_s", "true_s", "u_rel") | own)
+    return FittedPart(
+        {"shutter": shutters.with_times(lawful, fit)},
+        [fit.line],
+        files,
+        {"times": len(times)},
+        ("of_shutter", fit),
+        [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out],
+        times,
+        _TIMES,
+        {"times": times},
+        lawful,
+    )
 
 
 @_part
 def pixels(
-    sources: Annotated[tuple[Path, ...], "FRAME|FOLDER...", EXISTING_PATH], dark: bool = False
-) -> None:
+    profile: Any,
+    sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_PATH],
+    dark: bool = False,
+) -> FittedPart:
     """List hot, dead and stuck pixels in the profile (raw cameras).
 
     SOURCES are folders with the frames of three or more views; turn the camera between them, so
@@ -226,10 +506,26 @@ def pixels(
     Options:
       --dark: The frames were taken with the cap on.
     """
+    from fieldlum.calibrate import pixels as finder
+
+    _say_time(sources, profile)
+    defects, sensor = finder.find(sources, profile, dark=dark), profile.sensor
+    bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
+    figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
+    figures |= _figures(defects, "views", "by_chance")
+    size = profile.camera.width_px, profile.camera.height_px
+    return FittedPart(
+        {"sensor": replace(sensor, bad_px=bad_px)},
+        [defects.line],
+        defects.frames,
+        figures,
+        ("of_pixels", defects, *size),
+        only_json=_figures(defects, "bad_px"),
+    )
 
 
 @_part
-def linearity(sources: Annotated[tuple[Path, ...], "FRAMES...", EXISTING_PATH]) -> None:
+def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH]) -> FittedPart:
     """Fit how far raw counts are from proportional to light.
 
     FRAMES are raw frames of one steady light (a lit wall, or a lamp after half an hour), or
@@ -241,10 +537,24 @@ def linearity(sources: Annotated[tuple[Path, ...], "FRAMES...", EXISTING_PATH]) 
     Example:
       fieldlum calibrate linearity steady/ --camera mine.toml --out mine.toml
     """
+    from fieldlum.calibrate import linearity as curves
+
+    _say_time(sources, profile)
+    folders = [sorted(path.glob("*")) if path.is_dir() else [path] for path in sources]
+    files = [file for folder in folders for file in folder if file.is_file()]
+    plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
+    levels = curves.read_levels(files, plain)
+    fit = curves.fit(levels)
+    own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
+    sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
+    figures: dict[str, Any] = {"linearity": fit.coefficients, "u_rel": fit.u_rel}
+    figures |= {"exposure_offset_s": fit.offset_s, "u_exposure_offset_s": fit.u_offset_s}
+    draw = ("of_linearity", levels, fit)
+    return FittedPart({"sensor": sensor}, [fit.choice.line], levels.frames, figures, draw)
 
 
 @_part
-def stray(sources: Annotated[Path, "READINGS.csv", EXISTING_PATH]) -> None:
+def stray(profile: Any, sources: Annotated[Path, "READINGS.csv", EXISTING_PATH]) -> FittedPart:
     """Fit the lens's stray light from black traps in bright fields.
 
     READINGS.csv has panorama, azimuth_deg and altitude_deg of places that emit no light: the
@@ -257,3 +567,13 @@ def stray(sources: Annotated[Path, "READINGS.csv", EXISTING_PATH]) -> None:
     Example:
       fieldlum calibrate stray traps.csv --camera mine.toml --out mine.toml --picture stray.png
     """
+    from fieldlum.calibrate import stray as haze
+
+    readings = haze.from_table(sources, profile)
+    fit = haze.fit(readings, sources)
+    figures = _figures(fit.kernel, "angle_deg", "per_sr", "u_rel")
+    figures["total_share"] = round(fit.total_share, 5)
+    changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor
+    frames = [sources, *dict.fromkeys(r.place.path for r in readings)]
+    draw = ("of_stray", readings, fit)
+    return FittedPart(changed, [fit.choice.line], frames, figures, draw)

@@ -1,0 +1,318 @@
+"""Read frames, tables of readings and merged panoramas, and write profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Exposure, Flag, Panorama
+from fieldlum.core.statistics import standard_error
+from fieldlum.core.strict_csv import CsvTable, lines_of, numbered, read_text, table_of
+from fieldlum.optics.images import calibration_mark
+from fieldlum.optics.linear_light import (
+    black_dn,
+    check_frame,
+    frame_z_per_cdm2,
+    full_dn,
+    linear_counts,
+    response_tables,
+    vignetting_of,
+)
+from fieldlum.optics.photometry import saturation_plateau, vignetting_at
+from fieldlum.optics.profiles import CameraProfile, Lens, Provenance, save_profile
+from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
+from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, read_jpeg, read_mosaic
+from fieldlum.session import sha256
+from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.version import __version__
+
+FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
+_MAX_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.
+CsvRow = dict[str, Any]
+"""The cells of a line by column: numbers and paths."""
+
+
+def require(count: int, minimum: int, what: str, remedy: str) -> None:
+    """Raise NotEnoughDataError if `count` of something is below `minimum`."""
+    if count < minimum:
+        raise NotEnoughDataError(f"{what}: {count}; expected at least {minimum}; {remedy}")
+
+
+# ----------------------------------------------------------------------------------------------
+# tables
+
+
+def read_table(
+    path: Path, required: Sequence[str], optional: Mapping[str, Any] = MappingProxyType({})
+) -> list[CsvRow]:
+    """Return the rows of a csv as dicts: numbers, and paths in the columns `file` and `panorama`.
+
+    required : columns with a value in every line; optional : other columns, with the value of a
+    missing column or an empty cell; a zero counts as empty unless that value is zero or None. Paths
+    are relative to the csv. Separators are commas, semicolons or tabs; with the last two, decimals
+    may have a comma. Empty lines and lines that begin with # are skipped. Raises InputError for a
+    missing or unknown column, an invalid or empty cell, or a csv without readings.
+    """
+    table, mark = _table(path)
+    expected = f"columns {', '.join((*required, *optional))}"
+    for name in required:
+        if name not in table.names:
+            raise InputError(path, f"no column {name}", expected, "name it in the first line")
+    for name in table.names:
+        if name not in (*required, *optional):
+            raise InputError(path, f"unknown column {name}", expected, "remove or rename it")
+    readings = []
+    for line, cells in table.dicts():
+        row = {name: _cell(path, line, name, text, mark) for name, text in cells.items() if text}
+        if empty := [name for name in required if name not in row]:
+            finding = f"line {line}: an empty cell in the column {empty[0]}"
+            raise InputError(path, finding, "a value in every line", "fill it in")
+        stated = {name: cell for name, cell in row.items() if cell or not optional.get(name)}
+        readings.append({**optional, **stated})
+    if not readings:
+        raise InputError(path, "no readings", "one reading on each line", "add a reading")
+    return readings
+
+
+def columns_of(path: Path) -> tuple[str, ...]:
+    """Return the column names of a csv. Raises InputError if the file cannot be read."""
+    return _table(path)[0].names
+
+
+def _table(path: Path) -> tuple[CsvTable, str]:
+    """Return a csv and its separator, that of the header; many spreadsheets write semicolons."""
+    lines = numbered(lines_of(read_text(path, "a csv of readings")))
+    mark = next((mark for mark in ",;\t" if lines and mark in lines[0][1]), ",")
+    return table_of(path, lines, mark) if lines else CsvTable(path, (), ()), mark
+
+
+def _cell(path: Path, line: int, name: str, text: str, mark: str) -> Any:
+    if name in ("file", "panorama"):
+        return path.parent / text
+    try:
+        return float(text if mark == "," else text.replace(",", "."))
+    except ValueError:
+        remedy = "write a number with a decimal point"
+        raise InputError(f"{path}:{line}", f"{name} is '{text}'", "a number", remedy) from None
+
+
+# ----------------------------------------------------------------------------------------------
+# frames
+
+
+class Place(NamedTuple):
+    """Where a reading was taken: x_px, y_px on a frame, or azimuth and altitude of a panorama."""
+
+    path: Path
+    x: float
+    y: float
+
+
+class Patch(NamedTuple):
+    """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
+
+    The tenth of the pixels with the smallest and the tenth with the largest values do not count.
+    u_rel : relative standard uncertainty of the mean green.
+    """
+
+    rgb: Floats
+    u_rel: float
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFrame:
+    """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting.
+
+    rgb [h, w, 3]; bad [h, w] : True for pixels not to use: above 0.97 of the saturation, or outside
+    the codes for which a JPEG's response is valid; step : sensor pixels along the edge of a pixel
+    of rgb, 2 for raw and 1 for JPEG; colour_matrix : XYZ to camera colours [3, 3] as stored in a
+    raw file, else None. A filter in front of the lens is not corrected.
+    """
+
+    path: Path
+    rgb: Floats32
+    bad: Mask
+    step: int
+    exposure: Exposure
+    colour_matrix: Floats | None = None
+
+    def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
+        """Return the mean colour of the good pixels in a disc of the sensor around x_px, y_px.
+
+        All in sensor pixels. Raises InputError for a disc that is not completely
+        in the picture, or if over a fifth of its pixels are bad.
+        """
+        from scipy.stats import trim_mean
+
+        h, w = self.bad.shape
+        x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
+        name = f"the patch at x {x_px:g}, y {y_px:g} px with a radius of {radius_px:g} px"
+        if not (r <= x <= w - r and r <= y <= h - r):
+            inside = f"a patch inside the picture of {w * self.step} x {h * self.step} px"
+            raise InputError(self.path, name, inside, "correct x_px, y_px or radius_px")
+        cut = np.s_[int(y - r) : int(y + r) + 1, int(x - r) : int(x + r) + 1]
+        yy, xx = np.mgrid[cut]
+        disc = (xx + 0.5 - x) ** 2 + (yy + 0.5 - y) ** 2 <= r**2
+        values, bad = self.rgb[cut][disc].astype(float), self.bad[cut][disc]
+        if bad.mean() > _MAX_CLIPPED:
+            finding = f"{100 * bad.mean():.0f} % of {name} is clipped, or too dark for the response"
+            expected = f"at most {100 * _MAX_CLIPPED:.0f} %"
+            raise InputError(self.path, finding, expected, "use a frame that exposes it well")
+        rgb = np.asarray(trim_mean(values[~bad], 0.1, axis=0), float)
+        error = float(np.nan_to_num(standard_error(values[~bad, 1])))
+        return Patch(rgb, error / max(float(rgb[1]), 1e-12))
+
+
+def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
+    """Read a raw or JPEG frame as linear camera colours; a raw cell of 2 x 2 is one pixel.
+
+    Raises InputError if the frame cannot be read or is of another camera.
+    """
+    return _from_jpeg(path, profile) if is_jpeg(path) else _from_mosaic(path, profile)
+
+
+def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
+    frame, r = read_jpeg(path, camera_pixels=profile.camera.pixels), profile.response
+    check_frame(path, frame.codes.shape, frame.model, profile)
+    tables = response_tables(profile)  # [256, 3]
+    z = np.stack([tables[frame.codes[..., c], c] for c in range(3)], axis=-1)
+    brightest = frame.codes.max(axis=-1)
+    bad = (brightest > r.high_code) | (brightest < r.low_code)
+    rgb = z / frame_z_per_cdm2(frame.exposure, profile)
+    return LinearFrame(path, rgb.astype(np.float32), bad, 1, frame.exposure)
+
+
+def own_mosaic(path: Path, profile: CameraProfile) -> Mosaic:
+    """Read a raw frame of the profile's camera. Raises InputError for one of another camera."""
+    mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
+    check_frame(path, mosaic.counts.shape, mosaic.model, profile)
+    return mosaic
+
+
+def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
+    mosaic = own_mosaic(path, profile)
+    rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
+    planes = [mosaic.counts[r:rows:2, c:columns:2] for r, c in channel_positions(mosaic.cfa)]
+    full = full_dn(mosaic, profile, [saturation_plateau(p, mosaic.white_dn) for p in planes])
+    bad = np.zeros(planes[0].shape, bool)
+    shares = []
+    for plane, black, top in zip(planes, black_dn(mosaic, profile), full, strict=True):
+        cell = plane.astype(np.float32)
+        bad |= cell > FULL * top
+        above = linear_counts(cell - black, black, profile)
+        shares.append(above / (profile.sensor.white_dn - black))
+    z = np.stack([shares[0], (shares[1] + shares[2]) / 2, shares[3]], axis=-1)
+    rgb = z / frame_z_per_cdm2(mosaic.exposure, profile)
+    return LinearFrame(path, rgb.astype(np.float32), bad, 2, mosaic.exposure, mosaic.colour_matrix)
+
+
+def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
+    """Return the index of the lens in whose image circle a place on the sensor is most central.
+
+    The distance from the centre counts relative to the circle's radius.
+    """
+    return int(np.argmin([relative_radius(lens.geometry, x_px, y_px) for lens in profile.lens]))
+
+
+def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
+    """Return a place's angle from the lens's axis, over half of the lens's full angle.
+
+    x_px, y_px : on the sensor. 0 on the axis, 1 at the edge of the image circle.
+    """
+    geometry = lens.geometry
+    radius = relative_radius(geometry, x_px, y_px)
+    return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
+
+
+def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
+    """Return the transmission relative to the axis of the nearest lens, at a place on the sensor.
+
+    A value divided by it is corrected for vignetting. It is 1 if the lens has no curve. Raises
+    InputError if the lens only has curves for other apertures.
+    """
+    lens = profile.lens[nearest_lens(profile, x_px, y_px)]
+    coefficients, _ = vignetting_of(lens, f_number)
+    return float(vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))
+
+
+# ----------------------------------------------------------------------------------------------
+# panoramas
+
+
+def read_panoramas(
+    rows: Sequence[CsvRow], profile: CameraProfile, remedy: str = ""
+) -> dict[Path, Panorama]:
+    """Return the panoramas of a table, by file.
+
+    remedy : what else to do before merging again. Raises InputError for a panorama that was merged
+    with another calibration than the profile's.
+    """
+    own, pictures = calibration_mark(profile)["calibration"], {}
+    for file in dict.fromkeys(row["panorama"] for row in rows):
+        pictures[file] = read_panorama_with_sun(file)
+        attributes = pictures[file].attributes
+        if attributes.get("calibration", own) != own:
+            raise InputError(
+                file,
+                f"the picture was merged with another calibration ({attributes.get('camera')})",
+                f"the calibration of {profile.camera.name}",
+                f"merge it again with this profile (fieldlum merge){remedy}",
+            )
+    return pictures
+
+
+def pixels_within(
+    picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_rad: float
+) -> Mask:
+    """Return a mask [h, w] of the pixels within an angle of a direction, clockwise from north."""
+    height, width = picture.luminance_cdm2.shape
+    rays = equirect_rays(height, width, picture.heading_deg)
+    return rays @ direction(altitude_deg, azimuth_deg) >= np.cos(radius_rad)
+
+
+def disc_radius_rad(picture: Panorama, radius_deg: float) -> float:
+    """Return the radius of a disc that is at least a few pixels wide [rad]."""
+    return float(np.radians(max(radius_deg, 1.2 * 180.0 / len(picture.luminance_cdm2))))
+
+
+def is_flagged(picture: Panorama, inside: Mask, flag: Flag) -> bool:
+    """Return whether a pixel of a mask has a flag."""
+    return picture.flags is not None and bool((picture.flags[inside] & flag).any())
+
+
+# ----------------------------------------------------------------------------------------------
+# profiles
+
+
+def save_calibration(
+    out: Path,
+    profile: CameraProfile,
+    frames: Iterable[Path],
+    lines: Sequence[str],
+    today: date,
+    **changed: Any,
+) -> CameraProfile:
+    """Write the profile with its fields in `changed` replaced, to the file `out`, and return it.
+
+    The profile's provenance gets the sha256 of `frames`, and `lines` (one about each fit), dated
+    `today`; the camera's date becomes `today`.
+    """
+    hashes, before = sorted({sha256(path) for path in frames}), profile.provenance
+    provenance = Provenance(
+        before.source,
+        f"fieldlum {__version__} calibrate",
+        tuple(dict.fromkeys((*before.frames_sha256, *hashes))),
+        (*before.log, *(f"{today.isoformat()} {line}" for line in lines)),
+    )
+    camera = replace(profile.camera, date=today.isoformat())
+    new = replace(profile, camera=camera, provenance=provenance, **changed)
+    save_profile(out, new)
+    return new
