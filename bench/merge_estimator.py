@@ -15,7 +15,6 @@ import argparse
 import numpy as np
 
 from fieldlum.merge.estimator import merge_signals
-from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.ratios import bracket_pairs, take_samples
 from fieldlum.optics.photometry import fit_ratios, prior_u_log, snap_shutter_s
@@ -102,7 +101,7 @@ def main() -> None:
         rows = []
         for times in (TRUE_S, tuple(corrections / corrections[0] * TRUE_S[0])):
             signals = [signal(c, t) for c, t in zip(frames, times, strict=True)]
-            rows.append(merge_signals([lambda s=s: s for s in signals], shape))
+            rows.append(merge_signals(signals, shape))
         exact, fitted = rows
         error = exact.value_cdm2.astype(np.float64) / light - 1
         bias, standard = 100 * error.mean(), 100 * error.std() / np.sqrt(error.size)
@@ -123,8 +122,9 @@ def _ratios(rng: np.random.Generator) -> np.ndarray:
     )
     times = [snap_shutter_s(t) for t in NOMINAL_S]
     signals = [signal(frame(light, t, rng), s) for t, s in zip(TRUE_S, times, strict=True)]
-    store = FrameStore([lambda s=s: s for s in signals])
-    fit = fit_ratios(bracket_pairs(take_samples(store)), np.diag(prior_u_log(np.array(times)) ** 2))
+    fit = fit_ratios(
+        bracket_pairs(take_samples(signals)), np.diag(prior_u_log(np.array(times)) ** 2)
+    )
     return np.array(times) * fit.correction
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from fieldlum.core.records import Flag
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import RawSignal, over_mosaic
+from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.motion import leave_out_moved
 
 GAIN, READ_E, BLACK, FULL, SIZE = 4.0, 6.0, 512.0, 14000.0, 400
@@ -66,13 +66,12 @@ def draw(frames: int, rng: np.random.Generator) -> dict[str, np.ndarray | float]
             )
         signals.append(expose(seen.reshape(SHAPE), e, np.random.default_rng(seeds[i])))
         still.append(expose(light.reshape(SHAPE), e, np.random.default_rng(seeds[i])))
-    loaders = [lambda s=s: s for s in signals]
-    kept = merge_signals(loaders, SHAPE)
+    kept = merge_signals(signals, SHAPE)
     started = process_time()
     copy = Merged(kept.value_cdm2.copy(), kept.variance.copy(), kept.flags.copy())
-    dropped, _ = leave_out_moved(loaders, copy, u_ratio=0.003, over_picture=over_mosaic)
+    dropped, _ = leave_out_moved(signals, copy, 0.003)
     seconds = process_time() - started
-    nobody = merge_signals([lambda s=s: s for s in still], SHAPE)
+    nobody = merge_signals(still, SHAPE)
     at, truth = crossed.reshape(SHAPE), light.reshape(SHAPE)
     off = [np.abs(m.value_cdm2 / truth - 1)[at] for m in (kept, dropped, nobody)]
     pull = (np.abs(dropped.value_cdm2 - truth) / np.sqrt(dropped.variance))[at]

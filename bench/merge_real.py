@@ -29,7 +29,7 @@ from fieldlum.calibrate.response import residuals
 from fieldlum.core.records import Flag
 from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
-from fieldlum.merge.jpeg_signal import JpegSignal
+from fieldlum.merge.frames import JpegSignal
 from fieldlum.merge.shift import shifts
 from fieldlum.optics.images import read_radiance_hdr
 from fieldlum.optics.photometry import dark_floor, fit_response, snap_shutter_s
@@ -265,7 +265,7 @@ def memorial(folder: Path, peers: Path | None) -> None:
         JpegSignal(c, response, np.full(3, t, np.float32), 27, 228, i == 0, i == len(files) - 1)
         for i, (c, t) in enumerate(zip(codes, times, strict=True))
     ]
-    merged = merge_signals([lambda s=s: s for s in signals], codes[0].shape, u_ratio=0.05)
+    merged = merge_signals(signals, codes[0].shape, u_ratio=0.05)
     _print_shifts(signals, times)
     maps = {"fieldlum": merged.value_cdm2}
     for name in ("debevec", "robertson"):
@@ -362,11 +362,8 @@ def _print_shifts(signals: list[JpegSignal], times: np.ndarray) -> None:
     """
     h, w = signals[0].codes.shape[:2]
     lens = LensGeometry((w / 2, h / 2), float(np.hypot(h, w) / 2), 60.0, "equidistant")
-    for m in shifts([s.small() for s in signals], [lens]):
-        print(
-            f"{times[m.long]:g} to {times[m.short]:g} s: shifted by {m.shift_px:.2f} px, u "
-            f"{m.u_px:.2f}"
-        )
+    for m in shifts([s.small() for s in signals], [lens], [f"{t:g} s" for t in times]):
+        print(f"{m.long} to {m.short}: shifted by {m.shift_px:.2f} px, u {m.u_px:.2f}")
 
 
 def _scatter(codes: np.ndarray, log_exposure: np.ndarray) -> float:

@@ -13,9 +13,7 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 
 from fieldlum.calibrate import linearity
 from fieldlum.core.records import Exposure
-from fieldlum.merge.estimator import Merged, Signal, merge_signals
+from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import Crop, RawSignal, load_raw
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import curve_u_rel
@@ -134,10 +132,7 @@ def coverage(
 
 def merge_of(frames: list[Frame], paths: dict[Path, Path], profile: CameraProfile) -> Merged:
     ordered = sorted(frames, key=lambda f: -f.seconds)
-    loaders: list[Callable[[], Signal]] = [
-        partial(signal_of, paths[f.path], f, profile) for f in ordered
-    ]
-    return merge_signals(loaders, (240, 2, 640))
+    return merge_signals([signal_of(paths[f.path], f, profile) for f in ordered], (240, 2, 640))
 
 
 def main() -> None:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from fieldlum.core.records import Exposure
+from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.project import ProjectedImage, blend
-from fieldlum.merge.ratios import Sample, ratio_curve, unexplained
+from fieldlum.merge.ratios import ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
 from fieldlum.optics.photometry import PairRatio, fit_ratios
 from fieldlum.optics.profiles import (
@@ -57,10 +58,10 @@ def test_the_whole_budget_is_covered(bench: ModuleType) -> None:
     assert np.sqrt(np.mean(everything.pull**2)) > 0.75
 
 
-def frame(per_cdm2: float) -> Sample:
+def frame(per_cdm2: float) -> Rows:
     constants = (np.asarray(v, np.float32) for v in (512.0, 13488.0, per_cdm2))
     counts = np.full((1, 2, 4), 600, np.uint16)
-    return Sample(
+    return Rows(
         RawSignal(counts, *constants, 4.0, 2.33),
         counts.astype(np.float32),
         np.zeros(counts.shape, bool),

@@ -18,7 +18,7 @@ from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.project import u_of_edges
 from fieldlum.merge.quality import verdict
 from fieldlum.merge.ratios import beyond, free_fit
-from fieldlum.merge.sensor import Deviations, Findings, SensorImage
+from fieldlum.merge.sensor import Findings, SensorImage, any_beyond_prior
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.optics.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
@@ -95,7 +95,7 @@ def test_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
     full[1::2, ::2] = 14000.0  # red of GBRG
     trusting = replace(PROFILE, sensor=replace(PROFILE.sensor, saturation_dn=(WHITE,) * 4))
     image, found = merged(take(tmp_path, full=full), trusting)
-    assert found.look.plateau_dn[100.0] == pytest.approx((14000, 15800, 15800, 15800), abs=2)
+    assert found.plateau_dn[100.0] == pytest.approx((14000, 15800, 15800, 15800), abs=2)
     assert np.nanmax(np.abs(off(image))) < 0.01
     assert (image.merged.flags & Flag.MOTION > 0).mean() < 1e-3
 
@@ -109,8 +109,8 @@ def test_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
     light = [1.0, 1.0, 1.0, 0.94, 1.0, 1.0]
     image, found = merged(take(tmp_path, exposures, light=light))
     assert np.nanmax(np.abs(off(image))) < 0.01
-    assert max(abs(n.residual_percent) for n in found.trust.neighbours) < 0.5
-    assert not found.trust.deviations.beyond_prior
+    assert max(abs(n.residual_percent) for n in found.exposures.neighbours) < 0.5
+    assert not any_beyond_prior(found.exposures.log_deviation, found.exposures.u_prior)
 
 
 @pytest.mark.slow
@@ -172,10 +172,8 @@ def test_small_steps_add_up() -> None:
     assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)
     assert beyond(free, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2), rel=0.01)
     assert beyond(free_fit([], 8), 0.01) == 0.0
-    assert (
-        Deviations(found, np.full(8, 0.01)).beyond_prior
-        and not Deviations(found, np.full(8, 0.03)).beyond_prior
-    )
+    assert any_beyond_prior(found, np.full(8, 0.01))
+    assert not any_beyond_prior(found, np.full(8, 0.03))
 
 
 @pytest.mark.analytic

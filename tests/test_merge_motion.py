@@ -15,8 +15,7 @@ from fieldlum.cli import main
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge.bracket import merge_sensor
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import RawSignal, over_colours, over_mosaic
-from fieldlum.merge.jpeg_signal import JpegSignal
+from fieldlum.merge.frames import JpegSignal, RawSignal
 from fieldlum.merge.motion import Ballot, leave_out_moved, vote
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.images import read_panorama
@@ -58,7 +57,7 @@ def test_the_variance_of_a_pixel_that_moved_is_its_chi2_about_the_mean() -> None
         )
         for e, y in zip(exposures, counts, strict=True)
     ]
-    merged = merge_signals([lambda f=f: f for f in frames], (1, 2, 2), passes=1)
+    merged = merge_signals(frames, (1, 2, 2), passes=1)
     assert merged.value_cdm2 == pytest.approx(104.0, rel=1e-5)  # weights 100 and 25
     chi2 = 100 * (100 - 104) ** 2 + 25 * (120 - 104) ** 2
     assert merged.variance == pytest.approx(chi2 / 125, rel=1e-4)
@@ -86,10 +85,9 @@ def both(lights: list[np.ndarray], seed: int = 0) -> tuple[Merged, Merged]:
         expose(light.reshape(SHAPE), e, [seed, i])
         for i, (light, e) in enumerate(zip(lights, STEPS, strict=True))
     ]
-    loaders = [lambda f=f: f for f in frames]
-    kept = merge_signals(loaders, SHAPE)
+    kept = merge_signals(frames, SHAPE)
     copy = Merged(kept.value_cdm2.copy(), kept.variance.copy(), kept.flags.copy())
-    return kept, leave_out_moved(loaders, copy, u_ratio=0.003, over_picture=over_mosaic)[0]
+    return kept, leave_out_moved(frames, copy, 0.003)[0]
 
 
 @pytest.mark.analytic
@@ -149,7 +147,7 @@ def test_a_still_room_keeps_every_value(
 def test_an_unresolved_disagreement_widens_u() -> None:  # two frames 10 % apart, nobody to ask
     lights = [np.full(SHAPE, 100.0), np.full(SHAPE, 110.0)]
     frames = [expose(light, 25.0, [0, i]) for i, light in enumerate(lights)]
-    m = merge_signals([lambda f=f: f for f in frames], SHAPE)
+    m = merge_signals(frames, SHAPE)
     moved = (m.flags & Flag.MOTION) > 0
     assert moved.mean() > 0.95
     assert np.median(np.sqrt(m.variance[moved])) == pytest.approx(
@@ -193,13 +191,7 @@ def test_colours_of_a_jpeg_go_together() -> None:
                 np.rint(codes).clip(0, 255).astype(np.uint8), table, per, 27, 228, i == 0, i == 3
             )
         )
-    loaders = [lambda f=f: f for f in frames]
-    m, share = leave_out_moved(
-        loaders,
-        merge_signals(loaders, light.shape, u_ratio=0.01),
-        u_ratio=0.01,
-        over_picture=over_colours,
-    )
+    m, share = leave_out_moved(frames, merge_signals(frames, light.shape, u_ratio=0.01), 0.01)
     assert m.value_cdm2[25:45, 25:45] == pytest.approx(0.3, rel=0.05)
     assert share[1] > 0.1 and share[0] == share[2] == share[3] == 0
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.records import Flag
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frame_cache import FrameStore
+from fieldlum.merge.frames import JpegSignal
 from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
-from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.optics.photometry import srgb_table
 from fieldlum.optics.projection import Equirect, LensGeometry
 
@@ -29,7 +28,7 @@ def light_cdm2() -> NDArray[np.float64]:
     return np.stack([40 * np.exp(0.6 * wave + c) for c in (-0.3, 0.0, 0.2)], axis=2)
 
 
-def frames(noise: Sequence[NDArray[np.float64]], bent: float = 0.0) -> FrameStore:
+def frames(noise: Sequence[NDArray[np.float64]], bent: float = 0.0) -> list[JpegSignal]:
     """A bracket with noise [h, w, 3] in codes; bent: relative error of the longest frame, over
     its codes.
     """
@@ -43,11 +42,11 @@ def frames(noise: Sequence[NDArray[np.float64]], bent: float = 0.0) -> FrameStor
                 whole, TABLE, np.full(3, per, np.float32), 20, 235, i == 0, i == len(noise) - 1
             )
         )
-    return FrameStore([lambda s=s: s for s in signals])
+    return signals
 
 
-def merged(store: FrameStore) -> Merged:
-    return merge_signals([lambda i=i: store[i] for i in range(len(store))], (*SIZE, 3))
+def merged(store: list[JpegSignal]) -> Merged:
+    return merge_signals(store, (*SIZE, 3))
 
 
 def scale(
@@ -132,9 +131,8 @@ def test_what_moved_keeps_its_variance_and_raises_its_surroundings_little() -> N
 
 @pytest.mark.contract
 def test_frames_that_do_not_overlap_say_nothing() -> None:
-    one = frames(white(np.random.default_rng(6)))
-    alone = FrameStore([lambda: one[0]])
-    before = merge_signals([lambda: alone[0]], (*SIZE, 3))
+    alone = frames(white(np.random.default_rng(6)))[:1]
+    before = merged(alone)
     assert np.array_equal(with_seen_noise(before, alone, Y, 4.0).variance, before.variance)
 
 
@@ -143,20 +141,10 @@ def test_frames_that_do_not_overlap_say_nothing() -> None:
 def test_black_colours_are_no_trouble(dark: slice) -> None:
     store = frames(white(np.random.default_rng(8)))
     for i in range(len(store)):
-        codes = store[i].codes  # type: ignore[attr-defined]
+        codes = store[i].codes
         codes[..., dark] = 0
     after = with_seen_noise(merged(store), store, Y, 4.0)
     assert np.isfinite(after.variance).all() and (after.variance >= 0).all()
-
-
-@pytest.mark.slow
-@pytest.mark.property
-def test_frames_that_are_read_again_give_the_same() -> None:
-    kept = frames(white(np.random.default_rng(7)))
-    again = FrameStore([lambda i=i: kept[i] for i in range(3)], budget_bytes=0)
-    before = merged(kept)
-    a, b = (with_seen_noise(before, s, Y, 5.0).variance for s in (kept, again))
-    assert np.array_equal(a, b)
 
 
 @pytest.mark.analytic

@@ -14,7 +14,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Progress, SiteFile, counted, quiet
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
-from fieldlum.optics.raw.exif import tags_of
+from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.session import sha256
 
 _OTHER_PICTURES = (
@@ -178,7 +178,7 @@ def _body_serial(path: Path) -> str:
 
     It distinguishes two bodies of one model.
     """
-    return str(getattr(tags_of(path).get("EXIF BodySerialNumber"), "values", "")).strip("\0 ")
+    return text_of(tags_of(path), 42033)
 
 
 def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:

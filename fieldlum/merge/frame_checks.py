@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+import numpy as np
+
+from fieldlum.merge.frames import Plateau
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.photometry import saturation_plateau
 from fieldlum.optics.profiles import CameraProfile
@@ -16,64 +18,39 @@ from fieldlum.optics.raw import (
     white_balance_is_fixed,
 )
 
-Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
-NO_PLATEAU: Plateau = (None, None, None, None)
 _LOOKED_AT = 6_000_000  # pixels that are examined, to limit the time; chosen
 # A frame whose EXIF roll differs from the profile's by more than the first value counts as turned;
 # a lens within the second value of the horizon counts as level. Not measured.
 _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 
 
-@dataclass(frozen=True, slots=True)
-class FirstLook:
-    """What the most exposed frames show about saturation and black.
-
-    plateau_dn: for each ISO, the counts at which R, G1, G2 and B saturate, black included; None for
-    a colour that does not saturate in the frame. black_off_dn: black level of the files minus that
-    of the profile [DN], for the colour with the largest difference; 0 if the profile has none.
-    """
-
-    plateau_dn: dict[float, Plateau]
-    black_off_dn: float = 0.0
-
-    def plateau(self, shot: Shot) -> Plateau:
-        """Return the counts [DN] at which R, G1, G2 and B saturate at the ISO of a frame.
-
-        None for a colour for which the count was not measured.
-        """
-        return self.plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
-
-
-def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
+def saturation_and_black(
+    shots: Sequence[Shot], profile: CameraProfile
+) -> tuple[dict[float, Plateau], float]:
     """Measure saturation and black level in the most exposed frame of each ISO.
 
-    shots: of one heading, longest exposure first. For a JPEG camera the result is empty. One colour
-    can saturate at lower counts than the others. The counts depend on the ISO: at a low ISO the
-    full well limits, at a high ISO the converter.
+    shots: of one heading, longest exposure first. Return the counts at which R, G1, G2 and B
+    saturate by ISO, black included, None for a colour that does not saturate in the frame; and the
+    files' black level minus the profile's [DN], for the colour with the largest difference, 0 if
+    the profile has none. For a JPEG camera there are none. One colour can saturate at lower counts
+    than the others. The counts depend on the ISO: at a low ISO the full well limits, at a high ISO
+    the converter.
     """
-    if profile.camera.kind == "jpeg":
-        return FirstLook({})
-    plateaus: dict[float, Plateau] = {}
+    plateau_dn: dict[float, Plateau] = {}
     off = 0.0
-    for shot in shots:
-        if shot.exposure.iso in plateaus:
+    for shot in shots if profile.camera.kind == "raw" else ():
+        if shot.exposure.iso in plateau_dn:
             continue
         mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
         step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
-        planes = (
-            mosaic.counts[row::step, column::2] for row, column in channel_positions(mosaic.cfa)
+        plateau_dn[shot.exposure.iso] = tuple(
+            saturation_plateau(mosaic.counts[row::step, column::2], mosaic.white_dn)
+            for row, column in channel_positions(mosaic.cfa)
         )
-        red, green_1, green_2, blue = (
-            saturation_plateau(plane, mosaic.white_dn) for plane in planes
-        )
-        plateaus[shot.exposure.iso] = red, green_1, green_2, blue
         if any(profile.sensor.black_dn):
-            each = [
-                file - own
-                for file, own in zip(mosaic.black_dn, profile.sensor.black_dn, strict=True)
-            ]
-            off = max([off, *each], key=abs)
-    return FirstLook(plateaus, off)
+            differences = np.subtract(mosaic.black_dn, profile.sensor.black_dn).tolist()
+            off = max([off, *differences], key=abs)
+    return plateau_dn, off
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:

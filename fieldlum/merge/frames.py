@@ -1,18 +1,22 @@
-"""Read raw frames as linear signals; provide what raw and JPEG frames have in common."""
+"""Read raw and JPEG frames as linear signals: two classes with the same methods.
+
+"Counts" are raw counts above black, or for a JPEG frame its linear light z. Frames are read in
+strips along their first axis, at the same places in all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats32, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.merge.estimator import Strip
-from fieldlum.merge.frame_checks import Plateau
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import (
@@ -22,16 +26,28 @@ from fieldlum.optics.linear_light import (
     full_dn,
     gain_e_per_dn,
     nd_factors,
+    response_tables,
 )
 from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import channel_positions, read_mosaic
+from fieldlum.optics.raw import channel_positions, read_jpeg, read_mosaic
 
+Plateau = tuple[float | None, ...]  # of R, G1, G2, B [DN]
+NO_PLATEAU: Plateau = (None, None, None, None)
 # of the saturation: brighter pixels do not predict; noise is added to the limit; chosen
 _GATE = 0.97
 _FULL = 0.99  # of the saturation: a count above it is treated as saturated; chosen
 # minimum signal-to-noise ratio of a pixel of a frame that is searched for edges; not measured
 _SMALL_SNR = 8.0
+# Noise of a JPEG pixel besides its quantisation, in codes. The sensor has 0.5; rounding to YCbCr
+# and of its cosines 0.7. These errors are correlated between colours and neighbours, so that sums
+# of pixels need 1.0 (bench/merge_budget.py --kind jpeg).
+_SIGMA_CODE = 1.0
+_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # steps and upper end of the table over z; chosen
+_TOP_CODE = 250  # code above which a JPEG pixel is treated as saturated; chosen
+# Enough for 18 JPEG frames of a 13-megapixel fisheye, or for 16 raw frames of 24 megapixels.
+# Together with the sums this takes about 1.5 GB. Chosen; other frames wait in temporary files.
+FRAMES_BYTES = 800_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +86,6 @@ def lens_crop(profile: CameraProfile) -> Crop:
             "correct centre_px and radius_px of [[lens]] in the profile",
         )
     return Crop(top, left, bottom - top, right - left)
-
-
-# ----------------------------------------------------------------------------------------------
-# which frames
 
 
 @dataclass(frozen=True)
@@ -124,7 +136,7 @@ class RawSignal:
     def _any_full(self) -> float:
         return float(np.min(_FULL * self.saturation + self.black))
 
-    def strip(self, first: int, last: int) -> tuple[Strip, Mask | None]:
+    def strip(self, first: int, last: int) -> tuple[Floats32, Mask | None]:
         """Return counts above black of rows first to last - 1, and a mask of the same shape.
 
         The counts are corrected for linearity. The mask is True at saturated pixels and within two
@@ -146,15 +158,13 @@ class RawSignal:
 
         Charge spills to neighbouring pixels and affects the other colours too.
         """
-        import cv2
-
         a, b = max(first - 1, 0), min(last + 1, len(self.counts))
         part = self.counts[a:b]
         full = (part - self.black >= _FULL * self.saturation).reshape(-1, part.shape[-1])
         wide = cv2.dilate(full.view(np.uint8), np.ones((5, 5), np.uint8)).reshape(part.shape)
         return wide[first - a : last - a].view(np.bool_)
 
-    def weight(self, predicted_cdm2: Strip) -> Strip:
+    def weight(self, predicted_cdm2: Floats32) -> Floats32:
         """Return per_cdm2 over the photon and read variance of a luminance, in its shape.
 
         The weight is 0 where the predicted luminance exceeds that of `limit`.
@@ -165,11 +175,11 @@ class RawSignal:
         w *= predicted_cdm2 < self._limit_cdm2
         return w
 
-    def usable(self, counts: Strip) -> Mask:
+    def usable(self, counts: Floats32) -> Mask:
         """Return a mask, True for counts above black [rows, ...] below `limit`."""
         return counts < self.limit
 
-    def readable(self, counts: Strip) -> tuple[Mask, Strip]:
+    def readable(self, counts: Floats32) -> tuple[Mask, Floats32]:
         """Return a mask, True for counts [rows, ...] below `limit`, and all variances [DN^2]."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
@@ -209,23 +219,6 @@ class RawSignal:
 def evenly_spread(length: int, wanted: int) -> Indices:
     """Return at most `wanted` indices [n], spread evenly over 0 to `length` - 1."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
-
-
-def over_mosaic(mask: Mask, change: Callable[..., Mask]) -> Mask:
-    """Return `change` of a mask in the shape of raw frames, [h / 2, 2, w], in that shape.
-
-    change: a function that takes and returns a mask [h, w].
-    """
-    return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
-
-
-def over_colours(mask: Mask, change: Callable[..., Mask]) -> Mask:
-    """Return `change` of a mask in the shape of JPEG frames, [h, w, 3], in that shape.
-
-    change: a function that takes and returns a mask [h, w]. It gets True where any colour is True,
-    and all three colours get its result.
-    """
-    return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> Floats32:
@@ -280,3 +273,210 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
         sensor.linearity,
         float(sensor.white_dn - np.mean(black)),
     )
+
+
+@dataclass(frozen=True)
+class JpegSignal:
+    """A JPEG frame: codes [h, w, 3], and for each colour a table that converts codes to light z.
+
+    z is 1 at full scale; per_cdm2 is z per cd/m2. low_code, high_code: codes between which the
+    response is well known. dark_end: this is the most exposed frame of the bracket, and is used
+    below low_code too. bright_end: this is the least exposed frame, and is used up to code 250.
+    through_nd: whether a filter was used. z_of_code: [256, 3]. per_cdm2: [w, 3]; a scalar or
+    [3] also works, but is slower.
+    """
+
+    codes: NDArray[np.uint8]
+    z_of_code: Floats32
+    per_cdm2: Floats32
+    low_code: int
+    high_code: int
+    dark_end: bool
+    bright_end: bool
+    through_nd: bool = False
+
+    @cached_property
+    def _top(self) -> int:
+        return _TOP_CODE if self.bright_end else self.high_code
+
+    def _rows(self, colours: Array) -> Array:
+        """Return an array [3] repeated as [w, 3], because numpy processes long rows faster."""
+        return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
+
+    @cached_property
+    def _limits(self) -> tuple[Floats32, Floats32, Floats32]:
+        """Lowest and highest z that may predict, and highest readable z, [w, 3] each."""
+        low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
+        return (
+            self._rows(low),
+            self._rows(self.z_of_code[self._top]),
+            self._rows(self.z_of_code[_TOP_CODE]),
+        )
+
+    @cached_property
+    def _offsets(self) -> Indices:
+        return self._rows(np.arange(3, dtype=np.intp) * _Z_STEPS)
+
+    @cached_property
+    def _tables(self) -> tuple[Floats32, Floats32]:
+        """Variance of z, and weight of a predicted z, at equal steps of z, [3 steps].
+
+        The tables of the three colours follow each other in one array.
+        """
+        z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
+        variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
+        codes = np.arange(256.0)
+        low, per = 0 if self.dark_end else self.low_code, self._rows(self.per_cdm2)[0]
+        for c in range(3):
+            curve = self.z_of_code[:, c].astype(np.float64) + np.arange(256) * 1e-9
+            code = np.interp(z, curve, codes)
+            slope = np.interp(code, codes, np.maximum(np.gradient(curve), 1e-6))
+            variance[c] = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
+            weight[c] = np.where((code >= low) & (code <= self._top), per[c] / variance[c], 0.0)
+        return variance.reshape(-1), weight.reshape(-1)
+
+    def _looked_up(self, table: Floats32, z: Floats32) -> Floats32:
+        """Return the values of a table at z, overwriting z.
+
+        An unknown luminance is infinite and counts as above the top code.
+        """
+        z *= np.float32(_Z_STEPS / _Z_TOP)
+        np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
+        index = z.astype(np.intp)
+        index += self._offsets
+        return np.take(table, index, out=z, mode="clip")
+
+    def strip(self, first: int, last: int) -> tuple[Floats32, Mask | None]:
+        """Return linear light z of rows first to last - 1 [rows, W, 3], and a mask of that shape.
+
+        The mask is True at saturated pixels and next to them; None if nothing is saturated.
+        """
+        part = self.codes[first:last]
+        linear = np.asarray(cv2.LUT(part, self.z_of_code.reshape(1, 256, 3)), np.float32)
+        a, b = max(first - 2, 0), min(last + 2, len(self.codes))
+        if self.codes[a:b].max(initial=0) <= _TOP_CODE:
+            return linear, None
+        # 255 where no colour is saturated.
+        below = cv2.inRange(self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3)
+        wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
+        return linear, np.repeat(wide[:, :, None], 3, axis=2)
+
+    def weight(self, predicted_cdm2: Floats32) -> Floats32:
+        """Return per_cdm2 over the variance of z that a luminance has, [rows, W, 3].
+
+        The weight is 0 where the code of predicted_cdm2 would be outside the frame's range.
+        """
+        return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
+
+    def usable(self, counts: Floats32) -> Mask:
+        """Return a mask [rows, W, 3], True where the linear light z is in the frame's usable range.
+
+        counts: z [rows, W, 3]. The range is that of the codes low_code to high_code. The most
+        exposed frame has no lower limit; the least exposed frame is usable up to code 250.
+        """
+        low, high, _ = self._limits
+        ok = counts >= low
+        ok &= counts <= high
+        return ok
+
+    def readable(self, counts: Floats32) -> tuple[Mask, Floats32]:
+        """Return a mask, True for values z [rows, W, 3] up to code 250, and all variances of z."""
+        return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
+
+    def max_cdm2(self) -> Floats32:
+        """Return the luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
+        return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
+
+    def small(self) -> Small:
+        """Return a reduced picture of the green colour, to detect turns by its edges."""
+        green = np.ascontiguousarray(self.codes[..., 1])
+        light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)
+        return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
+
+    def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, Mask]:
+        """Return a signal of evenly spread pixels, about [rows, columns, 3], and a mask.
+
+        The mask, in the signal's shape, is True for pixels at or next to saturation.
+        """
+        at = evenly_spread(len(self.codes), rows)
+        step = max(1, self.codes.shape[1] // columns)
+        full = np.zeros((len(at), *self.codes.shape[1:]), bool)
+        for row, i in enumerate(at.tolist()):
+            _, mask = self.strip(i, i + 1)
+            if mask is not None:
+                full[row] = mask[0]
+        per = self._rows(self.per_cdm2)[::step]
+        codes = self.codes[at][:, ::step]
+        part = replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False)
+        return part, full[:, ::step]
+
+
+def load_jpeg(
+    shot: Shot,
+    profile: CameraProfile,
+    crop: Crop,
+    ends: tuple[bool, bool] = (False, False),
+) -> JpegSignal:
+    """Read a JPEG frame, cropped, as a linear signal.
+
+    crop: the rectangle of the sensor to read. ends: whether the frame is the most exposed of the
+    bracket, and whether it is the least exposed. Raises InputError for a file that is no JPEG of
+    this camera, and for a filter that the profile does not have.
+    """
+    frame = read_jpeg(shot.path, camera_pixels=profile.camera.pixels)
+    check_frame(shot.path, frame.codes.shape, frame.model, profile)
+    per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
+    part = frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+    return JpegSignal(
+        np.ascontiguousarray(part),
+        response_tables(profile).astype(np.float32),
+        np.tile(np.asarray([per / f for f in factors], np.float32), (crop.width, 1)),
+        profile.response.low_code,
+        profile.response.high_code,
+        *ends,
+        bool(shot.exposure.nd),
+    )
+
+
+Signal = RawSignal | JpegSignal
+
+
+def read_frames(
+    shots: Sequence[Shot],
+    profile: CameraProfile,
+    crop: Crop,
+    plateau_dn: Mapping[float, Plateau],
+    budget_bytes: int = FRAMES_BYTES,
+) -> list[Signal]:
+    """Read the frames of a bracket, most exposed first.
+
+    plateau_dn: counts at which R, G1, G2 and B saturate, by ISO. budget_bytes: memory for pixels;
+    those of further frames are mapped from temporary files. Raises the errors of `load_raw` and
+    `load_jpeg`.
+    """
+    signals: list[Signal] = []
+    for i, shot in enumerate(shots):
+        if profile.camera.kind == "raw":
+            raw = load_raw(shot, profile, crop, plateau_dn.get(shot.exposure.iso, NO_PLATEAU))
+            budget_bytes -= raw.counts.nbytes
+            signals.append(raw if budget_bytes >= 0 else replace(raw, counts=_on_disk(raw.counts)))
+        else:
+            jpeg = load_jpeg(shot, profile, crop, (i == 0, i == len(shots) - 1))
+            budget_bytes -= jpeg.codes.nbytes
+            signals.append(jpeg if budget_bytes >= 0 else replace(jpeg, codes=_on_disk(jpeg.codes)))
+    return signals
+
+
+def _on_disk(pixels: Array) -> Array:
+    with tempfile.TemporaryFile() as file:
+        pixels.tofile(file)
+        file.flush()
+        return np.asarray(np.memmap(file, pixels.dtype, "r", shape=pixels.shape))
+
+
+def scaled(frames: Sequence[Signal], factors: Floats) -> list[Signal]:
+    """Return frames whose assumed exposures are multiplied by factors [frames]."""
+    return [
+        replace(s, per_cdm2=(s.per_cdm2 * np.float32(factor)).astype(np.float32))
+        for s, factor in zip(frames, factors, strict=True)
+    ]

@@ -12,15 +12,17 @@ GUM, type A).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.records import Flag
 from fieldlum.core.statistics import MAD_TO_SIGMA
-from fieldlum.merge.estimator import Merged, Signal, Strip
-from fieldlum.merge.frame_cache import FrameStore
+from fieldlum.merge.estimator import Merged, rows_of
+from fieldlum.merge.frames import Signal
 from fieldlum.optics.projection import LensGeometry
 from fieldlum.optics.projection.grids import Target
 
@@ -33,8 +35,7 @@ _PRIOR_CELLS = 2.0  # weight of the picture's mean, as a number of cells; not me
 _UNSURE = int(Flag.CLIPPED_HIGH | Flag.BLOOM)
 
 
-@dataclass(frozen=True, slots=True)
-class _Bands:
+class _Bands(NamedTuple):
     """Some bands of rows of a frame, at equal distances.
 
     light: luminance [bands, edge, columns, 3]. variance: its variance if pixel noise were
@@ -42,8 +43,8 @@ class _Bands:
     columns].
     """
 
-    light: Strip
-    variance: Strip
+    light: Floats32
+    variance: Floats32
     good: Mask
 
 
@@ -53,11 +54,11 @@ def footprint_px(lens: LensGeometry, target: Target) -> float:
 
 
 def with_seen_noise(
-    merged: Merged, store: FrameStore, y_from_rgb: Sequence[float], edge_px: float
+    merged: Merged, frames: Sequence[Signal], y_from_rgb: Sequence[float], edge_px: float
 ) -> Merged:
     """Return merged JPEG frames whose variances give the measured noise of means over cells.
 
-    store: the bracket's frames; y_from_rgb: weights of R, G, B in the luminance; edge_px: edge of a
+    frames: of the bracket; y_from_rgb: weights of R, G, B in the luminance; edge_px: edge of a
     square cell in sensor pixels. Pixels with the flag MOTION keep their variance, because it
     already includes the frames' disagreement. If no two frames can be compared, all pixels do.
     """
@@ -65,9 +66,9 @@ def with_seen_noise(
     edge = int(np.clip(round(edge_px), 1, min(height, width)))
     stride = -(-(height // edge) // _BANDS)
     total, count = (np.zeros((-(-(height // edge) // stride), width // edge)) for _ in range(2))
-    long = _bands_of(store[0], merged, edge, stride)
-    for number in range(1, len(store)):
-        short = _bands_of(store[number], merged, edge, stride)
+    long = _bands_of(frames[0], merged, edge, stride)
+    for signal in frames[1:]:
+        short = _bands_of(signal, merged, edge, stride)
         pull2 = _pulls2(long, short, np.asarray(y_from_rgb, np.float64))
         count += np.isfinite(pull2)
         total += np.nan_to_num(pull2)
@@ -88,27 +89,18 @@ def with_seen_noise(
 
 def _bands_of(signal: Signal, merged: Merged, edge: int, stride: int) -> _Bands:
     height, width = (n // edge * edge for n in merged.value_cdm2.shape[:2])
-    bands = [_band(signal, merged, first, edge, width) for first in range(0, height, edge * stride)]
-    light, variance, good = (np.stack(part) for part in zip(*bands, strict=True))
+    bands = []
+    for first in range(0, height, edge * stride):
+        at = slice(first, first + edge)
+        (row,) = rows_of([signal], first, first + edge)
+        w = signal.weight(merged.value_cdm2[at])
+        good = (w > 0) & ((merged.flags[at] & _UNSURE) == 0)
+        if row.full is not None:
+            good &= ~row.full
+        variance = np.divide(1.0, w * signal.per_cdm2, out=np.zeros_like(w), where=w > 0)
+        bands.append((row.counts / signal.per_cdm2, variance, good.all(axis=-1)))
+    light, variance, good = (np.stack(part)[:, :, :width] for part in zip(*bands, strict=True))
     return _Bands(light, variance, good)
-
-
-def _band(
-    signal: Signal, merged: Merged, first: int, edge: int, width: int
-) -> tuple[Strip, Strip, Mask]:
-    """Return luminance and variance [edge, width, 3] of a band, and its mask of good pixels.
-
-    Good pixels are good in all colours.
-    """
-    at = slice(first, first + edge)
-    counts, full = signal.strip(first, first + edge)
-    w = signal.weight(merged.value_cdm2[at])
-    good = (w > 0) & ((merged.flags[at] & _UNSURE) == 0)
-    if full is not None:
-        good &= ~full
-    variance = np.divide(1.0, w * signal.per_cdm2, out=np.zeros_like(w), where=w > 0)
-    every = good[..., 0] & good[..., 1] & good[..., 2]
-    return (counts / signal.per_cdm2)[:, :width], variance[:, :width], every[:, :width]
 
 
 def _pulls2(long: _Bands, short: _Bands, y_from_rgb: Floats) -> Floats:
@@ -163,8 +155,6 @@ def _neighbourhood(total: Floats, count: Floats, sigma_cells: tuple[float, float
 
     The mean over the picture counts as `_PRIOR_CELLS` additional cells.
     """
-    import cv2
-
     down, across = sigma_cells
     # Effective number of equally weighted cells.
     area = np.prod(np.maximum(2 * np.sqrt(np.pi) * np.array(sigma_cells), 1.0))

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Flag
 from fieldlum.merge.frame_checks import orientation_conflict
-from fieldlum.merge.sensor import Findings
+from fieldlum.merge.sensor import Findings, any_beyond_prior
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection.grids import Target
-from fieldlum.session.files.merge_report import DarkRim, FrameQuality, MergeReport, ShiftQuality
+from fieldlum.session.files.merge_report import DarkRim, FrameQuality, MergeReport
 
 # Limits of the verdict, chosen with simulated and real brackets (docs/merge.md, "Verdicts").
 RESIDUAL_WARN_PERCENT = 3.0
@@ -40,9 +41,10 @@ def report_of(
     def share(flag: Flag) -> float:
         return float(100 * (seen_sr * ((flags & flag) > 0)).sum() / max(seen_sr.sum(), 1e-12))
 
-    pairs = [n for part in parts for n in part.trust.neighbours]
-    turns = [turn for part in parts for turn in _shifts(part)]
+    pairs = [n for part in parts for n in part.exposures.neighbours]
+    turns = [turn for part in parts for turn in part.turns]
     surest = max(turns, key=lambda turn: turn.sure_px, default=None)
+    noise = max(value for part in parts for value in (part.noise.shot, part.noise.read))
     return MergeReport(
         frames=tuple(frame for part in parts for frame in _frames(part)),
         neighbours=tuple(pairs),
@@ -55,13 +57,17 @@ def report_of(
         motion_percent=share(Flag.MOTION),
         below_noise_percent=share(Flag.BELOW_NOISE),
         outside_percent=float(100 * (1 - seen_sr.sum() / max(solid.sum(), 1e-12))),
-        exposure_span_percent=max(p.trust.deviations.span_percent for p in parts),
-        deviations=tuple(p.trust.deviations.text for p in parts if p.trust.deviations.beyond_prior),
-        noise_over_profile=max(p.noise.larger for p in parts),
-        plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].look.plateau_dn.items()},
-        black_off_dn=max((p.look.black_off_dn for p in parts), key=abs),
-        shutter_law=parts[0].law,
-        u_ratio_percent=100 * float(np.sqrt(np.mean([p.trust.u_rel**2 for p in parts]))),
+        exposure_span_percent=float(100 * max(np.ptp(p.exposures.log_deviation) for p in parts)),
+        deviations=tuple(
+            _range_text(p.exposures.log_deviation)
+            for p in parts
+            if any_beyond_prior(p.exposures.log_deviation, p.exposures.u_prior)
+        ),
+        noise_over_profile=float(np.sqrt(noise)),
+        plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].plateau_dn.items()},
+        black_off_dn=max((p.black_off_dn for p in parts), key=abs),
+        shutter_law=parts[0].exposures.law,
+        u_ratio_percent=100 * float(np.sqrt(np.mean([p.exposures.u_rel**2 for p in parts]))),
         orientation_conflict=orientation_conflict([s for p in parts for s in p.shots], profile),
         dark_rims=tuple(rims),
         filter_absent=tuple(name for part in parts for name in part.absent),
@@ -80,20 +86,15 @@ def _frames(part: Findings) -> list[FrameQuality]:
             dropped_percent=round(100 * part.dropped[i], 4) if part.dropped else None,
         )
         for i, (shot, correction, u) in enumerate(
-            zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)
+            zip(part.shots, part.exposures.fit.correction, part.exposures.fit.u_log, strict=True)
         )
     ]
 
 
-def _shifts(part: Findings) -> list[ShiftQuality]:
-    return [
-        ShiftQuality(
-            part.shots[m.long].path.name,
-            part.shots[m.short].path.name,
-            *(round(float(value), 3) for value in (m.turn_deg, m.shift_px, m.u_px, m.sure_px)),
-        )
-        for m in part.moved
-    ]
+def _range_text(log_deviation: Floats) -> str:
+    """Return the smallest and the largest deviation in percent, such as "-1.2 to +0.4"."""
+    low, high = 100 * np.expm1([log_deviation.min(), log_deviation.max()])
+    return f"{low:+.1f} to {high:+.1f}"
 
 
 def verdict(report: MergeReport) -> str:

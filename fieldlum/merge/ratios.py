@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.statistics import robust_sigma
-from fieldlum.merge.estimator import Signal
-from fieldlum.merge.frame_cache import FrameStore
-from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.estimator import Rows
+from fieldlum.merge.frames import RawSignal, Signal
 from fieldlum.optics.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 from fieldlum.session.files.merge_report import NeighbourQuality
 
@@ -24,19 +23,6 @@ _ENOUGH_FOR_RATIO = 100  # pixels whose median tells a filter from none; chosen
 _REACH = 3  # number of following frames with which each frame is compared; not measured
 _FREE = 0.3  # relative prior of an exposure that nothing else constrains; chosen
 _LEVELS = 193  # number of luminances at which the ratios' uncertainty is computed; chosen
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """Pixels sampled from one frame.
-
-    counts: their counts above black; full: mask in the shape of counts, True at or next to
-    saturation. signal: the frame reduced to the sampled pixels.
-    """
-
-    signal: Signal
-    counts: Floats32
-    full: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,27 +44,34 @@ class RatioCurve:
         return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
 
 
-def take_samples(store: FrameStore) -> list[Sample]:
-    """Return one sample of each frame: 60 000 to 250 000 pixels, at the same places in all."""
-
-    def sample(signal: Signal) -> Sample:
-        small, full = signal.sampled(_ROWS, _COLUMNS)
-        return Sample(small, small.strip(0, len(full))[0], full)
-
-    return [sample(store[i]) for i in range(len(store))]
+def take_samples(frames: Sequence[Signal]) -> list[Rows]:
+    """Return samples of each frame: 60 000 to 250 000 pixels, at the same places in all."""
+    small = [signal.sampled(_ROWS, _COLUMNS) for signal in frames]
+    return [Rows(signal, signal.strip(0, len(full))[0], full) for signal, full in small]
 
 
-def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
+def _exposed(rows: Rows, light: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return counts per cd/m2, weight and signal-to-noise ratio of a luminance in a frame."""
+    per = np.broadcast_to(rows.signal.per_cdm2, light.shape)
+    weight = rows.signal.weight(light)
+    return per, weight, light * np.sqrt(weight * per)
+
+
+def _light(rows: Rows) -> Floats:
+    """Return the luminance by a frame alone, at least 0."""
+    return np.maximum(rows.counts / rows.signal.per_cdm2, 0.0).astype(np.float32)
+
+
+def compare(long: Rows, short: Rows, i: int, j: int) -> PairRatio | None:
     """Return the measured exposure ratio of two frames over the assumed one, as a logarithm.
 
     long, short: the same pixels of the more and of the less exposed frame; i, j: numbers of these
     frames, for the result. Return None if too few pixels are well exposed in both.
     """
-    e_long, e_short = (np.broadcast_to(s.signal.per_cdm2, s.counts.shape) for s in (long, short))
-    light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
-    w_long, w_short = long.signal.weight(light), short.signal.weight(light)
-    snr_long, snr_short = light * np.sqrt(w_long * e_long), light * np.sqrt(w_short * e_short)
-    well_exposed = (snr_long > _SNR_LONG) & ~long.full & ~short.full
+    light = _light(long)
+    e_long, w_long, snr_long = _exposed(long, light)
+    e_short, w_short, snr_short = _exposed(short, light)
+    well_exposed = (snr_long > _SNR_LONG) & ~_full(long, short)
     usable = (
         _brightest(well_exposed, snr_short)
         if isinstance(long.signal, RawSignal)
@@ -105,26 +98,27 @@ def _brightest(well_exposed: Mask, snr: Floats) -> Mask:
     return well_exposed & (snr > _SNR_SHORT[-1])
 
 
-def light_ratio(known: Sample, other: Sample) -> float:
+def _full(a: Rows, b: Rows) -> Mask:
+    """Return a mask, True where one of two frames is saturated or next to a saturated pixel."""
+    assert a.full is not None and b.full is not None  # samples state it
+    return a.full | b.full
+
+
+def light_ratio(known: Rows, other: Rows) -> float:
     """Return the luminance by one frame over that by another, as a median over common pixels.
 
     known: the frame whose well-exposed pixels count. 0 without at least 100 such pixels that are
     not saturated in the other.
     """
-    light, of_other = (
-        (s.counts / np.broadcast_to(s.signal.per_cdm2, s.counts.shape)).astype(np.float32)
-        for s in (known, other)
-    )
-    light = np.maximum(light, 0.0)
-    per = np.broadcast_to(known.signal.per_cdm2, light.shape)
-    snr = light * np.sqrt(known.signal.weight(light) * per)
-    usable = (snr > _SNR_LONG) & ~known.full & ~other.full
+    light = _light(known)
+    usable = (_exposed(known, light)[2] > _SNR_LONG) & ~_full(known, other)
     if usable.sum() < _ENOUGH_FOR_RATIO:
         return 0.0
+    of_other = other.counts / other.signal.per_cdm2
     return float(np.median(of_other[usable] / light[usable]))
 
 
-def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
+def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
     """Return the measured exposure ratios of all pairs with common well-exposed pixels.
 
     samples: one for each frame, most exposed first. Frames of a pair are at most three apart in
@@ -200,7 +194,7 @@ def beyond(free: RatioFit, explained: float) -> float:
     return float(np.sqrt(max(np.var(np.log(free.correction[frames])) - noise2 - explained**2, 0.0)))
 
 
-def ratio_curve(samples: Sequence[Sample], covariance: Floats, extra: float = 0.0) -> RatioCurve:
+def ratio_curve(samples: Sequence[Rows], covariance: Floats, extra: float = 0.0) -> RatioCurve:
     """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
     samples: one for each frame. The square of the uncertainty is s C s + extra^2, with C the

@@ -15,11 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
 from fieldlum.optics.turn_fit import fit_turn
+from fieldlum.session.files.merge_report import ShiftQuality
 
 MAX_SIDE_PX = 800  # longest side of the reduced frames [px], to limit the time; chosen
 _LEVELS = 4  # number of sizes, each half of the one before; chosen
@@ -49,27 +51,6 @@ class Small:
     step: int
 
 
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """How far the camera turned between two frames that are neighbours in exposure.
-
-    long, short: numbers of the more and of the less exposed frame. turn_deg: angle of the turn
-    about any axis, never negative. shift_px: that angle in sensor pixels, by the pixels
-    per radian at the lens's axis; u_px: its standard uncertainty.
-    """
-
-    long: int
-    short: int
-    turn_deg: float
-    shift_px: float
-    u_px: float
-
-    @property
-    def sure_px(self) -> float:
-        """The shift minus three standard errors [px], at least 0."""
-        return max(self.shift_px - 3.0 * self.u_px, 0.0)
-
-
 def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> Small:
     """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
 
@@ -78,8 +59,6 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
     `minimum`, which must not be negative. cell: a block's side is a multiple of this number of
     pixels (2 for a mosaic).
     """
-    import cv2
-
     h, w = signal.shape
     by = cell * max(1, -(-max(h, w) // (cell * MAX_SIDE_PX)))
     size = (w // by, h // by)
@@ -92,11 +71,14 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
     return Small(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
 
 
-def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:
+def shifts(
+    frames: Sequence[Small], lenses: Sequence[LensGeometry], names: Sequence[str]
+) -> list[ShiftQuality]:
     """Return the turns of the camera between neighbouring frames of a bracket.
 
-    frames: most exposed first; lenses: with centres in sensor pixels of the frames. A pair of
-    frames without enough common edges is omitted. The result can be empty.
+    frames: most exposed first; lenses: with centres in sensor pixels of the frames; names: of the
+    frames. shift_px of a turn is its angle about any axis by the pixels per radian at the first
+    lens's axis. A pair of frames without enough common edges is omitted.
     """
     if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
         return []
@@ -112,8 +94,10 @@ def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Move
         turn = _turn(pyramids[i], pyramids[i + 1], flows)
         if turn is not None:
             angle, u = turn
+            px, u_px = angle * px_per_rad, u * px_per_rad
+            figures = float(np.degrees(angle)), px, u_px, max(px - 3.0 * u_px, 0.0)
             turns.append(
-                Moved(i, i + 1, float(np.degrees(angle)), angle * px_per_rad, u * px_per_rad)
+                ShiftQuality(names[i], names[i + 1], *(round(float(v), 3) for v in figures))
             )
     return turns
 
@@ -143,8 +127,6 @@ def _flow(
 
 
 def _pyramid(small: Small) -> list[tuple[Floats32, Mask]]:
-    import cv2
-
     levels = [(small.log_light, small.seen)]
     while len(levels) < _LEVELS and min(levels[-1][0].shape) >= 64:
         light, seen_mask = levels[-1]
@@ -189,8 +171,6 @@ def _step(
     a: tuple[Floats32, Mask], b: tuple[Floats32, Mask], flow: Floats32, turn: Floats
 ) -> tuple[Floats, Floats] | None:
     """Return the next correction of `turn` [3] in rad, and its covariance."""
-    import cv2
-
     h, w = a[0].shape
     y, x = np.mgrid[:h, :w].astype(np.float32)
     for k in range(3):

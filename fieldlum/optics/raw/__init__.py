@@ -4,7 +4,6 @@ LibRaw opens raw files (through rawpy), but only the mosaic is used: `postproces
 frame by its own maximum.
 """
 
-from fieldlum.optics.raw.dng import channel_positions, write_dng
 from fieldlum.optics.raw.exif import (
     FrameInfo,
     roll_deg_of,
@@ -12,5 +11,6 @@ from fieldlum.optics.raw.exif import (
     white_balance_is_fixed,
 )
 from fieldlum.optics.raw.integrity import RAW_SUFFIXES, is_jpeg, possible_frames, unreadable
-from fieldlum.optics.raw.jpeg import jpeg_size, read_jpeg, write_jpeg
-from fieldlum.optics.raw.mosaic import Mosaic, read_exif, read_mosaic
+from fieldlum.optics.raw.jpeg import jpeg_size, read_jpeg
+from fieldlum.optics.raw.mosaic import Mosaic, channel_positions, read_exif, read_mosaic
+from fieldlum.optics.raw.writing import write_dng, write_jpeg

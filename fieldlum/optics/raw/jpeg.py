@@ -1,4 +1,4 @@
-"""Read and write JPEG frames with their EXIF."""
+"""Read JPEG frames with their EXIF."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.raw.exif import info_of, rational, tags_of, time_tags
-from fieldlum.session import replacing
+from fieldlum.optics.raw.exif import info_of, tags_of
 
 # Largest frame without a profile that states more: 0.5 GB of codes. Chosen: phones have 108
 # million pixels.
@@ -44,8 +43,9 @@ def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is no complete
     JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
-    info = info_of(path, tags_of(path))
-    codes = _codes(path, max(MAX_PIXELS, camera_pixels))
+    tags = tags_of(path)
+    codes = _codes(path, max(MAX_PIXELS, camera_pixels))  # a cut file may lack its EXIF as well
+    info = info_of(path, tags)
     return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
 
 
@@ -90,36 +90,3 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
         f"at most {max_pixels:,} pixels",
         "state width_px and height_px of the camera in its profile, or copy the file again",
     )
-
-
-def write_jpeg(
-    path: Path,
-    codes: NDArray[np.uint8],
-    exposure: Exposure,
-    *,
-    t_camera: datetime | None = None,
-    make: str = "fieldlum",
-    model: str = "",
-    quality: int = 97,
-) -> None:
-    """Write codes [h, w, 3], red first, as a JPEG with EXIF, without chroma subsampling.
-
-    A file at `path` is replaced. exposure: shutter time, f-number, ISO and the name of an ND filter
-    for the EXIF; t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
-    """
-    from PIL import Image
-    from PIL.TiffImagePlugin import IFDRational
-
-    exif = Image.Exif()
-    exif[0x010F], exif[0x0110] = make, model
-    fields = exif.get_ifd(0x8769)
-    fields[33434] = IFDRational(rational(exposure.shutter_s))
-    fields[33437] = IFDRational(rational(exposure.f_number))
-    fields[34855] = round(exposure.iso)
-    fields[41987] = 1  # WhiteBalance: manual
-    if exposure.nd:
-        exif[0x010E] = f"ND={exposure.nd}"
-    for tag, text in time_tags(t_camera).items():
-        fields[tag] = text
-    with replacing(path) as file:
-        Image.fromarray(codes, "RGB").save(file, "JPEG", quality=quality, subsampling=0, exif=exif)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import logging
+import mmap
 import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -21,17 +21,14 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.raw.dng import channel_positions
-from fieldlum.optics.raw.exif import ExifTag, FrameInfo, info_of, numbers, tags_of
+from fieldlum.optics.raw.exif import TIFF_VARIANTS, FrameInfo, Tags, info_of, numbers, tags_of
 
 # A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels. Chosen.
 _MAX_PIXELS = 400_000_000
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()
-# First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content:
-# LibRaw fills missing data of these files without a message.
-_TIFF_VARIANTS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
+_COLOUR_MATRICES = 50722, 50721  # tags ColorMatrix2 and 1
 _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
@@ -58,81 +55,82 @@ class Mosaic:
     colour_matrix: Floats | None = None
 
 
+def channel_positions(cfa: str) -> tuple[tuple[int, int], ...]:
+    """Return the places (row, column, from 0) of R, G1, G2 and B in a mosaic's 2 x 2 cell.
+
+    cfa: colours of the cell row by row, such as "RGGB". G1 is the green in the row of red, G2 the
+    green in the row of blue.
+    """
+    red, blue = divmod(cfa.index("R"), 2), divmod(cfa.index("B"), 2)
+    return red, (red[0], blue[1]), (blue[0], red[1]), blue
+
+
+# ----------------------------------------------------------------------------------------------
+# complete files, opened by LibRaw
+
+
 def _damaged(path: Path, finding: str, expected: str) -> InputError:
     return InputError(path, finding, expected, "copy the file from the card again")
 
 
+def _pages(tiff: Any) -> list[Any]:
+    tops: list[Any] = [tiff.pages[i] for i in range(min(len(tiff.pages), 16))]
+    return tops + [sub for top in tops for sub in (getattr(top, "pages", None) or ())]
+
+
 def _check_strips(path: Path) -> None:
-    """Raise InputError for a TIFF-like raw whose data reach past the end of the file.
+    """Raise InputError for a raw like a TIFF whose data reach past the end of the file.
 
     LibRaw may fill the missing part with zeros, or crash.
     """
     import tifffile
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
-    size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(4)
-    if head in _TIFF_VARIANTS:
-        return _check_variant(path, _TIFF_VARIANTS[head])
-    if head not in (b"II*\0", b"MM\0*"):
-        return
+        if head not in (*TIFF_VARIANTS, *TIFF_VARIANTS.values()):
+            return
+        content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+    content[:4] = TIFF_VARIANTS.get(head, head)
+    end = 0
     try:
-        with tifffile.TiffFile(path) as tiff:
-            tops: list[Any] = [tiff.pages[i] for i in range(min(len(tiff.pages), 16))]
-            for page in tops + [sub for top in tops for sub in (getattr(top, "pages", None) or ())]:
-                offsets, counts = page.dataoffsets, page.databytecounts
-                bits = (
-                    0
-                    if page.compression != 1
-                    else page.imagelength * page.imagewidth * page.bitspersample
-                )
-                ends = [at + n for at, n in zip(offsets, counts, strict=False)]
-                if max(ends, default=0) > size or (
-                    counts and 8 * sum(counts) < bits * page.samplesperpixel
-                ):
-                    raise _cut_short(path, size)
-                if page.compression == 7 and counts and _bytes_at(path, offsets[0]) != b"\xff\xd8":
-                    raise _damaged(
-                        path,
-                        "its pixels are no lossless JPEG",
-                        "the compression that its tags state",
-                    )
+        with tifffile.TiffFile(content) as tiff:  # pyright: ignore[reportArgumentType]
+            if head in TIFF_VARIANTS:
+                end = _end_of_variant(tiff.pages.first.tags)
+            else:
+                end = max(_end_of(page, content, path) for page in _pages(tiff))
     except InputError:
         raise
     except Exception as error:
-        raise _damaged(
-            path, f"broken TIFF structure ({type(error).__name__})", "a raw file"
-        ) from None
+        if head in TIFF_VARIANTS:  # its other tags follow rules of the maker
+            return
+        finding = f"broken TIFF structure ({type(error).__name__})"
+        raise _damaged(path, finding, "a raw file") from None
+    if end > len(content):
+        finding = f"the file has {len(content)} bytes, but its pixels end later"
+        raise _damaged(path, finding, "a complete file")
 
 
-def _cut_short(path: Path, size: int) -> InputError:
-    return _damaged(path, f"the file has {size} bytes, but its pixels end later", "a complete file")
+def _end_of_variant(tags: Any) -> int:
+    """Return the end of the pixels in a maker's variant of TIFF."""
+    lengths = np.ravel(tags.valueof("StripByteCounts", 0))
+    offsets = np.ravel(tags.valueof(_PANASONIC_OFFSET) or tags.valueof("StripOffsets", 0))
+    return max(int(at) + int(n) for at, n in zip(offsets, lengths, strict=False))
 
 
-def _check_variant(path: Path, magic: bytes) -> None:
-    """Raise InputError for a maker's variant of TIFF whose data reach past the end of the file.
+def _end_of(page: Any, content: mmap.mmap, path: Path) -> int:
+    """Return the end of a page's pixels in its file; infinite if its strips are too few.
 
-    Only offsets and lengths are checked: the other tags follow rules of the maker.
+    Raises InputError for pixels that are no lossless JPEG although the tags state it.
     """
-    import tifffile
-
-    size, end = path.stat().st_size, 0
-    with suppress(Exception), path.open("rb") as file:
-        content = io.BytesIO(magic + file.read()[4:])
-        with tifffile.TiffFile(content) as tiff:
-            tags = tiff.pages.first.tags
-            lengths = np.ravel(tags.valueof("StripByteCounts", 0))
-            offsets = np.ravel(tags.valueof(_PANASONIC_OFFSET) or tags.valueof("StripOffsets", 0))
-            end = max(int(at) + int(n) for at, n in zip(offsets, lengths, strict=False))
-    if end > size:
-        raise _cut_short(path, size)
-
-
-def _bytes_at(path: Path, at: int) -> bytes:
-    with path.open("rb") as file:
-        file.seek(at)
-        return file.read(2)
+    offsets, counts = page.dataoffsets, page.databytecounts
+    if page.compression == 7 and counts and content[offsets[0] : offsets[0] + 2] != b"\xff\xd8":
+        expected = "the compression that its tags state"
+        raise _damaged(path, "its pixels are no lossless JPEG", expected)
+    bits = page.imagelength * page.imagewidth * page.bitspersample * page.samplesperpixel
+    if page.compression == 1 and counts and 8 * sum(counts) < bits:
+        return sys.maxsize
+    return max((at + n for at, n in zip(offsets, counts, strict=False)), default=0)
 
 
 def opened(path: Path) -> Any:
@@ -143,22 +141,12 @@ def opened(path: Path) -> Any:
     import rawpy
 
     with path.open("rb") as file:
-        head = file.read(4)
-    kinds = {
-        b"\xff\xd8\xff": "a JPEG",
-        b"\x89PN": "a PNG",
-        b"BM": "a bitmap",
-        b"\x76\x2f\x31": "an OpenEXR file",
-    }
-    for magic, kind in kinds.items():
-        if head.startswith(magic):
+        if file.read(3) == b"\xff\xd8\xff":
             raise InputError(
                 path,
-                f"the file's content is {kind}",
-                "a camera raw or JPEG",
-                "give the file the suffix .jpg"
-                if kind == "a JPEG"
-                else "use the frame as the camera wrote it, raw or JPEG with its EXIF",
+                "the file's content is a JPEG",
+                "a camera raw",
+                "give the file the suffix .jpg",
             )
     _check_strips(path)
     try:
@@ -208,17 +196,13 @@ def _damage_messages() -> Iterator[list[str]]:
                     os.write(2, line)
 
 
-def libraw_exposure(raw: Any) -> tuple[float, float, float]:
-    """Return the shutter time [s], f-number and ISO that LibRaw read from a raw file.
-
-    raw : an object of `opened`. A value that the file lacks is 0.
-    """
-    other = raw.other
-    return (
-        float(other.shutter_speed or 0.0),
-        float(other.aperture or 0.0),
-        float(other.iso_speed or 0.0),
+def _libraw_exposure(raw: Any) -> tuple[float, float, float]:
+    """Return the shutter time [s], f-number and ISO that LibRaw read; 0 for a missing one."""
+    shutter_s, f_number, iso = (
+        float(value or 0.0)
+        for value in (raw.other.shutter_speed, raw.other.aperture, raw.other.iso_speed)
     )
+    return shutter_s, f_number, iso
 
 
 def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
@@ -226,17 +210,10 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
 
     Raises InputError without a Bayer mosaic.
     """
-    import rawpy
-
-    flat = (
-        raw.raw_type == rawpy.RawType.Flat
-        and raw.raw_pattern is not None
-        and raw.raw_pattern.shape == (2, 2)
-    )
-    if not flat:
+    if other := _other_than_bayer(raw):
         raise InputError(
             path,
-            _other_than_bayer(raw),
+            other,
             "a Bayer mosaic, with one colour in each pixel",
             "use a camera with a Bayer sensor",
         )
@@ -254,7 +231,7 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
 
 
 def _other_than_bayer(raw: Any) -> str:
-    """Return what a raw file without a 2 x 2 mosaic has instead."""
+    """Return what a raw file without a 2 x 2 mosaic has instead; "" with one."""
     import rawpy
 
     if raw.raw_type != rawpy.RawType.Flat:
@@ -263,7 +240,8 @@ def _other_than_bayer(raw: Any) -> str:
     if max(shape) <= 1:
         return "the raw file has no colour filters (a monochrome sensor)"
     name = "an X-Trans mosaic" if shape == (6, 6) else "a mosaic"
-    return f"the raw file has {name} of {shape[0]} x {shape[1]} colour filters"
+    found = f"the raw file has {name} of {shape[0]} x {shape[1]} colour filters"
+    return "" if shape == (2, 2) else found
 
 
 def _visible_shift(path: Path, raw: Any) -> tuple[int, int]:
@@ -275,22 +253,19 @@ def _visible_shift(path: Path, raw: Any) -> tuple[int, int]:
     import tifffile
 
     with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        tops: list[Any] = list(tiff.pages)
-        for page in tops + [sub for top in tops for sub in (getattr(top, "pages", None) or ())]:
+        for page in _pages(tiff):
             area = page.tags.valueof(_ACTIVE_AREA)
             if area is not None and page.photometric == _COLOUR_FILTER_ARRAY:
                 return raw.sizes.top_margin - int(area[0]), raw.sizes.left_margin - int(area[1])
     return 0, 0
 
 
-def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> Floats | None:
+def _colour_matrix(raw: Any, tags: Tags) -> Floats | None:
     """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
     xyz_matrix = np.asarray(raw.rgb_xyz_matrix, float)[:3]
     if np.any(xyz_matrix):
         return xyz_matrix
-    values = numbers(
-        tags, "Image ColorMatrix2", "Image Tag 0xC622", "Image ColorMatrix1", "Image Tag 0xC621"
-    )
+    values = numbers(tags, *_COLOUR_MATRICES)
     return np.reshape(values, (3, 3)) if len(values) == 9 and np.any(values) else None
 
 
@@ -317,7 +292,7 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
             float(black[index[(row + down) % 2, (column + right) % 2]])
             for row, column in channel_positions(cfa)
         )
-        info = info_of(path, tags, libraw_exposure(raw), lens_f_number=lens_f_number)
+        info = info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:
             raise _damaged(
@@ -351,5 +326,5 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     fallback = (0.0, 0.0, 0.0)
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         with opened(path) as raw:
-            fallback = libraw_exposure(raw)
+            fallback = _libraw_exposure(raw)
     return info_of(path, tags, fallback, lens_f_number=lens_f_number)

@@ -1,0 +1,155 @@
+"""Write plain DNG and JPEG frames with their EXIF, as a camera does."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum.core.records import Exposure
+from fieldlum.optics.raw.mosaic import channel_positions
+from fieldlum.session import replacing
+
+# Types of TIFF values (TIFF 6.0, section 2), for the tags that Pillow does not know.
+_BYTE, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 3, 4, 5, 10
+# XYZ (D65) to linear sRGB, IEC 61966-2-1 in Lindbloom's digits.
+_XYZ_TO_SRGB = (
+    (3.2404542, -1.5371385, -0.4985314),
+    (-0.9692660, 1.8760108, 0.0415560),
+    (0.0556434, -0.2040259, 1.0572252),
+)
+
+
+def _rational(value: float) -> Any:
+    """Return a positive number as the fraction that a camera writes, in Pillow's type.
+
+    For example, 0.004 gives 1/250 and 5.6 gives 28/5. Below 1 a unit fraction is preferred if it
+    differs by less than 1e-6 of the value.
+    """
+    from PIL.TiffImagePlugin import IFDRational
+
+    inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
+    if inverse and abs(float(inverse) / value - 1) < 1e-6:
+        return IFDRational(inverse)
+    return IFDRational(Fraction(value).limit_denominator(1_000_000 if value < 1000 else 1000))
+
+
+def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any]:
+    """Return the tags of the Exif directory: exposure, and DateTimeOriginal with its fraction.
+
+    A time with an offset from UTC has OffsetTimeOriginal too.
+    """
+    fields: dict[int, Any] = {
+        33434: _rational(exposure.shutter_s),
+        33437: _rational(exposure.f_number),
+        34855: round(exposure.iso),
+    }
+    if t_camera is not None:
+        fields[36867] = t_camera.strftime("%Y:%m:%d %H:%M:%S")
+        fields[37521] = f"{t_camera.microsecond // 1000:03d}"
+        if offset := t_camera.strftime("%z"):
+            fields[36881] = f"{offset[:3]}:{offset[3:5]}"
+    return fields
+
+
+def write_dng(
+    path: Path,
+    counts: NDArray[np.uint16],
+    exposure: Exposure,
+    *,
+    black_dn: tuple[float, ...],
+    white_dn: float,
+    cfa: str = "RGGB",
+    t_camera: datetime | None = None,
+    make: str = "fieldlum",
+    model: str = "",
+    colour_matrix: ArrayLike = _XYZ_TO_SRGB,
+) -> None:
+    """Write an uncompressed DNG with an EXIF directory; LibRaw returns the same counts exactly.
+
+    A file at `path` is replaced. counts : [h, w] 16-bit, black level included. exposure : shutter
+    time, f-number, ISO and the name of an ND filter for the EXIF. black_dn : black level for R, G1,
+    G2, B, and white_dn : white level, both only recorded in the file. cfa : colours of the top left
+    2 x 2 pixels row by row. t_camera : time for the EXIF, None for no time. colour_matrix : [3, 3],
+    converts XYZ to camera RGB.
+    """
+    from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
+
+    height, width = counts.shape
+    cell = np.empty((2, 2))
+    for at, value in zip(channel_positions(cfa), black_dn, strict=True):
+        cell[at] = value
+
+    def fractions(values: ArrayLike) -> tuple[Any, ...]:
+        parts = (Fraction(v).limit_denominator(1_000_000) for v in np.ravel(values).tolist())
+        return tuple(IFDRational(part) for part in parts)
+
+    plain = {  # of TIFF 6.0 and EXIF: Pillow knows their types
+        256: width,
+        257: height,
+        258: 16,
+        259: 1,  # uncompressed
+        262: 32803,  # colour filter array
+        271: make,
+        273: 0,  # Pillow adds where its directory ends
+        274: 1,
+        277: 1,
+        278: height,
+        279: counts.size * 2,
+        284: 1,
+        34665: _exif_fields(exposure, t_camera),
+        **({270: f"ND={exposure.nd}"} if exposure.nd else {}),
+        **({272: model} if model else {}),
+    }
+    typed = {  # of DNG 1.4
+        254: (_LONG, 0),
+        33421: (_SHORT, (2, 2)),
+        33422: (_BYTE, bytes("RGB".index(c) for c in cfa)),
+        50706: (_BYTE, bytes((1, 4, 0, 0))),
+        50707: (_BYTE, bytes((1, 1, 0, 0))),
+        50713: (_SHORT, (2, 2)),
+        50714: (_RATIONAL, fractions(cell)),
+        50717: (_LONG, round(white_dn)),
+        50721: (_SRATIONAL, fractions(colour_matrix)),
+        50728: (_RATIONAL, fractions([1, 1, 1])),
+        50778: (_SHORT, 21),  # D65
+    }
+    directory = ImageFileDirectory_v2(prefix=b"II")
+    for number, (kind, value) in typed.items():
+        directory.tagtype[number] = kind
+        directory[number] = value
+    directory.update({**plain, 50708: f"{make} {model or 'camera'}"})
+    with replacing(path) as file:
+        directory.save(file)
+        file.write(np.ascontiguousarray(counts, "<u2").tobytes())
+
+
+def write_jpeg(
+    path: Path,
+    codes: NDArray[np.uint8],
+    exposure: Exposure,
+    *,
+    t_camera: datetime | None = None,
+    make: str = "fieldlum",
+    model: str = "",
+    quality: int = 97,
+) -> None:
+    """Write codes [h, w, 3], red first, as a JPEG with EXIF, without chroma subsampling.
+
+    A file at `path` is replaced. exposure: shutter time, f-number, ISO and the name of an ND filter
+    for the EXIF; t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
+    """
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif.update({0x010F: make, 0x0110: model})
+    if exposure.nd:
+        exif[0x010E] = f"ND={exposure.nd}"
+    # WhiteBalance: manual
+    exif.get_ifd(0x8769).update({**_exif_fields(exposure, t_camera), 41987: 1})
+    with replacing(path) as file:
+        Image.fromarray(codes, "RGB").save(file, "JPEG", quality=quality, subsampling=0, exif=exif)
