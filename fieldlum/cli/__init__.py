@@ -41,6 +41,8 @@ COMMANDS = (
     "view",
     "bench",
     "report",
+    "compare",
+    "export",
     "simulate",
     "campaign",
     "info",

@@ -1,0 +1,81 @@
+"""`fieldlum compare`: a simulation of the room beside what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.options import command_of
+from fieldlum.cli.terminal import emit_json, print_table, progress, say
+
+_SURFACES = {
+    "name": ("surface", "<"),
+    "measured_cdm2": ("measured [cd/m2]", ".0f"),
+    "model_cdm2": ("model", ".0f"),
+    "ratio": ("model/measured", ".2f"),
+    "low": ("quartiles", ".2f"),
+    "high": ("", ".2f"),
+    "pictures": ("pictures", "d"),
+}
+_DIRECTIONS = {
+    "azimuth_deg": ("view [°]", ".0f"),
+    "figure": ("figure", "<"),
+    "hours": ("hours", "d"),
+    "measured": ("measured", ".3f"),
+    "model": ("model", ".3f"),
+    "mean_abs": ("mean abs. diff.", ".3f"),
+    "over": ("DGP > 0.40", "d"),
+    "model_over": ("model", "d"),
+}
+
+
+@command_of("compare")
+def command(
+    session_folder: Path,
+    result: Annotated[Path, EXISTING_PATH],
+    out: Path | None = None,
+    view_azimuths: tuple[float, ...] = (),
+    as_json: bool = False,
+) -> None:
+    """Compare a simulation of the room with what was measured: where and when it errs.
+
+    RESULT is a folder of pictures named by slots (20270320T193000Z.hdr), compared with the
+    captures, or a year of DGP or vertical illuminance, compared with the newest predicted year: a
+    csv or tab-separated table with month, day, hour (or hoy) and dgp or ev, or a folder of
+    honeybee-radiance with sun-up-hours.txt and GRID.dgp or GRID.ill.
+
+    \b
+    Example:
+      fieldlum compare office-2027 renderings/
+      fieldlum compare office-2027 annual.tsv --view-azimuth 180
+
+    Options:
+      --out: Folder of compare.csv and compare.png. [default: SESSION/compare]
+      --view-azimuth DEG: Direction of a view that the file does not name, clockwise from true
+          north; repeat it for each sensor of a grid.
+    """
+    from fieldlum.report.compare import compare
+    from fieldlum.session import open_session
+    from fieldlum.year.predict import read_annual
+
+    session = open_session(session_folder)
+    years = sorted(session.annual_folders(), key=lambda f: (f / "predict.json").stat().st_mtime)
+    annual = read_annual(years[-1]) if years else None
+    with progress("comparing") as shown:
+        found = compare(
+            session, result, out or session.root / "compare", view_azimuths, annual, shown
+        )
+    if as_json:
+        emit_json({k: v for k, v in asdict(found).items() if k != "files"})
+    elif found.surfaces:
+        print_table([asdict(row) for row in found.surfaces], _SURFACES)
+    else:
+        print_table([asdict(row) for row in found.directions], _DIRECTIONS)
+    if not as_json:
+        for sentence in found.text:
+            click.echo(sentence)
+    say("written: " + ", ".join(str(path) for path in found.files))

@@ -1,0 +1,40 @@
+"""`fieldlum export`: what was measured, in the files of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.options import command_of
+from fieldlum.cli.terminal import progress
+
+
+@command_of("export")
+def command(
+    session_folder: Path, out: Path | None = None, view_azimuths: tuple[float, ...] = ()
+) -> None:
+    """Write a session's results for other programs.
+
+    maps/SLOT-AZIMUTH.hdr: Radiance fisheyes with VIEW, for evalglare; sky_view.csv: the share of
+    the sun's beam that arrives from each direction, for obstruction masks; room.rad: the fitted or
+    stated room; pairs.nc and year.nc: netCDF with units, for xarray. pairs.csv and hourly.csv of
+    the session are tables already.
+
+    \b
+    Example:
+      fieldlum export office-2027 --view-azimuth 180
+
+    Options:
+      --out: Folder to write. [default: SESSION/export]
+      --view-azimuth DEG: Direction of the fisheyes, clockwise from true north; can be repeated.
+          [default: the camera's heading]
+    """
+    from fieldlum.report.export import export
+    from fieldlum.session import open_session
+
+    session = open_session(session_folder)
+    with progress("exporting") as shown:
+        files = export(session, out or session.root / "export", view_azimuths, shown)
+    for path in files:
+        click.echo(str(path))

@@ -1,0 +1,175 @@
+"""`compare`: a simulation beside what was measured; a wrong wall is named, hours are matched."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from places import SEATTLE
+
+from fieldlum.cli import main
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Obstruction, Room, SiteFile, Slot, Window, slot_id
+from fieldlum.optics.images import read_panorama, write_panorama, write_radiance_hdr
+from fieldlum.report.compare import compare, read_model_hours, surface_names
+from fieldlum.room import simulate
+from fieldlum.room.scene.radiance import octree
+from fieldlum.session import Session, create_session
+from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.year.glare.fisheye import panorama_to_fisheye
+from fieldlum.year.glare.single import panorama_glare, picture_glare
+from fieldlum.year.predict import Annual
+
+ROOM = Room(
+    width_m=4,
+    depth_m=5,
+    height_m=3,
+    camera_x_m=2,
+    camera_y_m=2,
+    camera_z_m=1.4,
+    wall_azimuth_deg=170.0,
+    window=(Window("south", left_m=0.5, width_m=3, sill_m=0.8, height_m=1.9),),
+)
+SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=170.0, height_m=1.4), ROOM)
+# The "east" wall, which faces E with a turn of 170 degrees, is dark in one model.
+DARK = replace(ROOM, obstruction=(Obstruction(3.95, 0.0, 0.0, 0.05, 5.0, 3.0, 0.15),))
+START = datetime(2027, 3, 20, 16, 30, tzinfo=UTC)
+TIMES = [START + timedelta(hours=2 * k) for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Path, Path]:
+    """Return a session with four captures, and the pictures of a right and of a wrong model."""
+    root = tmp_path_factory.mktemp("compare")
+    session = create_session(root / "office", SETUP, [Slot(t, 30.0, 170.0, ()) for t in TIMES], {})
+    session.panoramas.mkdir(exist_ok=True)
+    folders = root / "right", root / "wrong"
+    for room, folder in zip((ROOM, DARK), folders, strict=True):
+        folder.mkdir()
+        truth = simulate.ground_truth(
+            replace(SETUP, room=room), height=24, quality="draft", cache=root / "cache"
+        )
+        for k, t in enumerate(TIMES):
+            panorama = truth.panorama(t, 0.0 if k == 0 else 500.0, 150.0)
+            if room is ROOM:
+                write_panorama(session.panoramas / f"{slot_id(t)}.exr", panorama)
+            light = panorama.luminance_cdm2
+            path = folder / f"{slot_id(t)}.hdr"
+            if k == 3:  # as a fisheye with a VIEW, which every Radiance program writes
+                fisheye = panorama_to_fisheye(light, 170.0, 170.0)
+                write_radiance_hdr(path, fisheye, view=_fisheye_view(170.0))
+            else:
+                write_radiance_hdr(path, light, heading_deg=170.0)
+    return session, *folders
+
+
+def _fisheye_view(azimuth_deg: float) -> str:
+    x, y = np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))
+    return f"-vta -vp 0 0 0 -vd {x:.6f} {y:.6f} 0 -vu 0 0 1 -vh 180 -vv 180"
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_a_right_model_has_no_odd_surface(
+    measured: tuple[Session, Path, Path], tmp_path: Path
+) -> None:
+    session, right, _ = measured
+    result = compare(session, right, tmp_path)
+    assert all(s.ratio == pytest.approx(1.0, abs=0.06) for s in result.surfaces), result.surfaces
+    assert "No surface differs" in " ".join(result.text)
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_a_wrong_wall_is_named(measured: tuple[Session, Path, Path], tmp_path: Path) -> None:
+    session, _, wrong = measured
+    ran = CliRunner().invoke(
+        main, ["compare", str(session.root), str(wrong), "--out", str(tmp_path)]
+    )
+    assert ran.exit_code == 0, ran.output
+    assert 'E wall ("east"): the model is' in ran.output and "too low" in ran.output, ran.output
+    assert "Largest differences: 2027" in ran.output
+    assert (tmp_path / "compare.png").stat().st_size > 10_000
+    assert (tmp_path / "compare.csv").read_text().startswith("slot,surface,measured_cdm2")
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_export_writes_what_other_programs_read(
+    measured: tuple[Session, Path, Path], tmp_path: Path
+) -> None:
+    session = measured[0]
+    ran = CliRunner().invoke(
+        main, ["export", str(session.root), "--out", str(tmp_path), "--view-azimuth", "170"]
+    )
+    assert ran.exit_code == 0, ran.output
+    maps = sorted((tmp_path / "maps").iterdir())
+    assert len(maps) == 4 and maps[0].name == f"{slot_id(TIMES[0])}-170.hdr"
+    (view,) = picture_glare(maps[0])["views"]
+    panorama = read_panorama(session.panoramas / f"{slot_id(TIMES[0])}.exr")
+    (own,) = panorama_glare(panorama, [170.0])["views"]
+    assert view["ev_lx"] == pytest.approx(own["ev_lx"], rel=0.02)
+    with octree((tmp_path / "room.rad").read_text()) as compiled:
+        assert compiled.stat().st_size > 1000
+
+
+@pytest.mark.analytic
+def test_surfaces_are_named_by_compass() -> None:
+    names = surface_names(ROOM, 24, 170.0)
+    assert names[-1, 0] == "floor" and names[0, 0] == "ceiling"
+    assert names[12, 24] == "window"
+    assert {'N wall ("north")', 'E wall ("east")', 'W wall ("west")'} <= set(names.ravel())
+
+
+def _year(hours: int = 200) -> Annual:
+    """A year of some daylight hours with a known DGP, facing 0 and 180 degrees."""
+    start = datetime(2027, 1, 1, 8, 30, tzinfo=UTC)  # half past midnight in Seattle
+    times = tuple(start + timedelta(hours=9 + k // 8 * 24 + k % 8) for k in range(hours))
+    dgp = np.linspace(0.2, 0.5, 2 * hours).reshape(hours, 2)
+    views = {"dgp": dgp, "ev_lx": dgp * 5000}
+    return Annual(Path(), PredictFile(), times, np.array([0.0, 180.0]), {}, views)
+
+
+@pytest.mark.contract
+def test_a_table_of_hours_is_compared_with_the_predicted_year(tmp_path: Path) -> None:
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    year = _year()
+    table = tmp_path / "other.tsv"
+    rows = [
+        f"{1 + k // 8}\t{9 + k % 8}.5\t{value + 0.02:.4f}"
+        for k, value in enumerate(year.views["dgp"][:, 1])
+    ]
+    days = [row.split("\t") for row in rows]
+    text = ["month\tday\thour\tDGP"]
+    text += [
+        f"{1 if int(d) <= 31 else 2}\t{int(d) if int(d) <= 31 else int(d) - 31}\t{h}\t{v}"
+        for d, h, v in days
+    ]
+    table.write_text("\n".join(text))
+    result = compare(session, table, tmp_path / "out", [180.0], year)
+    (view,) = result.directions
+    assert view.hours == 200 and view.azimuth_deg == 180.0
+    assert view.model - view.measured == pytest.approx(0.02, abs=1e-3)
+    assert view.over is not None and view.model_over is not None and view.model_over > view.over
+
+
+@pytest.mark.contract
+def test_a_folder_of_honeybee_is_read(tmp_path: Path) -> None:
+    (tmp_path / "sun-up-hours.txt").write_text("8.5\n9.5\n10.5\n")
+    (tmp_path / "desk.dgp").write_text("0.2 0.3 0.4\n0.25 0.35 0.45\n")
+    hours = read_model_hours(tmp_path, [90.0, 180.0])
+    assert hours.hour_of_year.tolist() == [8, 9, 10]
+    assert hours.figures["dgp"][:, 1].tolist() == [0.25, 0.35, 0.45]
+    with pytest.raises(InputError, match="sensors"):
+        read_model_hours(tmp_path, [90.0])
+
+
+@pytest.mark.contract
+def test_pictures_of_other_slots_are_refused(tmp_path: Path) -> None:
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    (tmp_path / "model").mkdir()
+    write_radiance_hdr(tmp_path / "model" / "noon.hdr", np.ones((8, 16)), heading_deg=0.0)
+    with pytest.raises(InputError, match="none named as a capture"):
+        compare(session, tmp_path / "model", tmp_path / "out")
