@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.cli import main
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Obstruction, Room, SiteFile, Slot, Window, slot_id
 from fieldlum.optics.images import read_panorama, write_panorama, write_radiance_hdr
@@ -127,8 +128,8 @@ def _year(hours: int = 200) -> Annual:
     """A year of some daylight hours with a known DGP, facing 0 and 180 degrees."""
     start = datetime(2027, 1, 1, 8, 30, tzinfo=UTC)  # half past midnight in Seattle
     times = tuple(start + timedelta(hours=9 + k // 8 * 24 + k % 8) for k in range(hours))
-    dgp = np.linspace(0.2, 0.5, 2 * hours).reshape(hours, 2)
-    views = {"dgp": dgp, "ev_lx": dgp * 5000}
+    dgp: Floats = np.linspace(0.2, 0.5, 2 * hours).reshape(hours, 2)
+    views: dict[str, Floats] = {"dgp": dgp, "ev_lx": dgp * 5000}
     return Annual(Path(), PredictFile(), times, np.array([0.0, 180.0]), {}, views)
 
 

@@ -1,4 +1,4 @@
-"""`fieldlum compare`: a simulation of the room beside what was measured."""
+"""`fieldlum compare`: a simulation of the room and what was measured."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def command(
     view_azimuths: tuple[float, ...] = (),
     as_json: bool = False,
 ) -> None:
-    """Compare a simulation of the room with what was measured: where and when it errs.
+    """Compare a simulation with the measurement: where it errs, and when.
 
     RESULT is a folder of pictures named by slots (20270320T193000Z.hdr), compared with the
     captures, or a year of DGP or vertical illuminance, compared with the newest predicted year: a

@@ -2,7 +2,7 @@
 
 A model is a folder of pictures named by the slots of the session, an hourly table of DGP or
 vertical illuminance (a csv or tab-separated text with hours of the year, as evalglare's or
-raytraverse's tables), or a results folder of honeybee-radiance (sun-up-hours.txt beside a matrix
+raytraverse's tables), or a results folder of honeybee-radiance (sun-up-hours.txt and a matrix
 GRID.dgp or GRID.ill). Pictures are compared with the captures of the same slots, hours with the
 session's predicted year, which should have the model's weather file.
 """
@@ -560,7 +560,7 @@ class _Shared(NamedTuple):
         ]
 
     def text(self) -> list[str]:
-        """Return a sentence that says in which months and hours the model errs most."""
+        """Return a sentence on the months and hours in which the model errs most."""
         off = self.model - self.measured
         unit = "" if self.figure == "dgp" else " lx"
         start = np.datetime64("2001-01-01T00") + self.hour_of_year.astype("timedelta64[h]")

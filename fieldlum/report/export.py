@@ -69,7 +69,7 @@ def export(
 
 
 def _sky(session: Session, out: Path) -> list[Path]:
-    """Write the sky view as a csv of its directions, by whole degrees above the horizon."""
+    """Write the sky view as a csv of its directions, one for each degree above the horizon."""
     view = SkyView.find(session.root / "sky_view.exr")
     if view is None:
         return []
