@@ -23,7 +23,7 @@ from fieldlum.capture.card import card_files, without_edited
 from fieldlum.capture.match_card import CardFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.images import read_exr, read_radiance_luminance
+from fieldlum.optics.images import read_exr, read_radiance_hdr
 from fieldlum.optics.images.primaries import luminance_weights
 from fieldlum.optics.raw import jpeg as jpeg_module
 from fieldlum.optics.raw import read_exif, read_jpeg, read_mosaic, write_dng
@@ -450,7 +450,7 @@ def test_an_exposure_of_zero_is_none(tmp_path: Path, line: str, other: str) -> N
     head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n{other}{line}\n\n-Y 2 +X 3\n"
     path.write_bytes(head.encode() + bytes((128, 128, 128, 128)) * 6)
     expected = 179.0 * 128.5 / 256.0 / (2.0 if other else 1.0)
-    assert read_radiance_luminance(path)[0] == pytest.approx(expected, rel=1e-4)
+    assert read_radiance_hdr(path).luminance_cdm2 == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.contract
@@ -459,7 +459,7 @@ def test_other_exposures_are_refused(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a.hdr"
     path.write_bytes(f"#?RADIANCE\n{line}\n\n-Y 2 +X 3\n".encode() + bytes(24))
     with pytest.raises(InputError, match="above 0"):
-        read_radiance_luminance(path)
+        read_radiance_hdr(path)
 
 
 @pytest.mark.contract

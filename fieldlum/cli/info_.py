@@ -128,11 +128,11 @@ def _radiance(path: Path) -> Facts:
     from fieldlum.optics.images import read_radiance_hdr
 
     image = read_radiance_hdr(path)
-    kind = "panorama" if image.heading_deg is not None else "Radiance picture"
+    kind = "panorama" if image.header.heading_deg is not None else "Radiance picture"
     return {
         "kind": kind,
         "size": _size(image.rgb),
-        "view": image.view or ("equirect" if kind == "panorama" else "missing"),
+        "view": image.header.view or ("equirect" if kind == "panorama" else "missing"),
         "median_cdm2": round(float(np.median(image.luminance_cdm2)), 3),
         "largest_cdm2": round(float(image.luminance_cdm2.max()), 1),
     }

@@ -2,178 +2,162 @@
 
 pvalue decodes flat, new and old run-length scanlines. It runs as a separate process, so that a
 damaged file cannot crash this one. It receives the pixels behind a plain header: exposure,
-primaries and orientation are applied here (`radiance_header`).
+primaries and orientation are applied here.
 """
 
 from __future__ import annotations
 
-import shutil
+import re
 import subprocess
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Thread
-from typing import IO, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.optics.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
-from fieldlum.optics.images.programs import radiance_program
-from fieldlum.optics.images.radiance_header import (
-    PANORAMA_LINE,
-    RADIANCE_LM_PER_W,
-    RADIANCE_Y,
-    RadianceHeader,
-    read_header,
+from fieldlum.optics.images.primaries import (
+    RADIANCE_CHROMATICITIES,
+    luminance_weights,
+    rgb_to_xyz,
+    same_chromaticities,
 )
 
+# Radiance's own white efficacy (WHTEFFICACY of src/common/color.h), in lm/W: neither 683 nor a
+# luminous efficacy of daylight.
+RADIANCE_LM_PER_W = 179.0
+# Luminance of Radiance's primaries (Ward Larson and Shakespeare 1998).
+RADIANCE_Y = (0.265, 0.670, 0.065)
+PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
+# 12 bytes a pixel: 1.9 GB. The largest pictures in use, panoramas of 16k x 8k, have 134 million.
+# Chosen.
+MAX_PIXELS = 160_000_000
+# A longer header is damaged: a year of pcomb and pcompos lines has a few thousand bytes. Chosen.
+_MAX_HEADER_BYTES = 4_000_000
 # Brighter pixels are damaged. Infinity is written as 1e30, and single precision ends at 3e38.
 # [W/sr/m2] Chosen between the two.
 _MAX_RADIANCE = 2e30
-# decoded at a time: limits memory to 6 MB; chosen; any value gives the same picture
+_RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
+_RGBE, _XYZE = "32-bit_rle_rgbe", "32-bit_rle_xyze"
+# encoded at a time: limits memory; chosen; any value gives the same picture
 _BLOCK_PIXELS = 500_000
 
 
 @dataclass(frozen=True, slots=True)
+class RadianceHeader:
+    """The content of a picture's header.
+
+    axes, counts : order of the pixels in the file, such as "-Y" and "+X", and their counts.
+    exposure : [3], by which the decoded channels must be divided. chromaticities : x, y of red,
+    green, blue and white, [8]. xyze : whether the pixels are XYZ. views : the picture's own VIEW
+    lines in order; inherited_views : those of its input pictures. heading_deg : of a panorama, else
+    None. pixel_aspect : height over width of a pixel.
+    """
+
+    axes: tuple[str, str]
+    counts: tuple[int, int]
+    xyze: bool
+    exposure: Floats
+    chromaticities: tuple[float, ...]
+    views: tuple[str, ...]
+    inherited_views: tuple[str, ...]
+    heading_deg: float | None
+    pixel_aspect: float
+
+    @property
+    def view(self) -> str:
+        """Radiance's view options of the picture, else those its input pictures agree on, or ""."""
+        if self.views:
+            return " ".join(self.views)
+        return self.inherited_views[0] if len(set(self.inherited_views)) == 1 else ""
+
+    @property
+    def view_is_inherited(self) -> bool:
+        """Whether the view is stated only by an input picture."""
+        return not self.views and bool(self.view)
+
+    @property
+    def cdm2_per_unit(self) -> Floats:
+        """Luminance in cd/m2 of one unit of each decoded channel, [3], with exposure undone.
+
+        XYZE has Y in cd/m2, because ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
+        """
+        if self.xyze:
+            return np.array([0.0, 1.0, 0.0]) / self.exposure
+        own = same_chromaticities(self.chromaticities, RADIANCE_CHROMATICITIES)
+        weights = np.asarray(RADIANCE_Y) if own else luminance_weights(self.chromaticities)
+        return RADIANCE_LM_PER_W * weights / self.exposure
+
+    def upright(self, pixels: Floats32) -> Floats32:
+        """Return pixels in file order [first, second, ...] as an upright picture [H, W, ...]."""
+        axes = self.axes
+        if axes[0][1] == "X":
+            pixels, axes = pixels.swapaxes(0, 1), (axes[1], axes[0])
+        rows = slice(None, None, -1) if axes[0] == "+Y" else slice(None)
+        columns = slice(None, None, -1) if axes[1] == "-X" else slice(None)
+        return np.ascontiguousarray(pixels[rows, columns])
+
+
+@dataclass(frozen=True, slots=True)
 class RadianceImage:
-    """A Radiance picture with its colours.
+    """A Radiance picture.
 
     rgb : [H, W, 3] W/sr/m2, upright, with EXPOSURE and COLORCORR undone, in the file's own
-    primaries (for XYZE, in Radiance's). header : its lines after "#?". view : the text after VIEW=,
-    or "". heading_deg : stated by a header line of a panorama. cdm2_per_unit : [3] luminance of one
-    unit of R, G and B.
+    primaries (for XYZE, in Radiance's). luminance_cdm2 : [H, W].
     """
 
     rgb: Floats32
-    header: tuple[str, ...] = ()
-    view: str = ""
-    heading_deg: float | None = None
-    cdm2_per_unit: tuple[float, float, float] = (
-        RADIANCE_LM_PER_W * RADIANCE_Y[0],
-        RADIANCE_LM_PER_W * RADIANCE_Y[1],
-        RADIANCE_LM_PER_W * RADIANCE_Y[2],
-    )
-
-    @property
-    def luminance_cdm2(self) -> Floats32:
-        """The luminance, [H, W], in cd/m2."""
-        return self.rgb @ np.asarray(self.cdm2_per_unit, np.float32)
+    luminance_cdm2: Floats32
+    header: RadianceHeader
 
 
 # ----------------------------------------------------------------------------------------------
 # reading
 
 
+def radiance_program(name: str) -> str:
+    """Return the path of a program of Radiance in the wheel of pyradiance, such as ``pvalue``."""
+    from pyradiance.anci import BINPATH
+
+    return str(Path(BINPATH) / name)
+
+
 def read_radiance_hdr(path: Path) -> RadianceImage:
-    """Read a Radiance picture with its colours. Raises InputError for any other file."""
-    with _open(path) as file:
-        header = read_header(file, path)
-        pixels = np.empty((*header.resolution.counts, 3), np.float32)
-        for first, rows in _decoded_rows(file, header, path):
-            pixels[first : first + len(rows)] = rows / header.exposure
-    weights = header.cdm2_per_unit * header.exposure
-    if header.xyze:
-        to_rgb = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) / RADIANCE_LM_PER_W  # [3, 3]
-        pixels = (pixels.reshape(-1, 3) @ to_rgb.T.astype(np.float32)).reshape(pixels.shape)
-        weights = RADIANCE_LM_PER_W * rgb_to_xyz(RADIANCE_CHROMATICITIES)[1]
-    red, green, blue = (float(value) for value in weights)
-    return RadianceImage(
-        header.resolution.upright(pixels),
-        header.lines,
-        header.view,
-        header.heading_deg,
-        (red, green, blue),
-    )
-
-
-def read_radiance_luminance(path: Path) -> tuple[Floats32, RadianceHeader]:
-    """Read the luminance [H, W] in cd/m2 and the header of a Radiance picture.
-
-    This needs 4 bytes for each pixel. Raises InputError for any other file.
-    """
-    with _open(path) as file:
-        header = read_header(file, path)
-        weights = header.cdm2_per_unit.astype(np.float32)
-        luminance = np.empty(header.resolution.counts, np.float32)
-        for first, rows in _decoded_rows(file, header, path):
-            luminance[first : first + len(rows)] = rows @ weights
-    return header.resolution.upright(luminance), header
-
-
-def read_radiance_header(path: Path) -> RadianceHeader:
-    """Read the header of a Radiance picture only. Raises InputError for any other file."""
-    with _open(path) as file:
-        return read_header(file, path)
-
-
-def _open(path: Path) -> BinaryIO:
-    """Open a regular file. Raises InputError for any other, or an unreadable one."""
+    """Read a Radiance picture. Raises InputError for any other file, or damaged pixels."""
     remedy = "check the path and the permissions of the picture"
     with input_errors(path, "a readable file", remedy, OSError):
         if path.exists() and not path.is_file():
-            raise InputError(
-                path, "no regular file", "a Radiance .hdr picture", "check the path of the picture"
-            )
-        return path.open("rb")
+            raise InputError(path, "no regular file", "a Radiance .hdr picture", remedy)
+        with path.open("rb") as file:
+            header = _read_header(file, path)
+            values = header.upright(_decoded(file, header, path))  # [H, W, 3]
+    luminance = values @ header.cdm2_per_unit.astype(np.float32)
+    rgb = np.divide(values, header.exposure, out=np.empty_like(values), casting="same_kind")
+    if header.xyze:
+        to_rgb = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) / RADIANCE_LM_PER_W  # [3, 3]
+        rgb = rgb @ to_rgb.T.astype(np.float32)
+    return RadianceImage(rgb, luminance, header)
 
 
-def _decoded_rows(
-    file: BinaryIO, header: RadianceHeader, path: Path
-) -> Iterator[tuple[int, Floats32]]:
-    """Yield the first scanline and values [scanlines, pixels, 3], in file order, before exposure.
-
-    Raises InputError if the pixels are damaged or end early.
-    """
-    scanlines, width = header.resolution.counts
-    plain = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {scanlines} +X {width}\n".encode()
-    brightest = _MAX_RADIANCE * float(header.exposure.min())
-    process = subprocess.Popen(
-        [radiance_program("pvalue"), "-h", "-H", "-df"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    assert process.stdin is not None and process.stdout is not None
-    feeder = Thread(target=_feed, args=(plain, file, process.stdin), daemon=True)
-    feeder.start()
-    try:
-        step = max(1, _BLOCK_PIXELS // width)
-        for first in range(0, scanlines, step):
-            count = min(step, scanlines - first)
-            data = process.stdout.read(count * width * 12)
-            if len(data) < count * width * 12:
-                end = first + count
-                raise InputError(
-                    path,
-                    f"the pixels are damaged, or end before scanline {end} of {scanlines}",
-                    f"{scanlines} scanlines of Radiance pixels",
-                    "copy the file again, because it is cut short",
-                )
-            rows = np.frombuffer(data, np.float32).reshape(count, width, 3)
-            _check_brightness(rows, brightest, path)
-            yield first, rows
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-        feeder.join()
-
-
-def _feed(head: bytes, file: BinaryIO, pipe: IO[bytes]) -> None:
-    """Write a plain header and the rest of `file` to the decoder, which may stop reading early."""
-    with suppress(OSError, ValueError):
-        pipe.write(head)
-        shutil.copyfileobj(file, pipe, 1 << 20)
-    with suppress(OSError, ValueError):
-        pipe.close()
-
-
-def _check_brightness(rows: Floats32, brightest: float, path: Path) -> None:
-    largest = float(rows.max(initial=0.0))
+def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
+    """Return the channels [scanlines, pixels, 3], in file order, before exposure is undone."""
+    scanlines, width = header.counts
+    plain = f"#?RADIANCE\nFORMAT={_RGBE}\n\n-Y {scanlines} +X {width}\n".encode()
+    command = [radiance_program("pvalue"), "-h", "-H", "-df"]
+    result = subprocess.run(command, input=plain + file.read(), capture_output=True, check=False)
+    count = len(result.stdout) // (12 * width)
+    if count < scanlines:
+        raise InputError(
+            path,
+            f"the pixels are damaged, or end after scanline {count} of {scanlines}",
+            f"{scanlines} scanlines of Radiance pixels",
+            "copy the file again, because it is cut short",
+        )
+    values = np.frombuffer(result.stdout, np.float32, 3 * scanlines * width)
+    largest, brightest = float(values.max()), _MAX_RADIANCE * float(header.exposure.min())
     if not largest <= brightest:
         raise InputError(
             path,
@@ -181,6 +165,138 @@ def _check_brightness(rows: Floats32, brightest: float, path: Path) -> None:
             f"at most {brightest:.3g}",
             "copy the file again, because it is damaged",
         )
+    return values.reshape(scanlines, width, 3)
+
+
+# ----------------------------------------------------------------------------------------------
+# the header
+
+
+def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
+    """Read the header, up to the first byte of the pixels."""
+    lines = _header_lines(file, path)
+    formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
+    if not lines[0].startswith("#?") and not formats:
+        raise _not_radiance(path)
+    kind = formats[-1] if formats else _RGBE
+    if kind not in (_RGBE, _XYZE):
+        remedy = "convert it by rcomb -fc -c RGB IN > OUT (spectra), or rmtxop -fc IN > OUT.hdr"
+        raise InputError(path, f"pixel format {kind[:40]}", "Radiance RGBE or XYZE", remedy)
+    axes, counts = _resolution(file.readline(200), path)
+    marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
+    return RadianceHeader(
+        axes,
+        counts,
+        kind == _XYZE,
+        _product(lines, "EXPOSURE=", 1, path) * _product(lines, "COLORCORR=", 3, path),
+        _chromaticities(lines, path),
+        _views(lines),
+        _views([line.lstrip("\t ") for line in lines if line[:1] in "\t "]),
+        _heading(marks[-1], path) if marks else None,
+        float(_product(lines, "PIXASPECT=", 1, path)[0]),
+    )
+
+
+def _not_radiance(path: Path) -> InputError:
+    remedy = "check which program wrote the file"
+    return InputError(path, "no Radiance header", "a Radiance .hdr picture", remedy)
+
+
+def _header_lines(file: BinaryIO, path: Path) -> list[str]:
+    lines: list[str] = []
+    size = 0
+    while True:
+        line = file.readline(_MAX_HEADER_BYTES)
+        size += len(line)
+        if not line.endswith(b"\n") or size > _MAX_HEADER_BYTES or (not lines and b"\0" in line):
+            raise _not_radiance(path)
+        text = line.decode("latin-1").rstrip("\r\n")
+        if not text and lines:
+            return lines
+        if text or lines:
+            lines.append(text)
+
+
+def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, int]]:
+    """Return the axes and their counts in the line before the pixels."""
+    match = _RESOLUTION.fullmatch(line)
+    if match is None or match[2] == match[5]:
+        raise InputError(
+            path,
+            f"resolution line {line[:40].decode('latin-1').strip()!r}",
+            "two axes and their pixels, such as -Y 800 +X 800",
+            "copy the file again, because it is damaged",
+        )
+    counts = (int(match[3]), int(match[6]))
+    if not 0 < counts[0] * counts[1] <= MAX_PIXELS:
+        raise InputError(
+            path,
+            f"{counts[1]} x {counts[0]} pixels",
+            f"1 to {MAX_PIXELS:,} pixels",
+            "reduce it with Radiance's pfilt -1 -x 4000 -y 4000, or copy the file again",
+        )
+    return ((match[1] + match[2]).decode(), (match[4] + match[5]).decode()), counts
+
+
+def _product(lines: Sequence[str], key: str, count: int, path: Path) -> Floats:
+    """Return the product of the values of all lines that begin with `key`, [count].
+
+    Zeros, which FreeImage writes as EXPOSURE, count as no line. Raises InputError for other values
+    that are not finite numbers above 0.
+    """
+    total = np.ones(count)
+    for line in lines:
+        if not line.startswith(key):
+            continue
+        try:
+            row = np.array([float(word) for word in line[len(key) :].split()[:count]])
+        except ValueError:
+            row = np.array([])
+        if len(row) == count and not row.any():
+            continue
+        total = total * row if len(row) == count else np.zeros(count)
+        if not (np.isfinite(total).all() and (row > 0).all() and (total > 0).all()):
+            expected = f"{key} and {'a number' if count == 1 else f'{count} numbers'} above 0"
+            raise InputError(path, repr(line)[:80], expected, "correct the header line")
+    return total
+
+
+def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
+    """Return the eight numbers of the last PRIMARIES line, or Radiance's own primaries.
+
+    Adobe Photoshop writes eight zeros; they count as no line.
+    """
+    stated = [line[10:] for line in lines if line.startswith("PRIMARIES=")]
+    if not stated or not stated[-1].replace("0", "").replace(".", "").strip():
+        return RADIANCE_CHROMATICITIES
+    try:
+        values = tuple(float(word) for word in stated[-1].split())
+        if len(values) != 8:
+            raise ValueError(f"{len(values)} numbers")
+        luminance_weights(values)
+    except ValueError as error:
+        raise InputError(
+            path,
+            f"PRIMARIES= {stated[-1].strip()[:60]!r} ({error})",
+            "x and y of red, green, blue and white",
+            "correct the header line, or remove it for Radiance's own primaries",
+        ) from None
+    return values
+
+
+def _views(lines: Sequence[str]) -> tuple[str, ...]:
+    return tuple(line[5:].strip() for line in lines if line.startswith("VIEW="))
+
+
+def _heading(line: str, path: Path) -> float:
+    try:
+        heading = float((line.removeprefix(PANORAMA_LINE).split() or [""])[0])
+    except ValueError:
+        heading = np.nan
+    if not np.isfinite(heading):
+        expected = f"{PANORAMA_LINE} and a number"
+        raise InputError(path, repr(line)[:80], expected, "correct the header line")
+    return heading
 
 
 # ----------------------------------------------------------------------------------------------
@@ -223,7 +339,7 @@ def write_radiance_hdr(
         lines.append(f"{PANORAMA_LINE}{heading_deg:.6g}")
     if view:
         lines.append(f"VIEW= {view}")
-    lines += ["EXPOSURE=1", "FORMAT=32-bit_rle_rgbe", ""]
+    lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", ""]
     step = max(1, _BLOCK_PIXELS // width)
     with path.open("wb") as file:
         file.write(("\n".join(lines) + f"\n-Y {height} +X {width}\n").encode())

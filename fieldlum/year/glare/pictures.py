@@ -18,8 +18,7 @@ from fieldlum.optics.images import (
     RadianceHeader,
     read_exr,
     read_panorama,
-    read_radiance_header,
-    read_radiance_luminance,
+    read_radiance_hdr,
 )
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.year.glare.picture_view import HOW, PictureView, check_proportion, parse_view
@@ -72,18 +71,20 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
 
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
-    header = read_radiance_header(path)
+    image = read_radiance_hdr(path)
+    header = image.header
     text = view_options or header.view
     if not view_options:
         _check_views(header, path)
     if header.heading_deg is not None and not view_options:
         return Picture(read_panorama(path), None)
     view = parse_view(_stated(text, path), path)
-    height, width = header.resolution.shape
+    height, width = image.luminance_cdm2.shape
     check_proportion(view, height, width, header.pixel_aspect, path)
-    luminance = read_radiance_luminance(path)[0]
     notes = (_INHERITED,) if header.view_is_inherited and not view_options else ()
-    return Picture(Panorama(luminance, view.azimuth_deg), view, "-vd" in text.split(), notes)
+    return Picture(
+        Panorama(image.luminance_cdm2, view.azimuth_deg), view, "-vd" in text.split(), notes
+    )
 
 
 def _check_views(header: RadianceHeader, path: Path) -> None:
