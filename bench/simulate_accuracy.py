@@ -30,7 +30,7 @@ HOURS = (
 
 
 def plain(
-    truth: simulate.GroundTruth, light: Light, pixels: np.ndarray, bounces: int
+    truth: simulate.SimulatedRoom, light: Light, pixels: np.ndarray, bounces: int
 ) -> np.ndarray:
     """rtrace of the complete hour, [pixels] cd/m2, without the sun's disc."""
     built, sky = truth.view.scene, light.sky
@@ -85,7 +85,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path)
     asked = parser.parse_args()
     setup = load_site(asked.site)
-    truth = simulate.ground_truth(
+    truth = simulate.simulated_room(
         setup, height=asked.height, quality=asked.quality, cache=asked.cache
     )
     count = 2 * asked.height**2

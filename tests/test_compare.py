@@ -49,7 +49,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Path, P
     folders = root / "right", root / "wrong"
     for room, folder in zip((ROOM, DARK), folders, strict=True):
         folder.mkdir()
-        truth = simulate.ground_truth(
+        truth = simulate.simulated_room(
             replace(SETUP, room=room), height=24, quality="draft", cache=root / "cache"
         )
         for k, t in enumerate(TIMES):

@@ -40,7 +40,7 @@ def test_fine_pixels_of_a_window_have_the_mean_of_the_panorama(
         wall_azimuth_deg=azimuth_deg,
         window=(Window("south", 0.5, 3, 0.8, 1.9, frame_m=0.05, panes=2),),
     )
-    truth = simulate.ground_truth(
+    truth = simulate.simulated_room(
         SiteFile(SEATTLE, CameraSetup(heading_deg=180.0), room), height=30, quality="draft"
     )
     light = light_at([T_UTC, T_UTC], SEATTLE, np.array([0.0, 600.0]), np.array([150.0, 80.0]))

@@ -21,7 +21,7 @@ from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene import build
 from fieldlum.room.scene.points import SunPoints, sun_points
 from fieldlum.room.simulate.gather import FIRST_PIECE
-from fieldlum.room.simulate.truth import ground_truth
+from fieldlum.room.simulate.truth import simulated_room
 from fieldlum.sky.light import Light, light_at
 
 # Rows of the panorama of computed light. With 16 rows the error of two days is 1.4 to 1.8 times
@@ -181,7 +181,7 @@ def _physics_of(setup: SiteFile) -> Physics:
     Review 53, 2011), so that no singular values of the complete matrix are needed.
     """
     assert setup.room is not None
-    truth = ground_truth(setup, height=HEIGHT, quality=QUALITY)
+    truth = simulated_room(setup, height=HEIGHT, quality=QUALITY)
     pieces = truth.pieces
     reflect = (pieces.reflectance / np.pi).astype(np.float32)[:, None]
     root = np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).reshape(-1, 1)

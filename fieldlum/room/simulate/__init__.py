@@ -23,7 +23,7 @@ from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.room.simulate.slot_units import truth_units
 from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
-from fieldlum.room.simulate.truth import GroundTruth, ground_truth
+from fieldlum.room.simulate.truth import SimulatedRoom, simulated_room
 from fieldlum.session import Session, create_session, remove_scraps, update_session
 from fieldlum.session.codec import write_object
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
@@ -113,7 +113,7 @@ def run(
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
         remove_scraps(folder)
-    truth = ground_truth(
+    truth = simulated_room(
         setup,
         height=height,
         quality=quality,
@@ -178,7 +178,7 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 def _forget_other(
     session: Session,
     slots: Sequence[Slot],
-    truth: GroundTruth,
+    truth: SimulatedRoom,
     weather: Weather,
     troubles: str,
     pitch_deg: float,

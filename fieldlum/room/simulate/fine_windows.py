@@ -20,7 +20,7 @@ from fieldlum.room.scene.points import SunPoints, sun_points
 from fieldlum.room.scene.view import SurfaceSamples, camera_rays, trace_pixels
 from fieldlum.room.simulate.gather import representatives
 from fieldlum.room.simulate.pixel_points import sample_codes
-from fieldlum.room.simulate.truth import GroundTruth, Rendering, box_room
+from fieldlum.room.simulate.truth import Rendering, SimulatedRoom, box_room
 from fieldlum.sky.sky_view import SkyGrid, SkyPicture
 
 # Rays in each direction of a fine pixel. Chosen: a camera averages several fine pixels in each of
@@ -83,7 +83,7 @@ class FineWindows:
         return np.floor(down / coarse).astype(np.intp) * 2 * height + columns
 
 
-def fine_windows(truth: GroundTruth, pitch_deg: float) -> FineWindows | None:
+def fine_windows(truth: SimulatedRoom, pitch_deg: float) -> FineWindows | None:
     """Trace the windows of a truth with pixels of at most `pitch_deg`; None without a window.
 
     A pixel of the truth is divided into equal parts in each direction, so that both grids match.
@@ -124,7 +124,7 @@ def fine_windows(truth: GroundTruth, pitch_deg: float) -> FineWindows | None:
     return FineWindows(grid, pixel, rays, sky, plain, points, to_pixels, truth.points.smooth)
 
 
-def _near_windows(scene: BoxScene, tilt_deg: float, roll_deg: float, truth: GroundTruth) -> Mask:
+def _near_windows(scene: BoxScene, tilt_deg: float, roll_deg: float, truth: SimulatedRoom) -> Mask:
     """Return the truth's pixels that may show a window, or border on one that does, [H, W]."""
     height, heading = truth.height, truth.view.heading_deg
     level = rotation(0.0, tilt_deg, roll_deg, heading)
@@ -204,7 +204,7 @@ def _one_for_each_face(
     return joined._replace(weight=total), code[rows]
 
 
-def _light_of_neighbours(truth: GroundTruth, position: Floats, code: NDArray[np.int64]) -> Any:
+def _light_of_neighbours(truth: SimulatedRoom, position: Floats, code: NDArray[np.int64]) -> Any:
     """Return the matrix [n, m] from the light of the truth's points to that of n fine samples.
 
     A sample has that of the nearest points of its face; of a face without a point, that of the

@@ -16,7 +16,7 @@ from fieldlum.core.scheduler import WorkUnit
 from fieldlum.optics.images import write_panorama
 from fieldlum.room.simulate.fine_windows import FineWindows, fine_windows
 from fieldlum.room.simulate.troubles import Troubles, knocked_camera, troubled_pictures
-from fieldlum.room.simulate.truth import GroundTruth, Rendering, ground_truth
+from fieldlum.room.simulate.truth import Rendering, SimulatedRoom, simulated_room
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view import write_sky_picture
@@ -117,9 +117,9 @@ def render_slots(folder: Path, job: _TruthJob) -> None:
 
 
 @lru_cache(maxsize=1)
-def _stored_truth(root: Path, cache: Path, key: str, height: int, quality: str) -> GroundTruth:
+def _stored_truth(root: Path, cache: Path, key: str, height: int, quality: str) -> SimulatedRoom:
     """Load the coefficients once in each process; sessions are distinguished by `key`."""
-    return ground_truth(Session(root).site_file(), height=height, quality=quality, cache=cache)
+    return simulated_room(Session(root).site_file(), height=height, quality=quality, cache=cache)
 
 
 @lru_cache(maxsize=1)
@@ -130,7 +130,7 @@ def _stored_windows(
     return fine_windows(_stored_truth(root, cache, key, height, quality), pitch_deg)
 
 
-def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequence[Slot]) -> None:
+def _write(session: Session, truth: SimulatedRoom, made: Rendering, slots: Sequence[Slot]) -> None:
     for k, slot in enumerate(slots):
         panorama = truth.as_panorama(made, k)
         with replacing_path(session.truth_panorama(slot.id)) as path:

@@ -83,8 +83,8 @@ class Rendering:
 
 
 @dataclass(frozen=True)
-class GroundTruth:
-    """A room that can be rendered in any light; `ground_truth` creates it.
+class SimulatedRoom:
+    """A room that can be rendered in any light; `simulated_room` creates it.
 
     from_points : CSR [m, columns] gathered irradiance of the pixels' points; points : where they
     are, and their part in each pixel (reflectance / pi, glass, smoothing); from_pieces : CSR [p,
@@ -249,7 +249,7 @@ def box_room(setup: SiteFile) -> Room:
     return setup.room
 
 
-def ground_truth(
+def simulated_room(
     setup: SiteFile,
     *,
     height: int = 115,
@@ -258,11 +258,11 @@ def ground_truth(
     workers: int | None = None,
     progress: Progress = quiet,
     of_pieces: Any = None,
-) -> GroundTruth:
+) -> SimulatedRoom:
     """Compute the Radiance coefficients of a box room, or read them from `cache` (a folder).
 
     They are stored there under a hash of room, heading, size and quality; None stores nothing.
-    of_pieces: `GroundTruth.from_pieces` of the same room and quality at another height, which is
+    of_pieces: `SimulatedRoom.from_pieces` of the same room and quality at another height, which is
     not computed again. Raises InputError without a box room or for an impossible one, KeyError for
     a quality not in `QUALITIES`, RuntimeError if Radiance fails.
     """
@@ -284,7 +284,7 @@ def ground_truth(
     folder = cache / f"coefficients-{key}" if cache is not None else None
     if folder is not None and (folder / "complete").is_file():
         matrices = [_load(folder, name, FIRST_PIECE + len(pieces)) for name in ("points", "pieces")]
-        return GroundTruth(setup, view, pieces, matrices[0], points, matrices[1], key)
+        return SimulatedRoom(setup, view, pieces, matrices[0], points, matrices[1], key)
     scene = view.scene
     total = len(pieces) + len(points.rows)
 
@@ -308,7 +308,7 @@ def ground_truth(
         _save(folder, "pieces", of_pieces)
         with replacing_path(folder / "complete") as path:
             path.write_text(json.dumps({"key": key, "quality": quality}), encoding="utf-8")
-    return GroundTruth(setup, view, pieces, from_points, points, of_pieces, key)
+    return SimulatedRoom(setup, view, pieces, from_points, points, of_pieces, key)
 
 
 def _gather_pieces(
