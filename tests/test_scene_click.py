@@ -23,8 +23,13 @@ from fieldlum.core.records import CameraSetup, Exposure, Panorama, Room, SiteFil
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
-from fieldlum.room.scene.clicked import room_from_clicks
-from fieldlum.room.scene.clicks import Click, ClickGrid, clicks_from_rows, read_clicks
+from fieldlum.room.scene.clicked import (
+    Click,
+    ClickGrid,
+    clicks_from_rows,
+    read_clicks,
+    room_from_clicks,
+)
 from fieldlum.room.scene.drawing import outline_pixels
 from fieldlum.room.scene.geometry import build
 from fieldlum.session import Session, create_session

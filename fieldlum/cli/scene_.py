@@ -152,8 +152,7 @@ def click_corners(
         with terminal.unattended():
             served.run()
         return
-    from fieldlum.room.scene.clicked import room_from_clicks
-    from fieldlum.room.scene.clicks import read_clicks
+    from fieldlum.room.scene.clicked import read_clicks, room_from_clicks
 
     clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
     table = click_room.clicked_table(clicked)

@@ -10,25 +10,131 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
-from fieldlum.optics.projection import direction
-from fieldlum.room.scene.clicks import KINDS, Click, ClickGrid
-from fieldlum.room.scene.geometry import room_axes
+from fieldlum.core.strict_csv import read_table
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
+from fieldlum.room.scene.geometry import WALLS, room_axes
 
 # standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
 CLICK_PX = 0.5
-_WALLS = ("south", "west", "north", "east")
-# Of a wall, seen in the room's axes: which of x, y its plane fixes, and on which side.
-_PLANES = {"south": (1, -1), "west": (0, -1), "north": (1, 1), "east": (0, 1)}
 # a click this far from the fitted room is named: six times a careful click; chosen
 _MISFIT_PX = 3.0
 _HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ceiling; chosen
+_LEAST_WINDOW_M = 0.02  # corners closer than this are one corner; chosen
+
+Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
+KINDS: tuple[Kind, ...] = ("floor", "ceiling", "window", "bar", "transom")
+COLUMNS = ("kind", "window", "x_px", "y_px")
+
+
+@dataclass(frozen=True, slots=True)
+class Click:
+    """A click on a panorama, on a corner, a bar or a transom of a room.
+
+    kind: floor, ceiling or window (a corner), bar or transom. window: number from 1, 0 for corners
+    of the room. x_px, y_px: from the panorama's upper left corner. line: of the csv, or the number
+    of the click.
+    """
+
+    kind: Kind
+    window: int
+    x_px: float
+    y_px: float
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ClickGrid:
+    """Size and heading of the panorama on which the clicks are."""
+
+    height_px: int
+    width_px: int
+    heading_deg: float
+
+    def angles(self, x_px: float, y_px: float) -> tuple[float, float]:
+        """Return altitude and azimuth [deg] of a pixel position."""
+        azimuth = self.heading_deg + (x_px / self.width_px - 0.5) * 360.0
+        return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
+
+    def pixels(self, points: Floats) -> Floats:
+        """Return pixel positions (x, y) of directions [n, 3] in world axes, [n, 2]."""
+        angles = altitude_azimuth_deg(points / np.linalg.norm(points, axis=1, keepdims=True))
+        row, column = equirect_pixel(*angles, self.height_px, self.width_px, self.heading_deg)
+        return np.stack([column, row], axis=1)
+
+
+def read_clicks(path: Path) -> list[Click]:
+    """Read a csv with exactly the columns kind, window, x_px, y_px, in this order.
+
+    Raises InputError for a file that cannot be read, other columns, or a wrong cell (with its
+    line).
+    """
+    expected, remedy = "a csv of clicks", "check the path of the csv"
+    table = read_table(path, expected, remedy)
+    if table.names != COLUMNS:
+        raise InputError(
+            path,
+            f"columns {','.join(table.names)[:80]}",
+            f"exactly the columns {','.join(COLUMNS)} in this order",
+            "correct the first line and the order of the columns",
+        )
+    return [_click(f"{path}:{line}", line, row) for line, row in table.dicts()]
+
+
+def clicks_from_rows(rows: Any) -> list[Click]:
+    """Return the clicks of a page's list of at most 500 dicts (keys: kind, window, x_px, y_px).
+
+    Raises InputError for anything else.
+    """
+    if not isinstance(rows, list) or len(rows) > 500:
+        raise InputError(
+            "clicks",
+            "no list, or over 500 clicks",
+            "a list of at most 500 clicks",
+            "load the page again, and click fewer corners",
+        )
+    return [_click(f"click {k}", k, row) for k, row in enumerate(rows, start=1)]
+
+
+def _click(where: str, line: int, row: Any) -> Click:
+    if not isinstance(row, dict):
+        raise InputError(
+            where, "the click is no table", f"keys {', '.join(COLUMNS)}", "load the page again"
+        )
+    kind = str(row.get("kind", "")).strip()
+    if kind not in KINDS:
+        raise InputError(
+            where, f"kind '{kind[:40]}'", f"one of {', '.join(KINDS)}", "correct the kind"
+        )
+    try:
+        x, y = float(row["x_px"]), float(row["y_px"])
+        window = int(row.get("window") or 0)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            where,
+            f"x_px, y_px or window is no number ({error})"[:120],
+            "numbers, for window an integer (the number of the window)",
+            "correct the numbers",
+        ) from None
+    if not (np.isfinite(x) and np.isfinite(y)):
+        raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers", "correct the numbers")
+    of_window = kind in ("window", "bar", "transom")
+    if of_window != (1 <= window <= 50):
+        expected = "a window number from 1 to 50" if of_window else "no window number"
+        raise InputError(
+            where,
+            f"kind {kind} with window number {window}",
+            expected,
+            "correct the window's number",
+        )
+    return Click(kind, window, x, y, line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +169,8 @@ def room_from_clicks(
             "0.05 to 50 m",
             "measure the lens above the floor",
         )
-    start = _start(clicks, grid, camera_height_m, where)
-    return _fit(start, clicks, grid, camera_height_m)
+    start, corners = _start(clicks, grid, camera_height_m, where)
+    return _fit(start, corners, clicks, grid, camera_height_m)
 
 
 def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
@@ -110,57 +216,83 @@ def _numbers(clicks: Sequence[Click]) -> list[int]:
     return sorted({click.window for click in clicks if click.window})
 
 
-@dataclass(frozen=True, slots=True)
-class _Start:
-    """First guess, and the meaning of each click.
+class _Corner(NamedTuple):
+    """The corner that a click means.
 
-    values: azimuth of "south" [deg], distances to the four walls and height [m]; then along0,
-    along1, low, high of each window in the frame of the camera [m].
+    wall: of its window, "" for a corner of the room; place: of the window in the room; ends: 0 or 1
+    at the low or high end of x, y, z, or for a window of its left-to-right side and of its height.
     """
 
-    values: Floats
-    walls: dict[int, str]  # of each window
-    sides: list[tuple[int, int, int]]  # of each click: sign of x, y (or along, up), window's place
+    wall: str
+    place: int
+    ends: tuple[float, ...]
+
+    def point(self, values: Floats, camera_height_m: float) -> Floats:
+        """Return the corner in room axes [m], relative to the camera.
+
+        values: azimuth of the "south" wall [deg], then width, depth, height, camera x, camera y,
+        and left, width, sill, height of each window [m].
+        """
+        size, camera = values[1:4], np.array([values[4], values[5], camera_height_m])
+        if not self.wall:
+            return np.array(self.ends) * size - camera
+        axis, side = WALLS[self.wall]
+        left, width, sill, height = values[6 + 4 * self.place : 10 + 4 * self.place]
+        along = left + self.ends[0] * width
+        point = np.zeros(3)
+        point[axis] = side * size[axis]
+        point[1 - axis] = size[1 - axis] - along if _from_high_end(self.wall) else along
+        point[2] = sill + self.ends[1] * height
+        return point - camera
 
 
-def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _Start:
+def _from_high_end(wall: str) -> bool:
+    """Return whether the left end of a wall, seen from inside, has the larger coordinate."""
+    return wall in ("south", "east")
+
+
+def _start(
+    clicks: Sequence[Click], grid: ClickGrid, h: float, where: str
+) -> tuple[Floats, list[_Corner | None]]:
+    """Return a first guess of the values of `_Corner.point`, and the meaning of each click."""
     rays = np.array([direction(*grid.angles(c.x_px, c.y_px)) for c in clicks]).reshape(-1, 3)
-    floor = [k for k, click in enumerate(clicks) if click.kind == "floor"]
+    floor = np.array([click.kind == "floor" for click in clicks])
     ground = rays[floor, :2] * (h / -rays[floor, 2])[:, None]  # [n, 2] east, north
     theta = min(np.arange(0.0, 90.0, 0.5), key=lambda t: _spread(ground, float(t)))
+    window = np.array([click.window if click.kind == "window" else 0 for click in clicks])
     numbers = _numbers(clicks)
-    first = [
-        k
-        for k, c in enumerate(clicks)
-        if c.kind == "window" and c.window == min(numbers, default=0)
-    ]
-    facing = rays[first, :2].sum(axis=0) if first else direction(0.0, grid.heading_deg)[:2]
+    first = window == min(numbers, default=-1)
+    facing = rays[first, :2].sum(axis=0) if first.any() else direction(0.0, grid.heading_deg)[:2]
     theta = _main_wall(ground, float(theta), np.asarray(facing))
-    xy = ground @ room_axes(theta)[:2, :2].T
-    distances = _distances(xy, where)
+    distances = _distances(ground @ room_axes(theta)[:2, :2].T, where)
     turned = rays @ room_axes(theta).T
-    ceiling = [k for k, click in enumerate(clicks) if click.kind == "ceiling"]
-    heights = [_reach(turned[k, :2], distances, corner=True) * turned[k, 2] for k in ceiling]
-    values = [theta, *distances, h + float(np.mean(heights))]
-    walls: dict[int, str] = {}
-    for number in numbers:
-        own = [k for k, c in enumerate(clicks) if c.kind == "window" and c.window == number]
+    ceiling = [ray for ray, c in zip(turned, clicks, strict=True) if c.kind == "ceiling"]
+    heights = [_reach(ray[:2], distances, corner=True) * ray[2] for ray in ceiling]
+    south, west, north, east = distances
+    size = west + east, south + north
+    values = [theta, *size, h + float(np.mean(heights)), west, south]
+    corners: list[_Corner | None] = [
+        _Corner("", 0, (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling")))
+        if click.kind in ("floor", "ceiling")
+        else None
+        for ray, click in zip(turned, clicks, strict=True)
+    ]
+    for place, number in enumerate(numbers):
+        own = np.flatnonzero(window == number)
         wall = _wall_of(turned[own, :2].sum(axis=0), distances)
-        walls[number] = wall
-        at = np.array([_on_wall(turned[k], wall, distances) for k in own])
-        if np.ptp(at[:, 0]) < 0.02 or np.ptp(at[:, 1]) < 0.02:
+        at = np.array([_on_wall(turned[k], wall, size, (west, south, h)) for k in own])
+        low, span = at.min(axis=0), np.ptp(at, axis=0)
+        if span.min() < _LEAST_WINDOW_M:
             raise InputError(
                 where,
                 f"the corners of window {number} have no width or no height",
                 "two opposite corners at least",
                 "click its opposite corners again",
             )
-        values += [*np.sort(at[:, 0])[[0, -1]], *(np.sort(at[:, 1])[[0, -1]] + h)]
-    sides = [
-        _side(click, turned[k], distances, walls, numbers, values, h)
-        for k, click in enumerate(clicks)
-    ]
-    return _Start(np.array(values, float), walls, sides)
+        values += [low[0], span[0], low[1], span[1]]
+        for k, ends in zip(own, (at > low + span / 2).astype(float), strict=True):
+            corners[k] = _Corner(wall, place, tuple(ends))
+    return np.array(values, float), corners
 
 
 def _spread(ground: Floats, theta_deg: float) -> float:
@@ -216,151 +348,84 @@ def _wall_of(xy: Floats, distances: Sequence[float]) -> str:
     return min(gaps, key=lambda wall: abs(gaps[wall]))
 
 
-def _on_wall(ray: Floats, wall: str, distances: Sequence[float]) -> tuple[float, float]:
-    """Return where a ray meets a wall's plane [m]: along the wall, and above the camera."""
-    axis, sign = _PLANES[wall]
-    factor = sign * distances[_WALLS.index(wall)] / ray[axis]
-    return float(ray[1 - axis] * factor), float(ray[2] * factor)
+def _on_wall(
+    ray: Floats, wall: str, size: Sequence[float], camera: Sequence[float]
+) -> tuple[float, float]:
+    """Return where a ray meets a wall: from its left end, seen from inside, and from the floor [m].
+
+    ray: in room axes; size: width and depth; camera: x, y, z.
+    """
+    axis, side = WALLS[wall]
+    factor = (side * size[axis] - camera[axis]) / ray[axis]
+    along = camera[1 - axis] + ray[1 - axis] * factor
+    along = size[1 - axis] - along if _from_high_end(wall) else along
+    return float(along), float(camera[2] + ray[2] * factor)
 
 
-def _side(
-    click: Click,
-    ray: Floats,
-    distances: Sequence[float],
-    walls: dict[int, str],
-    numbers: Sequence[int],
-    values: Sequence[float],
+def _fit(
+    start: Floats,
+    corners: Sequence[_Corner | None],
+    clicks: Sequence[Click],
+    grid: ClickGrid,
     h: float,
-) -> tuple[int, int, int]:
-    if click.window == 0:
-        return (1 if ray[0] > 0 else 0), (1 if ray[1] > 0 else 0), -1
-    place = numbers.index(click.window)
-    along, up = _on_wall(ray, walls[click.window], distances)
-    left, right, low, high = values[6 + 4 * place : 10 + 4 * place]
-    return int(along > (left + right) / 2), int(up + h > (low + high) / 2), place
-
-
-def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> ClickedRoom:
+) -> ClickedRoom:
     from scipy.optimize import least_squares
 
-    used = [k for k, click in enumerate(clicks) if click.kind in ("floor", "ceiling", "window")]
-    wanted = np.array([(clicks[k].x_px, clicks[k].y_px) for k in used])
+    used = [(click, c) for click, c in zip(clicks, corners, strict=True) if c is not None]
+    wanted = np.array([(click.x_px, click.y_px) for click, _ in used])
 
     def residual(values: Floats) -> Floats:
-        points = np.array([_point(values, start, clicks[k], start.sides[k], h) for k in used])
+        points = np.array([corner.point(values, h) for _, corner in used])
         off = grid.pixels(points @ room_axes(values[0])) - wanted
         off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
         return off.ravel()
 
     # a gross click must not bend the room: beyond some pixels its weight falls
-    solution = least_squares(residual, start.values, loss="soft_l1", f_scale=2.0)
+    solution = least_squares(residual, start, loss="soft_l1", f_scale=2.0)
     off = residual(solution.x).reshape(-1, 2)
     jacobian = np.asarray(solution.jac)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * CLICK_PX**2
-    distance = np.hypot(off[:, 0], off[:, 1])
+    u = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * CLICK_PX
     notes = [
-        f"{clicks[k].kind} click {clicks[k].line} is {distance[i]:.1f} px from the fitted room"
-        for i, k in enumerate(used)
-        if distance[i] > _MISFIT_PX
+        f"{click.kind} click {click.line} is {distance:.1f} px from the fitted room"
+        for (click, _), distance in zip(used, np.hypot(off[:, 0], off[:, 1]), strict=True)
+        if distance > _MISFIT_PX
     ]
-    room, u = _room(solution.x, covariance, start, clicks, grid, h)
-    return ClickedRoom(room, u, float(np.sqrt((off**2).mean())), tuple(notes))
+    walls: dict[int, Any] = {corner.place: corner.wall for _, corner in used if corner.wall}
+    names = [*_LENGTHS, *(f"window.{k}.{name}" for k in walls for name in _WINDOW_LENGTHS)]
+    room = _room(solution.x, walls, clicks, grid, h)
+    stated = dict(zip(names, u.tolist(), strict=True))
+    return ClickedRoom(room, stated, float(np.sqrt((off**2).mean())), tuple(notes))
 
 
-def _point(
-    values: Floats, start: _Start, click: Click, side: tuple[int, int, int], h: float
-) -> Floats:
-    """Return a click's point in room axes [m], relative to the camera."""
-    south, west, north, east, height = values[1:6]
-    if click.window == 0:
-        z = -h if click.kind == "floor" else height - h
-        return np.array([east if side[0] else -west, north if side[1] else -south, z])
-    wall = start.walls[click.window]
-    axis, sign = _PLANES[wall]
-    part = values[6 + 4 * side[2] : 10 + 4 * side[2]]
-    point = np.zeros(3)
-    point[axis] = sign * values[1 + _WALLS.index(wall)]
-    point[1 - axis] = part[side[0]]
-    point[2] = part[2 + side[1]] - h
-    return point
+_LENGTHS = ("wall_azimuth_deg", "width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m")
+_WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")
 
 
 def _room(
-    values: Floats,
-    covariance: Floats,
-    start: _Start,
-    clicks: Sequence[Click],
-    grid: ClickGrid,
-    h: float,
-) -> tuple[Room, dict[str, float]]:
-    """Return the room as a `Room`, and the uncertainty of each length."""
-    count = len(values)
-    rows: dict[str, Floats] = {}  # each figure as a linear form of the values
-
-    def form(**parts: float) -> Floats:
-        row = np.zeros(count)
-        for name, factor in parts.items():
-            row[int(name[1:])] = factor
-        return row
-
-    rows["wall_azimuth_deg"] = form(v0=1.0)
-    rows["width_m"], rows["depth_m"] = form(v2=1.0, v4=1.0), form(v1=1.0, v3=1.0)
-    rows["height_m"] = form(v5=1.0)
-    rows["camera_x_m"], rows["camera_y_m"] = form(v2=1.0), form(v1=1.0)
-    numbers = _numbers(clicks)
-    for place, number in enumerate(numbers):
-        k, wall = 6 + 4 * place, start.walls[number]
-        # left_m runs from the left end seen from inside: the high end for south and east
-        end = {"south": 4, "east": 3, "north": 2, "west": 1}[wall]
-        far = wall in ("south", "east")
-        row = np.zeros(count)
-        row[end], row[k + 1 if far else k] = 1.0, -1.0 if far else 1.0
-        name = f"window.{place}."
-        rows[name + "left_m"] = row
-        rows[name + "width_m"] = form(**{f"v{k + 1}": 1.0, f"v{k}": -1.0})
-        rows[name + "sill_m"] = form(**{f"v{k + 2}": 1.0})
-        rows[name + "height_m"] = form(**{f"v{k + 3}": 1.0, f"v{k + 2}": -1.0})
-    figure = {name: float(row @ values) for name, row in rows.items()}
-    u = {name: float(np.sqrt(row @ covariance @ row)) for name, row in rows.items()}
-    windows = tuple(
-        _window(place, number, figure, start, clicks, values, grid, h)
-        for place, number in enumerate(numbers)
-    )
-    room = Room(
-        width_m=round(figure["width_m"], 4),
-        depth_m=round(figure["depth_m"], 4),
-        height_m=round(figure["height_m"], 4),
-        camera_x_m=round(figure["camera_x_m"], 4),
-        camera_y_m=round(figure["camera_y_m"], 4),
-        camera_z_m=h,
-        wall_azimuth_deg=round(figure["wall_azimuth_deg"] % 360.0, 3),
-        window=windows,
-    )
-    return room, u
-
-
-def _window(
-    place: int,
-    number: int,
-    figure: dict[str, float],
-    start: _Start,
-    clicks: Sequence[Click],
-    values: Floats,
-    grid: ClickGrid,
-    h: float,
-) -> Window:
-    wall: Any = start.walls[number]
-    bars = sum(click.kind == "bar" and click.window == number for click in clicks)
-    axes, distances = room_axes(values[0]), values[1:5].tolist()
-    transoms = [
-        h + _on_wall(axes @ direction(*grid.angles(c.x_px, c.y_px)), wall, distances)[1]
-        for c in clicks
-        if c.kind == "transom" and c.window == number
-    ]
-    name = f"window.{place}."
-    lengths = {
-        key: round(figure[name + key], 4) for key in ("left_m", "width_m", "sill_m", "height_m")
-    }
-    lengths["left_m"], lengths["sill_m"] = max(lengths["left_m"], 0.0), max(lengths["sill_m"], 0.0)
-    transom = round(float(np.mean(transoms)), 4) if transoms else 0.0
-    return Window(wall, **lengths, panes=bars + 1, transom_m=transom)
+    values: Floats, walls: dict[int, Any], clicks: Sequence[Click], grid: ClickGrid, h: float
+) -> Room:
+    """Return the room of fitted values; walls: of each window, in its place."""
+    rounded = [round(value, 4) for value in values.tolist()]
+    axes, camera = room_axes(values[0]), (values[4], values[5], h)
+    windows = []
+    for place, number in enumerate(_numbers(clicks)):
+        own = [click for click in clicks if click.window == number]
+        lengths = dict(zip(_WINDOW_LENGTHS, rounded[6 + 4 * place :][:4], strict=True))
+        lengths |= {name: max(lengths[name], 0.0) for name in ("left_m", "sill_m")}
+        transoms = [
+            _on_wall(
+                axes @ direction(*grid.angles(c.x_px, c.y_px)), walls[place], values[1:3], camera
+            )[1]
+            for c in own
+            if c.kind == "transom"
+        ]
+        windows.append(
+            Window(
+                walls[place],
+                **lengths,
+                panes=1 + sum(click.kind == "bar" for click in own),
+                transom_m=round(float(np.mean(transoms)), 4) if transoms else 0.0,
+            )
+        )
+    lengths = dict(zip(_LENGTHS, [rounded[0] % 360.0, *rounded[1:6]], strict=True))
+    return Room(**lengths, camera_z_m=h, window=tuple(windows))

@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
-from fieldlum.room.scene.clicks import ClickGrid
+from fieldlum.room.scene.clicked import ClickGrid
 from fieldlum.room.scene.geometry import WALL_TURN_DEG, build
 
 # Of the plan; the margin has room for the lengths written around it. Not measured.
